@@ -1,0 +1,71 @@
+"""Every error this project raises on purpose. One root, married to the standard errors people already catch.
+
+    NomadError
+    ├── AddressError (ValueError)          an address connect() cannot read, or a scheme nobody serves
+    ├── ConnectionLost (ConnectionError)   the other end is gone, or was never there
+    ├── ReplyTimeout (TimeoutError)        the other end is there and silent
+    ├── RobotRefused                       an answer, and it is no: ERROR or NAK, with the command
+    ├── WireError (ValueError)             bytes that are no message, or values that no message can carry
+    ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
+    └── StartError (ValueError)            a start pose that touches a wall or lies outside
+
+Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
+"""
+
+from __future__ import annotations
+
+REFUSALS = {
+    1: "unknown message type",
+    2: "wrong number or range of values",
+    3: "not connected to a robot",
+    4: "not available on this robot",
+    5: "refused by the setup",
+    6: "the real robot did not answer",
+}
+"""What the codes of an ERROR reply mean (PROTOCOL.md, section 1)."""
+
+
+class NomadError(Exception):
+    """The root of every error of this project."""
+
+
+class AddressError(NomadError, ValueError):
+    """An address that cannot be read, or whose scheme nobody here serves."""
+
+
+class ConnectionLost(NomadError, ConnectionError):
+    """The other end closed the connection, or there was nobody to connect to."""
+
+
+class ReplyTimeout(NomadError, TimeoutError):
+    """No whole answer came within the time set."""
+
+
+class RobotRefused(NomadError):
+    """The other end answered, and the answer is no.
+
+    `command` is the C name of the call; `code` the number of the ERROR reply, None for a NAK on the
+    robot's own line and for a call that this side refuses because the model cannot do it.
+    """
+
+    def __init__(self, command: str, code: int | None, reason: str = "") -> None:
+        self.command = command
+        self.code = code
+        if not reason:
+            reason = "NAK" if code is None else REFUSALS.get(code, "a code nobody documents")
+        super().__init__(f"{command} was refused: {reason}" + ("" if code is None else f" (error {code})"))
+
+    def __reduce__(self) -> tuple[type[RobotRefused], tuple[str, int | None]]:
+        return type(self), (self.command, self.code)
+
+
+class WireError(NomadError, ValueError):
+    """Bytes that are no message, or values that no message can carry."""
+
+
+class WorldFileError(NomadError, ValueError):
+    """A world file that cannot be used; the message names file, key and what was expected."""
+
+
+class StartError(NomadError, ValueError):
+    """A start pose that touches a wall or lies outside the world."""
