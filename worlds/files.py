@@ -1,0 +1,164 @@
+"""World files: TOML in, a World out; and where the shipped ones are. The only file here that touches the disk.
+
+    name, title                                         texts, both optional
+    [[room]]      corners, name                         a closed outline, free inside
+    [[wall]]      points                                an open line of two points or more
+    [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
+    [[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, 0 where not given
+    [[path]]      name, figure, points, start           way-points from the start on; start: number of a [[start]]
+    corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is a WorldFileError.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from os import PathLike, fspath
+from pathlib import Path as FilePath
+from typing import Any, Final
+
+import numpy as np
+
+from nclient.errors import WorldFileError
+from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
+from worlds.tables import SHORTEST_IN, Table, nearest
+from worlds.world import Path, Point, Polygon, StartPose, World
+
+SHIPPED: Final = FilePath(__file__).resolve().parent
+"""The folder of the worlds that come with this package."""
+
+
+def world_names() -> tuple[str, ...]:
+    """The names of the shipped worlds, sorted; load_world takes each of them."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+def load_world(name_or_path: str | PathLike[str]) -> World:
+    """The world of a shipped name ("thesis_room") or of a file ("worlds/thesis_room.toml", "/abs/x.toml").
+
+    A bare name is a shipped world before it is a file; a path "worlds/X.toml" that does not exist from here is the
+    shipped world X. Raises WorldFileError whenever no valid world comes of it.
+    """
+    path = _find(fspath(name_or_path))
+    return parse_world(_read(path), str(path), path.stem)
+
+
+def parse_world(text: str, file: str, name: str) -> World:
+    """The world that the text of a file describes; `file` is what errors call it, `name` what it is called
+    unless it says so itself. Raises WorldFileError."""
+    try:
+        values: dict[str, Any] = tomllib.loads(text)
+    except RecursionError:
+        raise WorldFileError(f"{file}: is no TOML: nested too deeply") from None
+    except ValueError as error:
+        raise WorldFileError(f"{file}: is no TOML: {error}") from error
+    top = Table(file, "", values)
+    top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
+    if not any(values.get(key) for key in ("room", "wall", "obstacle")):
+        top.fail("", "expected at least one [[room]], [[wall]] or [[obstacle]], found none")
+    name = top.text("name", name)
+    starts = tuple(_start(table) for table in top.tables("start")) or (StartPose(0.0, 0.0),)
+    return World(
+        name=name,
+        title=top.text("title", name),
+        rooms=tuple(_polygon(table) for table in top.tables("room")),
+        inner_walls=np.concatenate([np.empty((0, 4)), *(_wall(table) for table in top.tables("wall"))]),
+        obstacles=tuple(_polygon(table) for table in top.tables("obstacle")),
+        starts=starts,
+        paths=_paths(top, starts),
+    )
+
+
+def _find(name: str) -> FilePath:
+    """The file that a name or path means; raises WorldFileError with the shipped names if there is none."""
+    names = world_names()
+    if name in names:
+        return SHIPPED / f"{name}.toml"
+    path = FilePath(name)
+    if name and path.exists():
+        return path
+    if path.stem in names and path.name == f"{path.stem}.toml" and str(path.parent) in (".", "worlds"):
+        return SHIPPED / path.name
+    raise WorldFileError(
+        f"{name or repr(name)}: no such file, and no world that is shipped; "
+        f"expected a path or one of {', '.join(names)}{nearest(path.stem, names)}"
+    )
+
+
+def _read(path: FilePath) -> str:
+    """The text of a world file; raises WorldFileError if it is no readable UTF-8 file."""
+    if not path.is_file():
+        kind = "a directory" if path.is_dir() else "no regular file"
+        raise WorldFileError(f"{path}: expected a world file in TOML, found {kind}")
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise WorldFileError(f"{path}: expected text in UTF-8, found {error.reason} at byte {error.start}") from error
+    except OSError as error:
+        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _polygon(table: Table) -> Polygon:
+    table.allow(("name",), lengths=("corners",))
+    corners = table.points_in("corners", least=3)
+    _refuse_repeats(table, "corners", polygon_segments(corners))
+    return Polygon(corners, table.text("name", ""))
+
+
+def _wall(table: Table) -> FloatArray:
+    table.allow((), lengths=("points",))
+    return _line(table, table.points_in("points", least=2))
+
+
+def _line(table: Table, points: tuple[Point, ...]) -> FloatArray:
+    segments = polyline_segments(points)
+    _refuse_repeats(table, "points", segments)
+    return segments
+
+
+def _refuse_repeats(table: Table, name: str, segments: FloatArray) -> None:
+    """Refuse an edge without a length: a corner given twice in a row."""
+    short = np.flatnonzero(lengths(segments) < SHORTEST_IN)
+    if not short.size:
+        return
+    key, number = table.key_of(name), int(short[0])
+    if name == "corners" and number == len(segments) - 1:
+        table.fail(f"{key}[{number}]", "is the first corner again; outlines close by themselves: leave it out")
+    table.fail(f"{key}[{number + 1}]", "is the same point as the one before; expected walls with a length")
+
+
+def _start(table: Table) -> StartPose:
+    table.allow(("steering_deg", "turret_deg"), lengths=("x", "y"))
+    return StartPose(
+        table.length_in("x"), table.length_in("y"), table.angle_rad("steering"), table.angle_rad("turret")
+    )
+
+
+def _paths(top: Table, starts: tuple[StartPose, ...]) -> dict[str, Path]:
+    """The paths by their figure, or by their name where they have none."""
+    paths: dict[str, Path] = {}
+    for table in top.tables("path"):
+        path = _path(table, starts)
+        key = path.figure or path.name
+        if key in paths:
+            table.fail("figure" if path.figure else "name", f"{key!r} is taken by an earlier path; expected another")
+        paths[key] = path
+    return paths
+
+
+def _path(table: Table, starts: tuple[StartPose, ...]) -> Path:
+    table.allow(("name", "figure", "start"), lengths=("points",))
+    figure = table.text("figure", "")
+    name = table.text("name", figure)
+    if not name:
+        table.fail("name", "expected a name or a figure, found neither")
+    points = table.points_in("points", least=2)
+    _line(table, points)
+    number = table.index("start", len(starts))
+    start = StartPose(*points[0]) if number is None else starts[number]
+    if max(abs(start.x_in - points[0][0]), abs(start.y_in - points[0][1])) > SHORTEST_IN:
+        table.fail(
+            f"{table.key_of('points')}[0]",
+            f"expected the place of start[{number}], ({start.x_in:g}, {start.y_in:g}) in, "
+            f"found ({points[0][0]:g}, {points[0][1]:g}) in",
+        )
+    return Path(name, figure, start, points)

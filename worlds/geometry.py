@@ -1,0 +1,73 @@
+"""Small array kernels of plane geometry: nearest points, distances, inside or outside, crossing outlines.
+
+Arrays in, arrays out; inches; nothing here knows what a wall, a room or a robot is. Rays live in raycast.py.
+
+    segments (m, 4)     rows x1 y1 x2 y2
+    corners (n, 2)      a closed polygon; the edge from the last corner to the first goes without saying
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+def polyline_segments(points: npt.ArrayLike) -> FloatArray:
+    """The k - 1 segments (k - 1, 4) that join k >= 1 points (k, 2) in their order."""
+    array = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+    return np.hstack((array[:-1], array[1:]))
+
+
+def polygon_segments(corners: npt.ArrayLike) -> FloatArray:
+    """The n edges (n, 4) of the closed polygon with n corners (n, 2), the closing edge last."""
+    array = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    return np.hstack((array, np.roll(array, -1, axis=0)))
+
+
+def lengths(segments: FloatArray) -> FloatArray:
+    """Lengths (m,) of segments (m, 4)."""
+    return np.hypot(segments[..., 2] - segments[..., 0], segments[..., 3] - segments[..., 1])
+
+
+def normals(segments: FloatArray) -> FloatArray:
+    """Unit normals (m, 2) to the left of each segment (m, 4) seen from its first end; none may have length 0.
+
+    For a polygon whose corners run counter-clockwise the left is the inside.
+    """
+    across = np.stack((segments[..., 1] - segments[..., 3], segments[..., 2] - segments[..., 0]), axis=-1)
+    unit: FloatArray = across / lengths(segments)[..., np.newaxis]
+    return unit
+
+
+def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """For points (..., 2) and segments (m, 4): nearest points (..., m, 2) and their distances (..., m).
+
+    The foot of the perpendicular, held between the two ends; a segment of length 0 is its point.
+    """
+    here = np.asarray(points, dtype=np.float64)[..., np.newaxis, :]
+    first = segments[:, :2]
+    along = segments[:, 2:] - first
+    squared = np.einsum("mk,mk->m", along, along)
+    share = ((here - first) * along).sum(axis=-1) / np.where(squared > 0.0, squared, 1.0)
+    nearest: FloatArray = first + np.clip(share, 0.0, 1.0)[..., np.newaxis] * along
+    offset = here - nearest
+    return nearest, np.hypot(offset[..., 0], offset[..., 1])
+
+
+def inside(points: npt.ArrayLike, edges: FloatArray) -> BoolArray:
+    """Which of the points (..., 2) lie inside the closed polygon with these edges (n, 4); either orientation.
+
+    Even-odd rule: a point is inside when a half line from it to the right crosses an odd number of edges. The
+    test is a sign of a cross product, without a division. A point on an edge may count as either.
+    """
+    here = np.asarray(points, dtype=np.float64)[..., np.newaxis, :]
+    x, y = here[..., 0], here[..., 1]
+    x1, y1, x2, y2 = edges.T
+    rises = y2 > y1
+    spans = (y1 > y) != (y2 > y)
+    left_of_edge = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1) > 0.0
+    odd: BoolArray = (spans & (left_of_edge == rises)).sum(axis=-1) % 2 == 1
+    return odd
