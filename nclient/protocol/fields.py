@@ -1,0 +1,311 @@
+"""The pieces that requests and replies are made of, as construct classes. No message is declared here.
+
+    over TCP         everything is a big-endian signed 32-bit word; clocks are read as unsigned
+    on the line      low byte first; signed numbers are sign-magnitude (top bit = minus): -50 is 32 80
+
+Rules: a piece parses to one of four things a Reply holds, State slots {number: value}, stamps {name: Stamp},
+a laser vector (n, values...), or a plain value; pieces whose presence depends on the conversation read its
+Terms from the context (`terms=` given to parse and build). Too few bytes is construct's StreamError.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from construct import (
+    Adapter,
+    Construct,
+    FormatFieldError,
+    Int8ub,
+    Int16ul,
+    Int32sb,
+    Int32ub,
+    Int32ul,
+    StreamError,
+)
+
+from nclient.protocol.mask import Mask, Position
+from nclient.protocol.stamps import NO_STAMP, STAMP_KEYS, Stamp
+from nclient.protocol.terms import Terms
+
+WORD = Int32sb
+UNSIGNED_WORD = Int32ub
+LINE_BYTE = Int8ub
+LINE_UNSIGNED = Int16ul
+LINE_CLOCK = Int32ul
+STAMP_WORDS = struct.Struct(">7i2I")
+MAX_LASER_READINGS = 482
+"""Columns of the laser; no reply holds more readings."""
+
+
+class SignMagnitude(Adapter):
+    """A signed number whose top bit says minus, low byte first; `octets` 2 or 4. -0 reads as 0."""
+
+    def __init__(self, octets: int) -> None:
+        super().__init__(Int16ul if octets == 2 else Int32ul)
+        self.sign = 1 << (8 * octets - 1)
+
+    def _decode(self, obj: int, context: Any, path: str) -> int:
+        return -(obj - self.sign) if obj & self.sign else obj
+
+    def _encode(self, obj: int, context: Any, path: str) -> int:
+        if abs(obj) >= self.sign:
+            raise FormatFieldError(f"{obj} does not fit sign-magnitude below {self.sign}", path=path)
+        return self.sign - obj if obj < 0 else obj
+
+
+LINE_SIGNED = SignMagnitude(2)
+LINE_LONG = SignMagnitude(4)
+
+
+class Words(Construct):
+    """A run of signed words as a tuple of ints: `count` of them, or all there are where count is None."""
+
+    def __init__(self, count: int | None) -> None:
+        super().__init__()
+        self.count = count
+
+    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
+        if self.count is None:
+            data = stream.read()
+            count = len(data) // 4
+            return struct.unpack(f">{count}i", _exactly(data, 4 * count, path))
+        return struct.unpack(f">{self.count}i", _take(stream, 4 * self.count, path))
+
+    def _build(self, obj: Sequence[int], stream: Any, context: Any, path: str) -> Sequence[int]:
+        if self.count is not None and len(obj) != self.count:
+            raise FormatFieldError(f"{self.count} words wanted, {len(obj)} given", path=path)
+        stream.write(_pack(f">{len(obj)}i", obj, path))
+        return obj
+
+    def _sizeof(self, context: Any, path: str) -> int:
+        if self.count is None:
+            raise FormatFieldError("any number of words", path=path)
+        return 4 * self.count
+
+
+class WordSlots(Construct):
+    """State[first] to State[last] over TCP, a word each. A slot that is not given is sent as 0."""
+
+    def __init__(self, first: int, last: int) -> None:
+        super().__init__()
+        self.slots = range(first, last + 1)
+        self.format = struct.Struct(f">{len(self.slots)}i")
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        return dict(zip(self.slots, self.format.unpack(_take(stream, self.format.size, path)), strict=True))
+
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        try:
+            stream.write(self.format.pack(*[obj.get(slot, 0) for slot in self.slots]))
+        except struct.error as error:
+            raise FormatFieldError(f"State {dict(obj)}: {error}", path=path) from None
+        return obj
+
+
+class WordStamps(Construct):
+    """Stamps over TCP, nine words each, of the sensors whose bit is set in Smask[0], mask or not."""
+
+    def __init__(self, *wanted: Position) -> None:
+        super().__init__()
+        self.wanted = wanted or tuple(Position)
+
+    def _keys(self, context: Any) -> Iterable[str]:
+        position = _terms(context).mask.position
+        return [key for bit in self.wanted if position & bit for key in STAMP_KEYS[bit]] if position else ()
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
+        size = STAMP_WORDS.size
+        return {k: Stamp._make(STAMP_WORDS.unpack(_take(stream, size, path))) for k in self._keys(context)}
+
+    def _build(self, obj: Mapping[str, Stamp], stream: Any, context: Any, path: str) -> Mapping[str, Stamp]:
+        for key in self._keys(context):
+            stream.write(_pack(">7i2I", obj.get(key, NO_STAMP), path))
+        return obj
+
+
+class WordLaser(Construct):
+    """A laser block over TCP: n, then `width(terms)` words a reading. Nothing given is sent as n = 0."""
+
+    def __init__(self, width: Callable[[Terms], int]) -> None:
+        super().__init__()
+        self.width = width
+
+    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
+        (count,) = struct.unpack(">i", _take(stream, 4, path))
+        if not count:
+            return (0,)
+        words = _readings(count, path) * self.width(_terms(context))
+        return (count, *struct.unpack(f">{words}i", _take(stream, 4 * words, path)))
+
+    def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
+        laser = obj or (0,)
+        _check_laser(laser, self.width(_terms(context)), path)
+        stream.write(_pack(f">{len(laser)}i", laser, path))
+        return obj
+
+
+class LineSlots(Construct):
+    """State slots on the robot's own line, `element` each; only those in the mask where `masked`."""
+
+    def __init__(self, first: int, last: int, element: Construct, masked: bool = True) -> None:
+        super().__init__()
+        self.slots = range(first, last + 1)
+        self.element = element
+        self.masked = masked
+
+    def _selected(self, context: Any) -> Sequence[int]:
+        mask = _terms(context).mask
+        return [slot for slot in self.slots if mask.has(slot)] if self.masked else self.slots
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        return {slot: self.element._parsereport(stream, context, path) for slot in self._selected(context)}
+
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        for slot in self._selected(context):
+            self.element._build(obj.get(slot, 0), stream, context, path)
+        return obj
+
+
+class LineNibbles(LineSlots):
+    """Infrared readings on the robot's own line: four bits each, low half first, padded with 0 to a byte."""
+
+    def __init__(self, first: int, last: int, masked: bool = True) -> None:
+        super().__init__(first, last, LINE_BYTE, masked)
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        slots = self._selected(context)
+        data = _take(stream, (len(slots) + 1) // 2, path)
+        return {slot: data[k // 2] >> 4 * (k % 2) & 15 for k, slot in enumerate(slots)}
+
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        values = [obj.get(slot, 0) & 15 for slot in self._selected(context)]
+        values += [0] * (len(values) % 2)
+        stream.write(bytes(low | high << 4 for low, high in zip(values[::2], values[1::2], strict=True)))
+        return obj
+
+
+class BumperBytes(Adapter):
+    """The three bumper bytes on the robot's own line as one number, in the order of the model."""
+
+    def __init__(self) -> None:
+        super().__init__(LINE_BYTE[3])
+
+    def _decode(self, obj: Sequence[int], context: Any, path: str) -> int:
+        low_first = obj if _terms(context).model.bumpers_low_first else obj[::-1]
+        return low_first[0] | low_first[1] << 8 | low_first[2] << 16
+
+    def _encode(self, obj: int, context: Any, path: str) -> list[int]:
+        low_first = [obj & 255, obj >> 8 & 255, obj >> 16 & 255]
+        return low_first if _terms(context).model.bumpers_low_first else low_first[::-1]
+
+
+class LineStamps(Construct):
+    """Stamps on the robot's own line of one kind of sensor, if its bit is set in Smask[0].
+
+    In a state packet only those in the mask have stamps (`slots`: their State slots); a get_ answer has them all.
+    """
+
+    def __init__(self, wanted: Position, slots: Sequence[int] = ()) -> None:
+        super().__init__()
+        self.keys = STAMP_KEYS[wanted]
+        self.wanted = wanted
+        self.slots = slots
+
+    def _selected(self, mask: Mask) -> list[str]:
+        if not mask.position & self.wanted:
+            return []
+        if not self.slots:
+            return list(self.keys)
+        return [key for key, slot in zip(self.keys, self.slots, strict=True) if mask.has(slot)]
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
+        return {
+            key: Stamp(
+                *[LINE_LONG._parsereport(stream, context, path) for _ in range(7)],
+                *[LINE_CLOCK._parsereport(stream, context, path) for _ in range(2)],
+            )
+            for key in self._selected(_terms(context).mask)
+        }
+
+    def _build(self, obj: Mapping[str, Stamp], stream: Any, context: Any, path: str) -> Mapping[str, Stamp]:
+        for key in self._selected(_terms(context).mask):
+            stamp = obj.get(key, NO_STAMP)
+            for value in stamp[:7]:
+                LINE_LONG._build(value, stream, context, path)
+            for value in stamp[7:]:
+                LINE_CLOCK._build(value, stream, context, path)
+        return obj
+
+
+class LineLaser(Construct):
+    """A laser block on the robot's own line: count, then `width` signed numbers or one pixel a reading.
+
+    `masked_by`: the State slot whose mask bit decides whether the block is there at all; None: always.
+    """
+
+    def __init__(self, width: Callable[[Terms], int], masked_by: int | None = None) -> None:
+        super().__init__()
+        self.width = width
+        self.masked_by = masked_by
+
+    def _absent(self, terms: Terms) -> bool:
+        return self.masked_by is not None and not terms.mask.has(self.masked_by)
+
+    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...] | None:
+        terms = _terms(context)
+        if self._absent(terms):
+            return None
+        count = _readings(LINE_UNSIGNED._parsereport(stream, context, path), path)
+        width = self.width(terms)
+        element = LINE_UNSIGNED if width == 1 else LINE_SIGNED
+        return (count, *(element._parsereport(stream, context, path) for _ in range(count * width)))
+
+    def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
+        terms = _terms(context)
+        if self._absent(terms):
+            return obj
+        laser = obj or (0,)
+        width = self.width(terms)
+        _check_laser(laser, width, path)
+        LINE_UNSIGNED._build(laser[0], stream, context, path)
+        for value in laser[1:]:
+            (LINE_UNSIGNED if width == 1 else LINE_SIGNED)._build(value, stream, context, path)
+        return obj
+
+
+def _terms(context: Any) -> Terms:
+    terms: Terms = context._params.terms
+    return terms
+
+
+def _take(stream: Any, count: int, path: str) -> bytes:
+    return _exactly(stream.read(count), count, path)
+
+
+def _exactly(data: bytes, count: int, path: str) -> bytes:
+    if len(data) != count:
+        raise StreamError(f"{count} bytes wanted, {len(data)} there", path=path)
+    return data
+
+
+def _pack(layout: str, values: Iterable[int], path: str) -> bytes:
+    try:
+        return struct.pack(layout, *values)
+    except struct.error as error:
+        raise FormatFieldError(str(error), path=path) from None
+
+
+def _readings(count: int, path: str) -> int:
+    if not 0 <= count <= MAX_LASER_READINGS:
+        raise StreamError(f"a laser sends 0..{MAX_LASER_READINGS} readings, not {count}", path=path)
+    return count
+
+
+def _check_laser(laser: Sequence[int], width: int, path: str) -> None:
+    if len(laser) != 1 + width * _readings(laser[0], path):
+        raise FormatFieldError(
+            f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
+            f"not {len(laser) - 1}", path=path)

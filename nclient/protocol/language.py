@@ -1,0 +1,149 @@
+"""The two languages whole: calls and replies to bytes and back, over TCP and on the robot's own line.
+
+    call --request--> bytes --framer--> frame --read_call--> call        reply, the same way back
+
+Rules: the table says what each command looks like; nothing here knows one command from another but by its row.
+Both ends call `note` for each request they sent or took, so that mask and laser shape go the same way.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from construct import ConstructError
+
+from nclient.errors import WireError
+from nclient.protocol import replies as shape
+from nclient.protocol import serial_frame, tcp_frame
+from nclient.protocol.commands import (
+    BY_LINE_TYPE,
+    BY_NAME,
+    BY_PACKET_TYPE,
+    BY_TCP_TYPE,
+    ERROR_TYPE,
+    NAK_TYPE,
+    REPLY_TYPES,
+    Call,
+    Command,
+    on_line,
+)
+from nclient.protocol.mask import Mask
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import SerialFrame
+from nclient.protocol.tcp_frame import TcpFrame
+from nclient.protocol.terms import LINES, POINTS, TCP_LINE_MODES, Terms
+
+_SPECIAL_TYPE_WORD, _SPECIAL_TYPE_BYTE = 15, 3
+
+
+def row_named(name: str) -> Command:
+    """The row of a C name. Raises WireError for a name that is none."""
+    try:
+        return BY_NAME[name]
+    except KeyError:
+        raise WireError(f"no command {name!r}") from None
+
+
+def note(call: Call, terms: Terms) -> None:
+    """What a request changes for the replies that follow it, its own included where PROTOCOL.md says so."""
+    match call.name:
+        case "ct":
+            terms.note_mask(Mask(call.args))
+        case "conf_ls":
+            terms.note_laser_mode(call.args[0])
+        case "get_sg":
+            terms.laser_width = LINES
+        case "get_ls" if terms.laser_mode in TCP_LINE_MODES:
+            terms.laser_width = POINTS
+        case _:
+            pass
+
+
+def tcp_request(call: Call, *, wide: bool = False) -> bytes:
+    """The bytes of a call over TCP. Raises WireError when its arguments cannot be sent."""
+    row = row_named(call.name)
+    if row.tcp_type is None:
+        raise WireError(f"{call.name} does not exist over TCP")
+    return tcp_frame.build_frame(row.tcp_type, _build(row, row.tcp_request, call.args), wide=wide)
+
+
+def tcp_call(frame: TcpFrame) -> Call:
+    """The call that a request frame is. Raises WireError when the numbers are none it can have."""
+    row = BY_TCP_TYPE[frame.type]
+    packet_type = frame.payload[_SPECIAL_TYPE_WORD] if row.name == "special_request" else None
+    return _call(row, packet_type, frame.payload, line=False)
+
+
+def tcp_reply(row: Command, reply: Reply, terms: Terms) -> bytes:
+    """The bytes of the answer to a command over TCP; an error reply goes by its own layout."""
+    layout = shape.ERROR if reply.kind == "error" else row.tcp_reply
+    payload = layout.build(reply, terms)
+    return tcp_frame.build_frame(REPLY_TYPES[layout], payload, wide=terms.wide, reply=True)
+
+
+def read_tcp_reply(row: Command, frame: TcpFrame, terms: Terms) -> Reply:
+    """The answer to a command, out of its frame. Only the type of an error is looked at, as old clients do."""
+    layout = shape.ERROR if frame.type == ERROR_TYPE else row.tcp_reply
+    return layout.parse(frame.payload, terms)
+
+
+def line_request(call: Call, terms: Terms) -> bytes:
+    """The bytes of a call on the robot's own line. Raises WireError when this model's line does not have it."""
+    row = row_named(call.name)
+    if row.line_type is None or not on_line(row, terms.model):
+        raise WireError(f"{call.name} does not exist on the line of a {terms.model.name}")
+    return serial_frame.build_frame(row.line_type, _build(row, row.line_request, call.args))
+
+
+def line_call(frame: SerialFrame, terms: Terms) -> Call:
+    """The call that a frame from a host is. Raises WireError for a type or data that this model does not have."""
+    row = BY_LINE_TYPE.get(frame.type)
+    if row is None or not on_line(row, terms.model):
+        raise WireError(f"type {frame.type} does not exist on the line of a {terms.model.name}")
+    packet_type = frame.data[3] if row.name == "special_request" and len(frame.data) > 3 else None
+    return _call(row, packet_type, frame.data, line=True)
+
+
+def line_reply(row: Command, reply: Reply, terms: Terms) -> bytes:
+    """The bytes of a robot's answer on its own line; a nak goes by its own type."""
+    if reply.kind == "nak":
+        return serial_frame.build_frame(NAK_TYPE)
+    if row.line_type is None:
+        raise WireError(f"{row.name} does not exist on a robot's own line")
+    return serial_frame.build_frame(row.line_type, row.line_reply.build(reply, terms))
+
+
+def read_line_reply(frame: SerialFrame, terms: Terms) -> Reply:
+    """A robot's answer out of its frame, which names the command. Raises WireError for one that fits none."""
+    if frame.type == NAK_TYPE:
+        return shape.LINE_NAK.parse(frame.data, terms)
+    row = BY_LINE_TYPE.get(frame.type)
+    if row is None or not on_line(row, terms.model):
+        raise WireError(f"no answer of type {frame.type} comes from a {terms.model.name}")
+    return row.line_reply.parse(frame.data, terms)
+
+
+def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:
+    if not row.any_length and len(row.arguments) != len(args):
+        names = ", ".join(argument.name for argument in row.arguments) or "nothing"
+        raise WireError(f"{row.name} takes {len(row.arguments)} numbers ({names}), got {len(args)}")
+    try:
+        return bytes(layout.build(args))
+    except (ConstructError, TypeError) as error:
+        raise WireError(f"{row.name}{args}: {error}") from None
+
+
+def _call(row: Command, packet_type: int | None, data: bytes, *, line: bool) -> Call:
+    if packet_type in BY_PACKET_TYPE:
+        try:
+            return _parsed(BY_PACKET_TYPE[packet_type], data, line)
+        except WireError:
+            pass  # not the arm's packet after all: a user's own of the same number
+    return _parsed(row, data, line)
+
+
+def _parsed(row: Command, data: bytes, line: bool) -> Call:
+    try:
+        return Call(row.name, tuple((row.line_request if line else row.tcp_request).parse(data)))
+    except (ConstructError, WireError) as error:
+        raise WireError(f"{row.name}: {error}") from None

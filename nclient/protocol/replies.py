@@ -1,0 +1,210 @@
+"""What a reply means, apart from how it is laid on the wire, and every layout there is, declared once.
+
+    Reply       the value: State slots, laser vector, stamps, clock, battery bytes, or plain numbers
+    ReplyShape  one layout: a construct Struct that parses bytes to a Reply and builds them from it
+
+A member's name says which part of the Reply it is: slots*, stamps*, laser, clock, volt*, values.
+Rules: shapes know no socket and no history; what a conversation has agreed comes in as Terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from construct import Array, ConstructError, GreedyRange, Int8ub, Struct, Terminated
+
+from nclient.errors import WireError
+from nclient.protocol.fields import (
+    LINE_BYTE,
+    LINE_CLOCK,
+    LINE_SIGNED,
+    LINE_UNSIGNED,
+    UNSIGNED_WORD,
+    WORD,
+    BumperBytes,
+    LineLaser,
+    LineNibbles,
+    LineSlots,
+    LineStamps,
+    WordLaser,
+    Words,
+    WordSlots,
+    WordStamps,
+)
+from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Position
+from nclient.protocol.stamps import Stamp
+from nclient.protocol.terms import LINES, PIXELS, Terms, line_laser_width
+
+MOTOR_SLOT = 41
+LAST_TCP_SLOT = 44
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What one reply says, in wire units. `kind` is a name such as state, sonar, simple, error, nak.
+
+    `slots` holds the State slots it carries, `laser` the laser vector (n, values...), `stamps` the position
+    stamps by name (ir_0, sonar_15, bumper, laser, compass), `clock` milliseconds, `volts` the two raw battery
+    bytes (CPU, motors), `values` the numbers of every other kind.
+    """
+
+    kind: str
+    slots: Mapping[int, int] = field(default_factory=dict)
+    laser: tuple[int, ...] | None = None
+    stamps: Mapping[str, Stamp] = field(default_factory=dict)
+    clock: int | None = None
+    volts: tuple[int, int] | None = None
+    values: tuple[int, ...] = ()
+
+
+class ReplyShape:
+    """A layout of a reply: `kind`, and the named constructs that make its bytes, in order."""
+
+    def __init__(self, kind: str, **members: Any) -> None:
+        self.kind = kind
+        self.members = tuple(members)
+        self._layout = Struct(*[name / subcon for name, subcon in members.items()], Terminated)
+
+    def parse(self, data: bytes, terms: Terms) -> Reply:
+        """The reply that these bytes are. Raises WireError when they are none of this shape."""
+        try:
+            found = self._layout.parse(data, terms=terms)
+        except ConstructError as error:
+            raise WireError(f"no {self.kind} reply of this shape: {error}") from None
+        slots: dict[int, int] = {}
+        stamps: dict[str, Stamp] = {}
+        for name in self.members:
+            if name.startswith("slots"):
+                slots.update(found[name])
+            elif name.startswith("stamps"):
+                stamps.update(found[name])
+        volts = (found.volt_cpu, found.volt_motor) if "volt_cpu" in self.members else None
+        values = tuple(found.get("values", ()))
+        return Reply(self.kind, slots, found.get("laser"), stamps, found.get("clock"), volts, values)
+
+    def build(self, reply: Reply, terms: Terms) -> bytes:
+        """The bytes of a reply. Raises WireError when it holds what this shape cannot carry."""
+        parts = {
+            "slots": reply.slots,
+            "stamps": reply.stamps,
+            "laser": reply.laser,
+            "clock": reply.clock,
+            "values": reply.values,
+        }
+        content = {name: parts.get(name.partition("_")[0]) for name in self.members}
+        if "volt_cpu" in content:
+            content["volt_cpu"], content["volt_motor"] = reply.volts or (0, 0)
+        try:
+            return bytes(self._layout.build(content, terms=terms))
+        except ConstructError as error:
+            raise WireError(f"a {self.kind} reply cannot carry this: {error}") from None
+
+
+def _words(kind: str, count: int | None) -> ReplyShape:
+    return ReplyShape(kind, values=Words(count))
+
+
+# Over TCP (PROTOCOL.md, section 1).
+STATE = ReplyShape(
+    "state",
+    slots=WordSlots(0, LAST_TCP_SLOT),
+    laser=WordLaser(lambda terms: terms.laser_width),
+    stamps=WordStamps(),
+    clock=UNSIGNED_WORD,
+    volt_cpu=WORD,
+    volt_motor=WORD,
+)
+INFRARED = ReplyShape(
+    "infrared", slots=WordSlots(1, 16), stamps=WordStamps(Position.INFRARED), clock=UNSIGNED_WORD
+)
+SONAR = ReplyShape("sonar", slots=WordSlots(17, 32), stamps=WordStamps(Position.SONAR), clock=UNSIGNED_WORD)
+BUMPER = ReplyShape(
+    "bumper",
+    slots=WordSlots(BUMPER_SLOT, BUMPER_SLOT),
+    stamps=WordStamps(Position.BUMPER),
+    clock=UNSIGNED_WORD,
+)
+COMPASS = ReplyShape(
+    "compass",
+    slots=WordSlots(COMPASS_SLOT, COMPASS_SLOT),
+    stamps=WordStamps(Position.COMPASS),
+    clock=UNSIGNED_WORD,
+)
+LASER = ReplyShape(
+    "laser",
+    laser=WordLaser(lambda terms: terms.get_laser_width),
+    stamps=WordStamps(Position.LASER),
+    clock=UNSIGNED_WORD,
+)
+SEGMENTS = ReplyShape(
+    "laser", laser=WordLaser(lambda _: LINES), stamps=WordStamps(Position.LASER), clock=UNSIGNED_WORD
+)
+CONFIGURATION = ReplyShape("configuration", slots=WordSlots(34, 37))
+CLICKED_CONFIGURATION = _words("configuration", 4)
+VELOCITY = ReplyShape("velocity", slots=WordSlots(38, 40))
+PREDICTION = ReplyShape("prediction", values=Words(44), laser=WordLaser(lambda terms: terms.laser_width))
+SIMPLE = _words("simple", 1)
+SIMPLE_LIST = _words("simple", None)
+COLLISION = _words("simple", 4)
+SPECIAL = _words("special", None)
+TRUTH = _words("truth", 8)
+CONTROL = _words("control", 4)
+ERROR = _words("error", 1)
+
+# On the robot's own line (PROTOCOL.md, section 2).
+LINE_STATE = ReplyShape(
+    "state",
+    slots_infrared=LineNibbles(1, 16),
+    stamps_infrared=LineStamps(Position.INFRARED, range(1, 17)),
+    slots_sonar=LineSlots(17, 32, LINE_BYTE),
+    stamps_sonar=LineStamps(Position.SONAR, range(17, 33)),
+    slots_bumper=LineSlots(BUMPER_SLOT, BUMPER_SLOT, BumperBytes()),
+    stamps_bumper=LineStamps(Position.BUMPER, (BUMPER_SLOT,)),
+    slots_pose=LineSlots(34, 40, LINE_SIGNED),
+    slots_compass=LineSlots(COMPASS_SLOT, COMPASS_SLOT, LINE_SIGNED),
+    stamps_compass=LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
+    laser=LineLaser(lambda terms: line_laser_width(terms.laser_mode), masked_by=LASER_SLOT),
+    stamps_laser=LineStamps(Position.LASER, (LASER_SLOT,)),
+    slots_motors=LineSlots(MOTOR_SLOT, MOTOR_SLOT, LINE_BYTE, masked=False),
+    clock=LINE_CLOCK,
+    volt_cpu=LINE_BYTE,
+    volt_motor=LINE_BYTE,
+)
+LINE_INFRARED = ReplyShape(
+    "infrared",
+    slots=LineNibbles(1, 16, masked=False),
+    stamps=LineStamps(Position.INFRARED),
+    clock=LINE_CLOCK,
+)
+LINE_SONAR = ReplyShape(
+    "sonar",
+    slots=LineSlots(17, 32, LINE_BYTE, masked=False),
+    stamps=LineStamps(Position.SONAR),
+    clock=LINE_CLOCK,
+)
+LINE_BUMPER = ReplyShape(
+    "bumper",
+    slots=LineSlots(BUMPER_SLOT, BUMPER_SLOT, BumperBytes(), masked=False),
+    stamps=LineStamps(Position.BUMPER),
+    clock=LINE_CLOCK,
+)
+LINE_COMPASS = ReplyShape(
+    "compass",
+    slots=LineSlots(COMPASS_SLOT, COMPASS_SLOT, LINE_UNSIGNED, masked=False),
+    stamps=LineStamps(Position.COMPASS),
+    clock=LINE_CLOCK,
+)
+LINE_LASER = ReplyShape(
+    "laser", laser=LineLaser(lambda _: PIXELS), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
+)
+LINE_SEGMENTS = ReplyShape(
+    "laser", laser=LineLaser(lambda _: LINES), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
+)
+LINE_CONFIGURATION = ReplyShape("configuration", slots=LineSlots(34, 37, LINE_SIGNED, masked=False))
+LINE_VELOCITY = ReplyShape("velocity", slots=LineSlots(38, 40, LINE_SIGNED, masked=False))
+LINE_NOTHING = ReplyShape("velocity")
+LINE_CALIBRATION = ReplyShape("compass", values=Array(3, Int8ub))
+LINE_SPECIAL = ReplyShape("special", values=GreedyRange(Int8ub))
+LINE_NAK = ReplyShape("nak")

@@ -1,0 +1,253 @@
+"""The layouts of request data, as construct classes: one flat tuple of arguments to bytes and back.
+
+    arguments    integers in the order of the C call, lists laid open; the text of tk is the only string
+    Words        the plain case over TCP: a word an argument
+    Sequence     the plain case on the robot's own line: a field an argument
+
+Rules: no message is declared here, and nothing knows a socket or the table. Bad values are construct's errors.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence as Arguments
+from typing import Any
+
+from construct import (
+    Adapter,
+    Const,
+    Construct,
+    Default,
+    ExprAdapter,
+    FormatFieldError,
+    GreedyBytes,
+    Int16ul,
+    Int32sl,
+    Int32ul,
+    NullTerminated,
+    Rebuild,
+    Sequence,
+    Struct,
+    Terminated,
+    len_,
+    this,
+)
+
+from nclient.protocol.fields import LINE_BYTE, LINE_UNSIGNED, WORD, Words
+from nclient.protocol.mask import Mask, mask_from_line, mask_from_tcp
+
+MAX_OBSTACLE_VERTICES = 10
+MAX_TEXT_WORDS = 64
+MAX_PACKET_DATA = 250
+"""Bytes of user data in a special packet; a host sends less than 256 bytes a frame on the line."""
+MOTION_LINE, MOTION_ARC = 0, 1
+_POINT_LASER, _LINE_NAME_OF_POINT_LASER = 51, 35
+_MAX_HISTORY = 10
+
+FLAG_WORD = ExprAdapter(WORD, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
+FLAG_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
+HISTORY_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: obj, lambda obj, _: min(obj, _MAX_HISTORY))
+LASER_MODE_BYTE = ExprAdapter(
+    LINE_BYTE,
+    lambda obj, _: _POINT_LASER if obj == _LINE_NAME_OF_POINT_LASER else obj,
+    lambda obj, _: _LINE_NAME_OF_POINT_LASER if obj == _POINT_LASER else obj,
+)
+"""On the line the point mode 51 goes by the number 35."""
+
+
+class Fields(Adapter):
+    """The plain case: the fields one after another, and nothing behind them."""
+
+    def __init__(self, *fields: Construct) -> None:
+        super().__init__(Sequence(*fields, Terminated))
+
+    def _decode(self, obj: Arguments[Any], context: Any, path: str) -> tuple[Any, ...]:
+        return tuple(obj[:-1])
+
+    def _encode(self, obj: Arguments[Any], context: Any, path: str) -> list[Any]:
+        return [*obj, None]
+
+
+class TcpMask(Adapter):
+    """ct over TCP: the 44 numbers of Smask as seven bytes, a word each."""
+
+    def __init__(self) -> None:
+        super().__init__(Words(7))
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        return mask_from_tcp(obj).smask
+
+    def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        return Mask(tuple(obj)).tcp_bytes()
+
+
+class LineMask(Adapter):
+    """ct on the robot's own line: the 44 numbers of Smask as seven bytes."""
+
+    def __init__(self) -> None:
+        super().__init__(Fields(*[LINE_BYTE] * 7))
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        return mask_from_line(obj).smask
+
+    def _encode(self, obj: Arguments[int], context: Any, path: str) -> list[int]:
+        return list(Mask(tuple(obj)).line_bytes())
+
+
+class TextWords(Adapter):
+    """tk over TCP: the C string laid into little-endian words, each then sent big-endian."""
+
+    def __init__(self) -> None:
+        super().__init__(Words(None))
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[str]:
+        text, _, _ = struct.pack(f"<{len(obj)}i", *obj).partition(b"\0")
+        return (text.decode("latin-1"),)
+
+    def _encode(self, obj: tuple[str], context: Any, path: str) -> tuple[int, ...]:
+        text = _latin(obj[0], path)
+        count = (len(text) + 4) // 4
+        if count > MAX_TEXT_WORDS:
+            raise FormatFieldError(f"a text has at most {4 * MAX_TEXT_WORDS - 1} characters", path=path)
+        return struct.unpack(f"<{count}i", text.ljust(4 * count, b"\0"))
+
+
+class LineText(Adapter):
+    """tk on the robot's own line: the characters and a NUL."""
+
+    def __init__(self) -> None:
+        super().__init__(NullTerminated(GreedyBytes))
+
+    def _decode(self, obj: bytes, context: Any, path: str) -> tuple[str]:
+        return (obj.decode("latin-1"),)
+
+    def _encode(self, obj: tuple[str], context: Any, path: str) -> bytes:
+        return _latin(obj[0], path)
+
+
+class ObstacleWords(Adapter):
+    """n, x1, y1 .. xn, yn over TCP, and `tail` numbers more (the shift of move_obstacle)."""
+
+    def __init__(self, tail: int = 0) -> None:
+        super().__init__(Words(None))
+        self.tail = tail
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        if not obj or not 1 <= obj[0] <= MAX_OBSTACLE_VERTICES or len(obj) != 1 + 2 * obj[0] + self.tail:
+            raise FormatFieldError(
+                f"an obstacle is n = 1..{MAX_OBSTACLE_VERTICES}, then n vertices x, y"
+                + (", then the shift dx, dy" if self.tail else ""),
+                path=path,
+            )
+        return tuple(obj)
+
+    def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        return self._decode(obj, context, path)
+
+
+class MotionWords(Adapter):
+    """motion_check over TCP. Arguments in thousandths, as the C call's doubles x 1000; eight words.
+
+    Lengths go as hundredths and angles as millionths of a radian, truncated toward zero; the three words
+    that a line does not use are sent as 0 and ignored.
+    """
+
+    _COUNTS = (4, 7)
+    _ANGLES = (frozenset[int](), frozenset({2, 3}))
+
+    def __init__(self) -> None:
+        super().__init__(Words(8))
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[float, ...]:
+        kind = self._kind(obj, path)
+        words = enumerate(obj[1 : 1 + self._COUNTS[kind]])
+        return (kind, *(_exact(word / 1000) if k in self._ANGLES[kind] else 10 * word for k, word in words))
+
+    def _encode(self, obj: Arguments[float], context: Any, path: str) -> tuple[int, ...]:
+        kind = self._kind(obj, path)
+        count = self._COUNTS[kind]
+        if len(obj) != 1 + count:
+            raise FormatFieldError(f"motion_check {kind} takes {count} numbers after the type", path=path)
+        words = [int(v * 1000) if k in self._ANGLES[kind] else int(v / 10) for k, v in enumerate(obj[1:])]
+        return (kind, *words, *[0] * (7 - count))
+
+    @staticmethod
+    def _kind(obj: Arguments[float], path: str) -> int:
+        if not obj or obj[0] not in (MOTION_LINE, MOTION_ARC):
+            raise FormatFieldError("motion_check takes type 0 (line) or 1 (arc) first", path=path)
+        return int(obj[0])
+
+
+class UserPacket(Adapter):
+    """special_request's packet: length (its own four bytes included), serial 0, packet type, bytes.
+
+    The arguments are (packet type, bytes...).
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            Struct(
+                "length" / Rebuild(Int16ul, len_(this.data) + 4),
+                "serial" / Default(LINE_BYTE, 0),
+                "packet_type" / LINE_BYTE,
+                "data" / GreedyBytes,
+            )
+        )
+
+    def _decode(self, obj: Any, context: Any, path: str) -> tuple[int, ...]:
+        if obj.length != len(obj.data) + 4:
+            raise FormatFieldError(f"a packet of {len(obj.data) + 4} bytes says it has {obj.length}", path=path)
+        return (obj.packet_type, *obj.data)
+
+    def _encode(self, obj: Arguments[int], context: Any, path: str) -> dict[str, Any]:
+        if not obj or len(obj) > 1 + MAX_PACKET_DATA or not all(0 <= byte <= 255 for byte in obj):
+            raise FormatFieldError(
+                f"a special packet is its type and at most {MAX_PACKET_DATA} bytes 0..255", path=path)
+        return {"packet_type": obj[0], "data": bytes(obj[1:])}
+
+
+class ArmPacket(Adapter):
+    """One of the arm's three packets: UserPacket's head with a fixed type, then the fields."""
+
+    def __init__(self, packet_type: int, *elements: Construct) -> None:
+        size = 4 + sum(element.sizeof() for element in elements)
+        head = (Const(size, Int16ul), LINE_BYTE, Const(packet_type, LINE_BYTE))
+        super().__init__(Fields(*head, *elements))
+        self.octets = size
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        return tuple(obj[3:])
+
+    def _encode(self, obj: Arguments[int], context: Any, path: str) -> list[int | None]:
+        return [None, 0, None, *obj]
+
+
+class ByteWords(Adapter):
+    """A packet over TCP: one byte a word."""
+
+    def __init__(self, packet: Construct) -> None:
+        super().__init__(Words(None))
+        self.packet = packet
+
+    def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        parsed: tuple[int, ...] = self.packet.parse(bytes(word & 255 for word in obj))
+        return parsed
+
+    def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
+        return tuple(self.packet.build(obj))
+
+
+ARM_ZERO = ArmPacket(40, LINE_UNSIGNED)
+ARM_WAIT = ArmPacket(41, LINE_UNSIGNED, LINE_UNSIGNED, Int32ul)
+ARM_MOVE = ArmPacket(42, *[Int32sl] * 4)
+
+
+def _latin(text: str, path: str) -> bytes:
+    try:
+        return text.encode("latin-1").split(b"\0")[0]
+    except UnicodeEncodeError:
+        raise FormatFieldError(f"the robot's texts are Latin-1; {text!r} is not", path=path) from None
+
+
+def _exact(value: float) -> float:
+    return int(value) if value == int(value) else value

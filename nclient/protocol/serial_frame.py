@@ -1,0 +1,103 @@
+"""Frames of the robot's own line: finding whole ones in whatever the line delivers, and making them.
+
+    0x01 | length, 2 bytes low first | type | data ... | checksum | 0x5C
+    length counts type + data + checksum; checksum = sum of every byte before it, the 0x01 included, modulo 256
+
+Rules: the framer answers "these frames, or not yet"; it never waits and never raises. A line is never clean: a
+length out of bounds, a wrong checksum or end costs one byte, and the search goes on at the next 0x01, so a corrupt
+length hides the frames behind it only until more bytes come, or until `expire` (the caller's deadline) gives it up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from nclient.errors import WireError
+
+START, END = 0x01, 0x5C
+_OVERHEAD = 4
+_SMALLEST_LENGTH = 2
+HOST_LIMIT = 255
+"""Hosts send less than 256 bytes a frame."""
+ROBOT_LIMIT = 4096
+"""More than a state packet with every sensor, stamp and laser line can have."""
+
+
+class SerialFrame(NamedTuple):
+    """A whole frame with a good checksum."""
+
+    type: int
+    data: bytes
+
+
+def build_frame(frame_type: int, data: bytes = b"") -> bytes:
+    """The bytes of one frame. Raises WireError when the data is longer than a length can say."""
+    length = len(data) + 2
+    if length > 0xFFFF or not 0 <= frame_type <= 0xFF:
+        raise WireError(f"a frame of type {frame_type} with {len(data)} bytes cannot be")
+    body = bytes((START, length & 255, length >> 8, frame_type)) + data
+    return body + bytes((sum(body) & 255, END))
+
+
+class SerialFramer:
+    """Frames out of a stream. `limit`: the longest whole frame that the other end sends, in bytes."""
+
+    def __init__(self, limit: int = ROBOT_LIMIT) -> None:
+        self.limit = limit
+        self.frames = 0
+        self.skipped_bytes = 0
+        self.bad_checksums = 0
+        self._buffer = bytearray()
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept of a frame that is not whole yet."""
+        return len(self._buffer)
+
+    def receive(self, data: bytes) -> list[SerialFrame]:
+        """The frames that these bytes complete, in order."""
+        self._buffer += data
+        found: list[SerialFrame] = []
+        while (size := self._candidate()) and len(self._buffer) >= size:
+            frame = self._take(size)
+            if frame:
+                found.append(frame)
+        return found
+
+    def expire(self) -> list[SerialFrame]:
+        """Give up on the frame that is not whole, and look for others in what came after its first byte."""
+        found: list[SerialFrame] = []
+        while self._buffer:
+            self._discard(1)
+            found += self.receive(b"")
+        return found
+
+    def clear(self) -> None:
+        """Forget what has come, as a host does before it asks."""
+        self._discard(len(self._buffer))
+
+    def _candidate(self) -> int:
+        """Bring a possible frame to the front; its size in bytes, 0 when there is none (yet)."""
+        while True:
+            start = self._buffer.find(START)
+            self._discard(len(self._buffer) if start < 0 else start)
+            if len(self._buffer) < 3:
+                return 0
+            length = self._buffer[1] | self._buffer[2] << 8
+            if _SMALLEST_LENGTH <= length <= self.limit - _OVERHEAD:
+                return length + _OVERHEAD
+            self._discard(1)
+
+    def _take(self, size: int) -> SerialFrame | None:
+        candidate = bytes(self._buffer[:size])
+        if candidate[-1] != END or sum(candidate[:-2]) & 255 != candidate[-2]:
+            self.bad_checksums += candidate[-1] == END
+            self._discard(1)
+            return None
+        del self._buffer[:size]
+        self.frames += 1
+        return SerialFrame(candidate[3], candidate[4:-2])
+
+    def _discard(self, count: int) -> None:
+        del self._buffer[:count]
+        self.skipped_bytes += count

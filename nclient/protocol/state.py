@@ -1,0 +1,44 @@
+"""What a client holds after the replies it has had: the State vector, Laser, position stamps, clock, battery.
+
+    0 speed | 1-16 infrared | 17-32 sonar | 33 bumper | 34-37 x y steer turret | 38-40 velocities
+    41 motors | 42 laser mode | 43 compass | 44 error        (PROTOCOL.md, section 3)
+
+Rules: as the C client does it. A state reply over TCP fills 0..43 and clears 44; the robot's own line never
+touches 0, 42, 44; an error puts its code in 44 and leaves the rest; a prediction is held nowhere.
+"""
+
+from __future__ import annotations
+
+from nclient.protocol.replies import LAST_TCP_SLOT, Reply
+from nclient.protocol.stamps import Stamp
+
+STATE_SIZE = 45
+ERROR_SLOT = 44
+_UNSIGNED = 0xFFFFFFFF
+
+
+class HeldState:
+    """The client's memory. `wide`: what a 64-bit C client holds, who sees -200 as 4294967096."""
+
+    def __init__(self, wide: bool = False) -> None:
+        self.slots: list[int | None] = [None] * STATE_SIZE
+        self.laser: tuple[int, ...] | None = None
+        self.stamps: dict[str, Stamp] = {}
+        self.clock: int | None = None
+        self.volts: tuple[int, int] | None = None
+        self._wide = wide
+
+    def absorb(self, reply: Reply) -> None:
+        """Take in one reply, in the order they came."""
+        if reply.kind == "error":
+            self.slots[ERROR_SLOT] = reply.values[0]
+        if reply.kind in ("error", "nak", "prediction"):
+            return
+        for slot, value in reply.slots.items():
+            self.slots[slot] = value & _UNSIGNED if self._wide else value
+        if LAST_TCP_SLOT in reply.slots:
+            self.slots[ERROR_SLOT] = 0
+        self.stamps.update(reply.stamps)
+        self.laser = reply.laser if reply.laser is not None else self.laser
+        self.clock = reply.clock if reply.clock is not None else self.clock
+        self.volts = reply.volts or self.volts

@@ -1,0 +1,45 @@
+"""The wire's units and ours. Tenths of an inch and of a degree live on the wire only; this is where they turn.
+
+Rules: pure numbers, no state. Rounding is to the nearest, ties away from zero, as a robot's own display does.
+"""
+
+from __future__ import annotations
+
+import math
+
+M_PER_IN = 0.0254
+"""Metres in an inch, exactly."""
+
+FULL_TURN_TENTHS = 3600
+CPU_RANGE_V = 12.0
+MOTOR_RANGE_V = 12.85
+
+
+def tenths(value: float) -> int:
+    """Inches or degrees to the wire's tenths, rounded to the nearest."""
+    return math.floor(value * 10 + 0.5) if value >= 0 else -math.floor(-value * 10 + 0.5)
+
+
+def tenths_from_rad(angle_rad: float) -> int:
+    """Radians (or radians per second) to tenths of a degree, signed."""
+    return tenths(math.degrees(angle_rad))
+
+
+def heading_tenths(angle_rad: float) -> int:
+    """A direction in radians to 0..3599 tenths of a degree, the form of State[36] and State[37]."""
+    return tenths_from_rad(angle_rad) % FULL_TURN_TENTHS
+
+
+def rad_from_tenths(angle_tenths: float) -> float:
+    """Tenths of a degree to radians."""
+    return math.radians(angle_tenths / 10)
+
+
+def volts(raw: int, full_range_v: float) -> float:
+    """Battery volts of a raw byte r: (2 + 3 r / 255) x range / 5 (PROTOCOL.md, section 3)."""
+    return (2 + 3 * raw / 255) * full_range_v / 5
+
+
+def raw_volts(voltage_v: float, full_range_v: float) -> int:
+    """The raw byte 0..255 nearest to a battery voltage; the inverse of `volts`, clamped."""
+    return min(255, max(0, round((voltage_v * 5 / full_range_v - 2) * 255 / 3)))

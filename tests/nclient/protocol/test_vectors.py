@@ -1,0 +1,152 @@
+"""Every recorded exchange, four ways: call to bytes, bytes to call, reply to what the client held, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
+
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N200
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import SerialFramer
+from nclient.protocol.state import HeldState
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.terms import Terms, line_terms, tcp_terms
+from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
+
+STAMP_NAMES = {f"pos_{key}": key for key in ("sonar_0", "sonar_15", "ir_0", "bumper", "laser", "compass")}
+
+
+def with_leftovers_of(call: Call, built: bytes, request: bytes) -> bytes:
+    """What the C client leaves in words it does not use: the tail of a text, the end of motion_check."""
+    if call.name == "motion_check" and call.args[0] == 0:
+        return built[:-12] + request[-12:]
+    if call.name == "tk" and request[0] == 0:
+        used = len(call.args[0]) % 4 + 1
+        return built[:-4] + request[-4 : len(request) - used] + built[-used:]
+    return built
+
+
+def as_the_line_has_it(call: Call) -> Call:
+    """Smask[41] is not sent on the line."""
+    return Call("ct", (*call.args[:41], 1, *call.args[42:])) if call.name == "ct" else call
+
+
+def check_held(held: HeldState, reply: Reply, decoded: dict[str, Any]) -> None:
+    assert [value or 0 for value in held.slots] == decoded["State"]
+    if "Laser" in decoded and held.laser is not None and held.laser[0]:
+        shown = min(len(held.laser), len(decoded["Laser"]))
+        assert list(held.laser[:shown]) == decoded["Laser"][:shown]
+    for name, key in STAMP_NAMES.items():
+        if any(decoded.get(name, ())):
+            assert list(held.stamps[key]) == decoded[name]
+    if decoded.get("time"):
+        assert held.clock == decoded["time"]
+    if held.volts and "volt_cpu" in decoded:
+        assert volts(held.volts[0], CPU_RANGE_V) == pytest.approx(decoded["volt_cpu"], abs=1e-5)
+        assert volts(held.volts[1], MOTOR_RANGE_V) == pytest.approx(decoded["volt_motor"], abs=1e-5)
+    check_values(reply, decoded)
+
+
+def check_values(reply: Reply, decoded: dict[str, Any]) -> None:
+    values = list(reply.values)
+    if "obs" in decoded:
+        assert values == decoded["obs"][: len(values)]
+    if "pred_state" in decoded:
+        assert [0, *values[1:33]] == decoded["pred_state"][:33]
+        assert list(reply.laser or ()) == decoded["pred_laser"]
+    if "collide" in decoded:
+        assert [values[1] / 100, values[2] / 100, values[3] / 1e6] == decoded["collide"]
+    if "special" in decoded:
+        assert values == decoded["special"][: len(values)]
+        assert not any(decoded["special"][len(values) :])
+    if "arm" in decoded:
+        assert int.from_bytes(bytes(values[4:8]), "little", signed=True) == decoded["arm"]
+    if decoded.get("remain"):
+        assert int.from_bytes(bytes(values[8:12]), "little") == decoded["remain"]
+
+
+@pytest.mark.parametrize("session", TCP_SESSIONS)
+def test_a_tcp_session_both_ways(session: str) -> None:
+    terms, held = tcp_terms(N200), HeldState()
+    requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=False)
+    count = 0
+    for exchange in exchanges(TCP[session], model=None):
+        built = language.tcp_request(exchange.call)
+        assert with_leftovers_of(exchange.call, built, exchange.request) == exchange.request, exchange.call
+        (frame,) = requests.receive(exchange.request)
+        assert isinstance(frame, TcpFrame)
+        assert language.tcp_call(frame) == exchange.call
+        language.note(exchange.call, terms)
+        if exchange.reply:
+            check_tcp_reply(exchange, answers, terms, held)
+        count += 1
+    assert requests.wide is False
+    assert count > 20
+
+
+def check_tcp_reply(exchange: Exchange, answers: TcpFramer, terms: Terms, held: HeldState) -> None:
+    row = BY_NAME[exchange.call.name]
+    (frame,) = answers.receive(exchange.reply)
+    assert isinstance(frame, TcpFrame)
+    reply = language.read_tcp_reply(row, frame, terms)
+    held.absorb(reply)
+    if exchange.decoded:
+        check_held(held, reply, exchange.decoded)
+    assert language.tcp_reply(row, reply, terms) == exchange.reply
+
+
+@pytest.mark.parametrize("session", LINE_SESSIONS)
+def test_a_session_on_the_robots_own_line_both_ways(session: str) -> None:
+    model = model_of(session)
+    terms, held = line_terms(model), HeldState()
+    host, robot = SerialFramer(), SerialFramer()
+    count = 0
+    for exchange in exchanges(SERIAL[session], model):
+        assert language.line_request(exchange.call, terms) == exchange.request, exchange.call
+        (frame,) = host.receive(exchange.request)
+        assert language.line_call(frame, terms) == as_the_line_has_it(exchange.call)
+        language.note(exchange.call, terms)
+        (answer,) = robot.receive(exchange.reply)
+        reply = language.read_line_reply(answer, terms)
+        assert (reply.kind == "nak") == ("Nak" in exchange.prints)
+        held.absorb(reply)
+        if exchange.decoded:
+            check_held(held, reply, exchange.decoded)
+        assert language.line_reply(BY_NAME[exchange.call.name], reply, terms) == exchange.reply
+        count += 1
+    assert count > 4
+
+
+def test_a_64_bit_client_both_ways() -> None:
+    terms, held = tcp_terms(N200), HeldState(wide=True)
+    terms.wide = True
+    requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=True)
+    wire = [(bytes.fromhex(e["request"]), bytes.fromhex(e.get("reply", ""))) for e in LP64["exchanges"]]
+    calls = [
+        Call("connect_robot", (1, 0x5C2A)),
+        Call("ct", EVERYTHING.smask),
+        Call("vm", (100, -50, 0)),
+        Call("gs"),
+        Call("disconnect_robot", (1, 0x5C2A)),
+    ]
+    decoded = [None, LP64["decoded"][0], *LP64["decoded"][1:]]
+    for call, (request, answer), after in zip(calls, wire, decoded, strict=True):
+        assert language.tcp_request(call, wide=True) == request
+        (frame,) = requests.receive(request)
+        assert isinstance(frame, TcpFrame)
+        assert language.tcp_call(frame) == call
+        if answer:
+            (frame,) = answers.receive(answer)
+            assert isinstance(frame, TcpFrame)
+            reply = language.read_tcp_reply(BY_NAME[call.name], frame, terms)
+            held.absorb(reply)
+            assert language.tcp_reply(BY_NAME[call.name], reply, terms) == answer
+        if after:
+            assert [value or 0 for value in held.slots] == after["State"]
+            assert held.clock == after["time"]
+    assert requests.wide is True
