@@ -28,6 +28,17 @@ class Mode(IntEnum):
     LIMP = 3
 
 
+class Command(IntEnum):
+    """What an axis can be told: the modes of mv."""
+
+    LEAVE = 0
+    VELOCITY = 1
+    RELATIVE = 2
+    LIMP = 3
+    ACCELERATION = 4
+    SPEED = 5
+
+
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
     """What one axis of a model can do, in units and seconds.
@@ -100,6 +111,20 @@ class Axis:
             return 0.0
         velocity = self.velocity
         return copysign(max(abs(velocity), self.limits.resolution), velocity or self._phases[0].acceleration)
+
+    def command(self, command: Command, value: float) -> None:
+        """Do what one axis of mv says; LEAVE and LIMP need no value."""
+        match command:
+            case Command.VELOCITY:
+                self.move_at(value)
+            case Command.RELATIVE:
+                self.move_by(value)
+            case Command.LIMP:
+                self.limp()
+            case Command.ACCELERATION:
+                self.set_acceleration(value)
+            case Command.SPEED:
+                self.set_speed(value)
 
     def set_speed(self, speed: float) -> None:
         """The speed of relative motions; the magnitude counts, clamped to the top speed. 0: they do not move."""

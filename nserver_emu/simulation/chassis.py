@@ -1,0 +1,80 @@
+"""The actual robot: a disc that moves in the map and stops where it touches. Knows no commands and no encoders.
+
+x, y, yaw     true place of the axis and true turn of the body; noise turns the body, so the yaw drifts
+room          no less than the way to the nearest thing: while a stretch is shorter, no wall is looked at
+"""
+
+from __future__ import annotations
+
+from nserver_emu.simulation.angles import once_round
+from nserver_emu.simulation.bumpers import pressed
+from nserver_emu.simulation.contact import TOUCH_IN, Contact, Course, Ground, first_contact
+from nserver_emu.simulation.poses import Pose
+from nserver_emu.simulation.stretch import Stretch
+from worlds.bodies import Body
+
+
+class Chassis:
+    """The true place of one robot on its ground. Mechanical angles are handed in by whoever owns the drive."""
+
+    def __init__(self, body: Body, ground: Ground, x_in: float, y_in: float) -> None:
+        self.body = body
+        self._ground = ground
+        self.put(x_in, y_in)
+
+    def put(self, x_in: float, y_in: float) -> None:
+        """Lift the robot and set it down here, its body's yaw at 0. Nothing says that the place is free."""
+        self._x_in = x_in
+        self._y_in = y_in
+        self._yaw_rad = 0.0
+        self._room_in = 0.0
+
+    def enter(self, ground: Ground) -> None:
+        """From now on this is what can be touched."""
+        self._ground = ground
+        self._room_in = 0.0
+
+    def pose(self, steering_rad: float, turret_rad: float) -> Pose:
+        """The true pose at these mechanical angles."""
+        yaw = self._yaw_rad
+        return Pose(self._x_in, self._y_in, once_round(steering_rad + yaw), once_round(turret_rad + yaw))
+
+    def heading(self, steering_rad: float) -> float:
+        """The true heading at this mechanical steering angle, unwrapped."""
+        return steering_rad + self._yaw_rad
+
+    def first_contact(self, stretch: Stretch, steering_rad: float) -> Contact | None:
+        """Where this stretch, begun here at this mechanical steering angle, first touches something; None: nowhere."""
+        way = abs(stretch.distance_at(stretch.duration_s))
+        if way == 0.0 or way < self._room_in:
+            return None
+        self._room_in = self._clearance()
+        if way < self._room_in:
+            return None
+        course = Course(self._x_in, self._y_in, self.heading(steering_rad), stretch)
+        return first_contact(course, self.body.radius_in, self._ground)
+
+    def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> None:
+        """Move `time_s` seconds along a stretch begun at this mechanical steering angle."""
+        dx, dy = stretch.displacement(self.heading(steering_rad), time_s)
+        self._x_in += dx
+        self._y_in += dy
+        self._room_in -= abs(stretch.distance_at(time_s))
+
+    def turn(self, angle_rad: float) -> None:
+        """Turn the whole body."""
+        self._yaw_rad += angle_rad
+
+    def bumpers(self, frame_rad: float) -> int:
+        """Bit i is set while bumper i is touched; frame_rad is the angle of the bumpers against the yaw."""
+        if self._room_in > TOUCH_IN:
+            return 0
+        self._room_in = self._clearance()
+        if self._room_in > TOUCH_IN:
+            return 0
+        touched = self._ground.touched(self._x_in, self._y_in, self.body.radius_in + TOUCH_IN)
+        ahead = frame_rad + self._yaw_rad
+        return pressed((direction - ahead for direction in touched.tolist()), self.body.bumper_angles_rad)
+
+    def _clearance(self) -> float:
+        return self._ground.clearance(self._x_in, self._y_in) - self.body.radius_in

@@ -1,0 +1,46 @@
+"""The encoder robot: where the robot believes it is, from what its wheels were told. Knows nothing of the true one.
+
+Its place is dead reckoning along its own steering; its angles are the mechanical ones plus an offset, which is what
+dp, da and zr change. Inches, radians.
+"""
+
+from __future__ import annotations
+
+from nserver_emu.simulation.angles import once_round
+from nserver_emu.simulation.poses import Pose
+from nserver_emu.simulation.stretch import Stretch
+
+
+class Encoders:
+    """Place and angle offsets; the mechanical angles are handed in by whoever owns the drive."""
+
+    def __init__(self, x_in: float, y_in: float) -> None:
+        self._x_in = x_in
+        self._y_in = y_in
+        self._steering_offset_rad = 0.0
+        self._turret_offset_rad = 0.0
+
+    def pose(self, steering_rad: float, turret_rad: float) -> Pose:
+        """What the encoders say at these mechanical angles."""
+        return Pose(
+            self._x_in,
+            self._y_in,
+            once_round(steering_rad + self._steering_offset_rad),
+            once_round(turret_rad + self._turret_offset_rad),
+        )
+
+    def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> None:
+        """Reckon `time_s` seconds of a stretch that starts at this mechanical steering angle."""
+        dx, dy = stretch.displacement(steering_rad + self._steering_offset_rad, time_s)
+        self._x_in += dx
+        self._y_in += dy
+
+    def define_position(self, x_in: float, y_in: float) -> None:
+        """From now on this place has these coordinates."""
+        self._x_in = x_in
+        self._y_in = y_in
+
+    def define_angles(self, offset_steering_rad: float, offset_turret_rad: float) -> None:
+        """From now on the encoders say the mechanical angles plus these offsets."""
+        self._steering_offset_rad = offset_steering_rad
+        self._turret_offset_rad = offset_turret_rad

@@ -1,0 +1,282 @@
+"""One simulated robot: its commands, and what a moment of time does to it. No socket, no clock, no wire units.
+
+Two robots in one: the encoder robot is what the wheels were told and what State reports; the actual robot moves in the
+map and drives the sensors. Time is cut at firings, time-outs and changes of acceleration, so that no result depends on
+the caller's steps; in each piece first motion, then contact, then sensors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from nserver_emu.simulation.axis import Command
+from nserver_emu.simulation.chassis import Chassis
+from nserver_emu.simulation.contact import Ground
+from nserver_emu.simulation.encoders import Encoders
+from nserver_emu.simulation.instants import NEVER_PS, to_ps, to_s
+from nserver_emu.simulation.models import N150, RobotModel
+from nserver_emu.simulation.noise import Identity, Purpose
+from nserver_emu.simulation.poses import Pose, Stamp, Velocities
+from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, Eye, SonarRing
+from nserver_emu.simulation.stretch import Stretch
+from worlds.geometry import FloatArray
+from worlds.world import StartPose
+
+
+class SimulatedRobot:
+    """A robot in a world. Three numbers of a command go to the axes in their order: translation, steering, turret.
+
+    Every command feeds the time-out; whoever serves questions calls `feed` for them. Values out of range are clamped
+    silently. A motion that is blocked is over: the wheels wait for the next command.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        start: StartPose,
+        walls: FloatArray,
+        model: RobotModel = N150,
+        setup: RobotSetup = IDEAL,
+        now_ps: int = 0,
+    ) -> None:
+        self.identity = identity
+        self.model = model
+        self.setup = setup
+        self._time_ps = now_ps
+        self._timeout_ps = 0
+        self._deadline_ps = NEVER_PS
+        self._zeroing = False
+        self._drive = model.drive(model.axes, setup.ramps)
+        self._drive.put(start.steering_rad, start.turret_rad)
+        self._encoders = Encoders(start.x_in, start.y_in)
+        self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
+        self._chance = identity.stream(Purpose.MOTION)
+        self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
+        self.sonar.fire_all(self._eye(), self._stamp())
+        self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
+
+    # What can be seen
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time of the whole simulation."""
+        return to_s(self._time_ps)
+
+    @property
+    def encoder(self) -> Pose:
+        """Where the robot believes it is: what State reports."""
+        return self._encoders.pose(self._drive.steering_rad, self._drive.turret_rad)
+
+    @property
+    def actual(self) -> Pose:
+        """Where the robot is."""
+        return self._chassis.pose(self._drive.steering_rad, self._drive.turret_rad)
+
+    @property
+    def velocities(self) -> Velocities:
+        """As the encoders show them: in/s, rad/s, rad/s; from the command to the end of a motion never 0."""
+        first, second, third = self._drive.axes
+        return first.shown_velocity, second.shown_velocity, third.shown_velocity
+
+    @property
+    def moving(self) -> tuple[bool, bool, bool]:
+        """Which axes move."""
+        first, second, third = self._drive.axes
+        return first.moving, second.moving, third.moving
+
+    @property
+    def bumpers(self) -> int:
+        """Bit i is set while bumper i touches something."""
+        return self._chassis.bumpers(self._drive.bumper_frame_rad)
+
+    @property
+    def zeroing(self) -> bool:
+        """True from `zero` until it is done, or until another motion command took its place."""
+        return self._zeroing
+
+    def still(self, axes: Iterable[int]) -> bool:
+        """Whether none of these axes (0 translation, 1 steering, 2 turret) moves; True for none at all."""
+        moving = self.moving
+        return not any(moving[axis] for axis in axes)
+
+    # Commands: motion
+
+    def set_velocities(self, translation: float, steering: float, turret: float) -> None:
+        """Run at these velocities (in/s, rad/s, rad/s) until the next motion command or the time-out. C: vm."""
+        self._take_over()
+        for axis, velocity in zip(self._drive.axes, (translation, steering, turret), strict=True):
+            axis.move_at(velocity)
+
+    def move_relative(self, translation: float, steering: float, turret: float) -> None:
+        """Go these ways (in, rad, rad), each axis at its speed, all at once. C: pr."""
+        self._take_over()
+        for axis, way in zip(self._drive.axes, (translation, steering, turret), strict=True):
+            axis.move_by(way)
+
+    def command_axis(self, axis: int, command: int, value: float) -> None:
+        """One axis of mv: 0 leave, 1 velocity, 2 relative, 3 limp, 4 set acceleration, 5 set speed.
+
+        Raises ValueError for other commands and IndexError for other axes than 0, 1, 2.
+        """
+        self._drive.axes[axis].command(Command(command), value)
+        self.feed()
+        if command in (Command.VELOCITY, Command.RELATIVE, Command.LIMP):
+            self._zeroing = False
+
+    def stop(self) -> None:
+        """Brake and hold. C: st."""
+        self._take_over()
+        self._stop_axes()
+
+    def limp(self) -> None:
+        """Let go of all axes. C: lp."""
+        self._take_over()
+        for axis in self._drive.axes:
+            axis.limp()
+
+    def zero(self) -> None:
+        """Turn steering and turret to the bumpers' zero; then the encoders read 0. `zeroing` tells when. C: zr.
+
+        The time-out waits until it is done, for the client waits as well.
+        """
+        self._take_over()
+        self._drive.seek_zero()
+        self._zeroing = True
+        self._end_zero()
+
+    # Commands: settings
+
+    def set_speeds(self, translation: float, steering: float, turret: float) -> None:
+        """Speeds of relative motions (in/s, rad/s, rad/s) from the next one on. C: sp."""
+        self.feed()
+        for axis, speed in zip(self._drive.axes, (translation, steering, turret), strict=True):
+            axis.set_speed(speed)
+
+    def set_accelerations(self, translation: float, steering: float, turret: float) -> None:
+        """Accelerations (in/s2, rad/s2, rad/s2) from the next motion on; no effect where axes jump. C: ac."""
+        self.feed()
+        for axis, acceleration in zip(self._drive.axes, (translation, steering, turret), strict=True):
+            axis.set_acceleration(acceleration)
+
+    def define_position(self, x_in: float, y_in: float) -> None:
+        """The encoders call this place (x, y); the robot stays where it is. C: dp."""
+        self.feed()
+        self._encoders.define_position(x_in, y_in)
+
+    def define_angles(self, steering_rad: float, turret_rad: float) -> None:
+        """The encoders call these directions of steering and turret so; nothing turns. C: da."""
+        self.feed()
+        self._encoders.define_angles(steering_rad - self._drive.steering_rad, turret_rad - self._drive.turret_rad)
+
+    def place(self, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
+        """Set the robot down here, encoders and all, its body as at power-on: yaw 0. C: place_robot.
+
+        Motions go on from there; a search for zero under way is given up. Whether the place is free is the caller's
+        to ask: a robot set into a wall can only leave it.
+        """
+        self.feed()
+        self._zeroing = False
+        self._drive.put(steering_rad, turret_rad)
+        self._chassis.put(x_in, y_in)
+        self._encoders = Encoders(x_in, y_in)
+
+    def set_timeout(self, seconds: float) -> None:
+        """No command for more than this stops the motion; 0 or less: never. C: conf_tm."""
+        self._timeout_ps = to_ps(max(seconds, 0.0))
+        self.feed()
+
+    def feed(self) -> None:
+        """A command came: the time-out starts anew."""
+        self._deadline_ps = self._time_ps + self._timeout_ps if self._timeout_ps else NEVER_PS
+
+    def configure_sonars(self, rate: int, order: Sequence[int]) -> None:
+        """Restart the ring at rate x 4 ms a sonar; order ends at 255. Its first sonar fires now. C: conf_sn."""
+        self.feed()
+        self.sonar.configure(rate, order, self._time_ps)
+        self._fire_due()
+
+    # Time and surroundings
+
+    def advance_to(self, end_ps: int) -> None:
+        """Let time pass until an instant that is not before now."""
+        while self._time_ps < end_ps:
+            until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
+            self._move(to_s(until - self._time_ps))
+            self._time_ps = until
+            self._end_zero()
+            if until == self._deadline_ps:
+                self._expire()
+            self._fire_due()
+
+    def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
+        """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
+        self.sonar.surround(walls)
+        self._chassis.enter(Ground.of(walls, discs))
+
+    def _take_over(self) -> None:
+        """A motion command came: it ends what was under way."""
+        self.feed()
+        self._zeroing = False
+
+    def _stop_axes(self) -> None:
+        for axis in self._drive.axes:
+            axis.stop()
+
+    def _expire(self) -> None:
+        """The time-out: motion stops, but for a search for zero."""
+        if self._zeroing:
+            self.feed()
+            return
+        self._deadline_ps = NEVER_PS
+        self._stop_axes()
+
+    def _end_zero(self) -> None:
+        if self._zeroing and not any(self.moving):
+            self._zeroing = False
+            self._encoders.define_position(0.0, 0.0)
+            self._encoders.define_angles(-self._drive.steering_rad, -self._drive.turret_rad)
+
+    def _fire_due(self) -> None:
+        while self.sonar.due_ps <= self._time_ps:
+            self.sonar.fire_due(self._eye(), self._stamp())
+
+    def _eye(self) -> Eye:
+        actual = self.actual
+        return Eye(actual.x_in, actual.y_in, actual.turret_rad)
+
+    def _stamp(self) -> Stamp:
+        return Stamp(self.encoder, self.velocities, self.time_s, self.time_s)
+
+    def _move(self, span_s: float) -> None:
+        """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
+        while span_s > 0.0:
+            stretch = self._drive.stretch(span_s)
+            if stretch.at_rest:
+                self._drive.advance(span_s)
+                return
+            span_s -= self._glide(stretch)
+
+    def _glide(self, stretch: Stretch) -> float:
+        """Follow a stretch to its end or to where the robot is stopped; returns the seconds that took.
+
+        Only the commanded motion stops the wheels. Where noise alone pushes a robot into a wall it is held there for
+        the stretch, wheels turning.
+        """
+        drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
+        driven = self.setup.motion.disturbed(stretch, self._chance)
+        contact = chassis.first_contact(driven, drive.steering_rad)
+        blocked = False
+        free_s = duration
+        if contact is not None:
+            free_s = contact.time_s
+            heading = chassis.heading(drive.steering_rad) + driven.turn_at(free_s)
+            blocked = driven is stretch or contact.pressed_by(heading, stretch.distance_at(duration))
+        taken_s = free_s if blocked else duration
+        chassis.follow(driven, free_s, drive.steering_rad)
+        self._encoders.follow(stretch, taken_s, drive.steering_rad)
+        chassis.turn(driven.turn_at(taken_s) - stretch.turn_at(taken_s))
+        drive.advance(taken_s)
+        if blocked:
+            drive.block()
+        return taken_s

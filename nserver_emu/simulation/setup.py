@@ -1,0 +1,43 @@
+"""Setups: how much like a real robot a simulated one is. Data; whoever uses a number explains it.
+
+ideal     axes jump to their speed, motion is exact, one exact ray a sonar
+noisy     axes ramp, motion strays like a random walk, sonars with 1 % noise: the settings of the experiments
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from nserver_emu.simulation.noise import MotionNoise
+from nserver_emu.simulation.sonar import SonarNoise
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSetup:
+    """A named way to simulate a robot.
+
+    name      what users call it
+    ramps     False: axes jump to their speed, as the original documents; True: trapezoids
+    motion    how the true motion strays from the commanded one
+    sonar     how readings stray from the true range
+    """
+
+    name: str
+    ramps: bool
+    motion: MotionNoise
+    sonar: SonarNoise
+
+
+IDEAL: Final = RobotSetup("ideal", ramps=False, motion=MotionNoise(), sonar=SonarNoise())
+NOISY: Final = RobotSetup(
+    "noisy",
+    ramps=True,
+    motion=MotionNoise(along=0.1, turn=0.1, drift=0.005),
+    sonar=SonarNoise(std_share=0.01, least_std_in=0.05),
+)
+
+SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType({setup.name: setup for setup in (IDEAL, NOISY)})
+"""Every setup by its name."""

@@ -1,0 +1,154 @@
+"""The sonar ring: which sonar fires when, and what it reads. Rays are the world's; poses and time are handed in.
+
+    order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and round again
+
+A firing notes where it happened and draws its chance; the ray is cast when somebody looks, or when the walls are about
+to change. So a ring nobody reads costs nothing, and reading it earlier or later changes no reading.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, floor, inf, sin
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
+from nserver_emu.simulation.poses import Pose, Stamp
+from worlds.bodies import SONARS, Body
+from worlds.geometry import FloatArray
+from worlds.raycast import cast_rays
+
+NEAREST_IN: Final = 6
+"""A wall nearer than this reads this: the transducer still rings from its own cry."""
+
+NOTHING_IN: Final = 255
+"""No echo, or one from farther away."""
+
+TICK_PS: Final = 4 * PS_PER_S // 1000
+"""The unit of the firing rate, 4 ms."""
+
+SLOWEST_RATE: Final = 255
+"""The largest rate that the robot's line can carry, in a byte."""
+
+DEFAULT_ORDER: Final = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
+DEFAULT_RATE: Final = 15
+"""The ring is on at power-on: programs written for Nserver never configure it."""
+
+UNFIRED: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+"""The moment of a reading that never was."""
+
+
+@dataclass(frozen=True, slots=True)
+class SonarNoise:
+    """Gaussian noise of a range: std_share of it, at least least_std_in; none where both are 0."""
+
+    std_share: float = 0.0
+    least_std_in: float = 0.0
+
+    def std_in(self, range_in: float) -> float:
+        """Standard deviation at a range, inches."""
+        return max(self.std_share * range_in, self.least_std_in)
+
+
+class Eye(NamedTuple):
+    """From where the ring looks: the robot's true place in inches and its turret's true direction in radians."""
+
+    x_in: float
+    y_in: float
+    turret_rad: float
+
+
+class Firing(NamedTuple):
+    """A cry whose echo nobody has looked at: the robot's axis, the direction, and a standard normal number."""
+
+    x_in: float
+    y_in: float
+    direction_rad: float
+    chance: float
+
+
+class SonarRing:
+    """Sixteen sonars that fire one after another; see the head of this file."""
+
+    def __init__(self, body: Body, noise: SonarNoise, walls: FloatArray, chance: np.random.Generator) -> None:
+        self.body = body
+        self.noise = noise
+        self._walls = walls
+        self._chance = chance
+        self._readings = [NOTHING_IN] * SONARS
+        self._stamps = [UNFIRED] * SONARS
+        self._unheard: dict[int, Firing] = {}
+        self._order: tuple[int, ...] = ()
+        self._interval_ps = self._start_ps = self._count = 0
+
+    @property
+    def readings_in(self) -> tuple[int, ...]:
+        """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 where nothing was met."""
+        self._listen()
+        return tuple(self._readings)
+
+    @property
+    def stamps(self) -> tuple[Stamp, ...]:
+        """The moment of each of those readings."""
+        return tuple(self._stamps)
+
+    @property
+    def due_ps(self) -> int:
+        """When the next sonar fires; NEVER_PS if the ring is off."""
+        return self._start_ps + self._count * self._interval_ps if self._order else NEVER_PS
+
+    def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
+        """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
+
+        rate     clamped to 1..255
+        order    sonar numbers, ends at the first that is none (255 by custom); none at all: the ring is off, and
+                 readings stay what they were
+        """
+        end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
+        self._order = tuple(order[:end])
+        self._interval_ps = min(max(rate, 1), SLOWEST_RATE) * TICK_PS
+        self._start_ps = now_ps
+        self._count = 0
+
+    def fire_due(self, eye: Eye, stamp: Stamp) -> None:
+        """The sonar that is due fires here and now."""
+        self._fire(self._order[self._count % len(self._order)], eye, stamp)
+        self._count += 1
+
+    def fire_all(self, eye: Eye, stamp: Stamp) -> None:
+        """All sixteen at once, as at power-on."""
+        for sonar in range(SONARS):
+            self._fire(sonar, eye, stamp)
+
+    def surround(self, walls: FloatArray) -> None:
+        """From now on these are the walls (m, 4); what was fired before still meets the old ones."""
+        self._listen()
+        self._walls = walls
+
+    def _fire(self, sonar: int, eye: Eye, stamp: Stamp) -> None:
+        chance = self._chance.standard_normal() if self.noise.least_std_in or self.noise.std_share else 0.0
+        direction = eye.turret_rad + self.body.sonar_angles_rad[sonar]
+        self._unheard[sonar] = Firing(eye.x_in, eye.y_in, direction, chance)
+        self._stamps[sonar] = stamp
+
+    def _listen(self) -> None:
+        """Cast the rays of all firings since the last look, in one go."""
+        if not self._unheard:
+            return
+        firings = list(self._unheard.values())
+        origins = [(firing.x_in, firing.y_in) for firing in firings]
+        ways = [(cos(firing.direction_rad), sin(firing.direction_rad)) for firing in firings]
+        ranges, _ = cast_rays(np.array(origins), np.array(ways), self._walls)
+        for sonar, firing, from_axis in zip(self._unheard, firings, ranges.tolist(), strict=True):
+            self._readings[sonar] = self._reading(from_axis - self.body.sonar_ring_radius_in, firing.chance)
+        self._unheard = {}
+
+    def _reading(self, range_in: float, chance: float) -> int:
+        """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
+        if range_in == inf:
+            return NOTHING_IN
+        heard = range_in + chance * self.noise.std_in(range_in)
+        return min(max(floor(heard + 0.5), NEAREST_IN), NOTHING_IN)
