@@ -6,3 +6,4 @@ import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
+sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))

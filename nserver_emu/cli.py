@@ -1,0 +1,117 @@
+"""`nserver`: the command line of the daemon. Reads options, builds the simulation, hands both to the daemon.
+
+Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
+Exit codes: 0 stopped as asked, 1 could not start (the reason on stderr), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import sys
+from importlib.metadata import version
+
+from nclient.errors import NomadError
+from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Setting, pose_from_text
+from worlds.files import load_world, world_names
+
+DEFAULT_PORT = 7019
+MAX_SPEED = "max"
+SLOWEST, FASTEST = 0.1, 100.0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the daemon until SIGINT or SIGTERM; the exit code."""
+    options = _parser().parse_args(_bind_values(sys.argv[1:] if argv is None else argv))
+    logging.basicConfig(
+        level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
+        format="%(asctime)s %(levelname)s %(message)s",
+        stream=sys.stderr,
+    )
+    try:
+        if options.list_worlds:
+            _list_worlds()
+            return 0
+        return asyncio.run(_serve(options))
+    except NomadError as error:
+        print(f"nserver: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 0
+
+
+async def _serve(options: argparse.Namespace) -> int:
+    start = pose_from_text(options.start) if options.start else None
+    setting = Setting(options.world, options.robot, start, options.seed, options.noisy)
+    daemon = Daemon(Emulator(setting.simulation()), options.speed)
+    stop = asyncio.Event()
+    stop_on_signals(stop)
+    port = await daemon.listen(options.bind, options.port)
+    print(f"listening nserver {options.bind}:{port}", flush=True)
+    await daemon.serve(stop)
+    return 0
+
+
+def _list_worlds() -> None:
+    for name in world_names():
+        print(f"{name:16} {load_world(name).title}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nserver",
+        description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
+        epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0",
+    )
+    parser.add_argument("world", nargs="?", default=DEFAULT_WORLD, metavar="WORLD",
+                        help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds)")
+    parser.add_argument("--port", type=_port, default=DEFAULT_PORT, help=f"default {DEFAULT_PORT}; 0 takes a free one")
+    parser.add_argument("--bind", default=LOOPBACK, metavar="HOST",
+                        help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
+    parser.add_argument("--robot", default=READY_MODELS[0], choices=READY_MODELS, help="the robot's model")
+    parser.add_argument("--start", metavar="X,Y,STEER,TURRET", help="start pose in inches and degrees")
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of all noise (default 0)")
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
+                        help=f"simulated seconds a second, {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED} (default 1)")
+    parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
+    parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
+    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
+    parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
+    return parser
+
+
+def _bind_values(argv: list[str]) -> list[str]:
+    """`--start -5,0,0,0` as `--start=-5,0,0,0`: argparse takes a value that begins with a minus for an option."""
+    bound: list[str] = []
+    for word in argv:
+        if bound and bound[-1] == "--start":
+            bound[-1] = f"--start={word}"
+        else:
+            bound.append(word)
+    return bound
+
+
+def _speed(text: str) -> float | None:
+    if text == MAX_SPEED:
+        return None
+    speed = float(text)
+    if not SLOWEST <= speed <= FASTEST:
+        raise argparse.ArgumentTypeError(f"speed is {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED}")
+    return speed
+
+
+def _port(text: str) -> int:
+    port = int(text)
+    if not 0 <= port <= 65535:
+        raise argparse.ArgumentTypeError("a port is 0 to 65535")
+    return port
+
+
+def _seed(text: str) -> int:
+    seed = int(text)
+    if not 0 <= seed < 2**31:
+        raise argparse.ArgumentTypeError("a seed is 0 to 2147483647")
+    return seed

@@ -1,0 +1,187 @@
+"""The daemon: sockets and the clock around sessions and the simulation. The only room here that knows either.
+
+    Connection   one client's socket <-> its Session; answers a few requests a turn, so that nobody waits for another
+    Daemon       listens, lets simulated time pass, stops cleanly
+
+Rules: no client can stop the daemon or stall another: a bounded number of requests a turn, reading stops while a
+client does not read its replies or waits for one, and whatever goes wrong in a session costs that connection only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+from collections.abc import Callable
+from typing import cast
+
+from nclient.errors import ConnectionLost
+from nserver_emu.server.handlers import AS_FAST_AS_IT_CAN, Emulator
+from nserver_emu.server.session import Session
+
+log = logging.getLogger(__name__)
+
+TICK_S = 0.01
+"""Real time between two steps of the simulation."""
+LONGEST_CATCH_UP_S = 0.25
+"""Real time that is made up for when the machine was busy or asleep; the rest is lost to the simulation."""
+FAST_STEP_S = 0.1
+REQUESTS_A_TURN = 20
+LOOPBACK = "127.0.0.1"
+HOST_NAME_LOOPBACK = "127.0.1.1"
+"""Where Debian puts a machine's own host name, which old clients connect to when they are given no host."""
+
+
+class Connection(asyncio.Protocol):
+    """A client's socket."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon = daemon
+        self._loop = asyncio.get_running_loop()
+        self._blocked = False
+        self._turn: asyncio.Handle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        peer = transport.get_extra_info("peername")
+        self.session = Session(self._daemon.emulator.answer, f"{peer[0]}:{peer[1]}" if peer else "client")
+        self._daemon.connections.add(self)
+        log.info("%s: connected", self.session.name)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._daemon.connections.discard(self)
+        self._daemon.emulator.leave(self.session.visit)
+        self.session.closing = True
+        log.info("%s: gone after %d refusals%s", self.session.name, self.session.refused, f" ({exc})" if exc else "")
+
+    def data_received(self, data: bytes) -> None:
+        self.session.receive(data)
+        self._answer()
+
+    def pause_writing(self) -> None:
+        self._blocked = True
+        self._pace()
+
+    def resume_writing(self) -> None:
+        self._blocked = False
+        self._answer()
+
+    def tick(self) -> None:
+        """Time has passed: an answer may be there."""
+        if self.session.waiting:
+            self._guarded(self.session.tick)
+            self._answer()
+
+    def _answer(self) -> None:
+        if not self._blocked and self._turn is None:
+            self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
+        self._pace()
+
+    def _guarded(self, speak: Callable[[], bytes]) -> None:
+        try:
+            replies = speak()
+        except Exception:
+            log.exception("%s: closed because of a fault of ours", self.session.name)
+            self._transport.abort()
+            return
+        if replies:
+            self._transport.write(replies)
+        if self.session.closing:
+            self._transport.close()
+
+    def _pace(self) -> None:
+        """Read on only when what was read is answered; the rest of it gets its turn after the others'."""
+        ready = self.session.ready and not self._blocked
+        if ready and self._turn is None:
+            self._turn = self._loop.call_soon(self._next_turn)
+        if self._transport.is_closing():
+            return
+        if ready or self._blocked or self.session.waiting:
+            self._transport.pause_reading()
+        else:
+            self._transport.resume_reading()
+
+    def _next_turn(self) -> None:
+        self._turn = None
+        self._answer()
+
+    def close(self) -> None:
+        """Say nothing more."""
+        self._transport.close()
+
+
+class Daemon:
+    """An Nserver on sockets. `speed`: simulated seconds a real second, None for as fast as it can."""
+
+    def __init__(self, emulator: Emulator, speed: float | None = 1.0) -> None:
+        self.emulator = emulator
+        self.connections: set[Connection] = set()
+        self._speed = speed
+        self._servers: list[asyncio.Server] = []
+        emulator.speed_tenths = AS_FAST_AS_IT_CAN if speed is None else round(10 * speed)
+
+    async def listen(self, host: str, port: int) -> int:
+        """Open the door; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
+        loop = asyncio.get_running_loop()
+        try:
+            server = await loop.create_server(lambda: Connection(self), host, port)
+        except OSError as error:
+            raise ConnectionLost(
+                f"cannot listen on {host}:{port}: {error.strerror or error}; is another nserver running? "
+                "--port 0 takes a free port"
+            ) from error
+        self._servers.append(server)
+        port = server.sockets[0].getsockname()[1]
+        if host == LOOPBACK:
+            with contextlib.suppress(OSError):  # not every machine has it, and no client needs it but by host name
+                self._servers.append(await loop.create_server(lambda: Connection(self), HOST_NAME_LOOPBACK, port))
+        self.emulator.port = port
+        return port
+
+    async def serve(self, stop: asyncio.Event) -> None:
+        """Let time pass until told to stop; then close everything."""
+        clock = asyncio.create_task(self._run_clock())
+        stopped = asyncio.create_task(stop.wait())
+        try:
+            await asyncio.wait({clock, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            stopped.cancel()
+            clock.cancel()
+            await self._close()
+        if clock.done() and not clock.cancelled():
+            clock.result()
+
+    async def _run_clock(self) -> None:
+        loop = asyncio.get_running_loop()
+        last = loop.time()
+        while True:
+            await asyncio.sleep(TICK_S if self._speed is not None else 0)
+            now = loop.time()
+            elapsed, last = now - last, now
+            self._pass_time(elapsed)
+
+    def _pass_time(self, elapsed_s: float) -> None:
+        if self._speed is None:
+            self.emulator.simulation.step(FAST_STEP_S)
+        else:
+            if elapsed_s > LONGEST_CATCH_UP_S:
+                log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
+            self.emulator.simulation.step(min(elapsed_s, LONGEST_CATCH_UP_S) * self._speed)
+        for connection in tuple(self.connections):
+            connection.tick()
+
+    async def _close(self) -> None:
+        for server in self._servers:
+            server.close()
+        for connection in tuple(self.connections):
+            connection.close()
+        await asyncio.sleep(0)
+
+
+def stop_on_signals(stop: asyncio.Event) -> None:
+    """SIGINT and SIGTERM end the daemon cleanly, where the system has them."""
+    loop = asyncio.get_running_loop()
+    for name in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError):
+            loop.add_signal_handler(name, stop.set)

@@ -1,0 +1,136 @@
+"""A conversation with one client, without I/O: bytes in, bytes out.
+
+    receive(bytes) ──> framer ──> queue ──> answer(call, visit) ──> replies
+                                                └─ later: tick() asks again until there is one
+
+Rules: one request, one reply, in order; a request behind one that is answered later waits its turn. Who answers is
+handed in, so the same conversation serves a simulation and a gateway. Nothing here knows a socket or a clock.
+Every bad request costs its sender an ERROR reply, or the connection once its stream has lost its frame.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from nclient.errors import WireError
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.state import STATE_SIZE
+from nclient.protocol.tcp_frame import Refused, TcpFrame, TcpFramer, request_bounds
+from nclient.protocol.terms import Terms, tcp_terms
+
+log = logging.getLogger(__name__)
+
+BAD_VALUES, NOT_CONNECTED = 2, 3
+_CONNECTS = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
+
+
+@dataclass(slots=True, eq=False)
+class Visit:
+    """What the server knows of one connection: whose robot, on what terms, and the State values last sent."""
+
+    terms: Terms = field(default_factory=lambda: tcp_terms(N150))
+    robot_id: int | None = None
+    kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
+
+
+Later = Callable[[], Reply | None]
+"""An answer that is not there yet: ask again until it gives one."""
+Answer = Callable[[Call, Visit], Reply | Later]
+"""Who answers: a reply, or a promise of one."""
+
+
+def error_reply(code: int) -> Reply:
+    """The ERROR reply with this code (PROTOCOL.md, section 1)."""
+    return Reply("error", values=(code,))
+
+
+class Session:
+    """One client's conversation. `name` stands in the log."""
+
+    def __init__(self, answer: Answer, name: str = "client") -> None:
+        self.visit = Visit()
+        self.name = name
+        self.closing = False
+        """Whether the connection is to be closed, once what was given back is sent."""
+        self.refused = 0
+        self._answer = answer
+        self._framer = TcpFramer(request_bounds)
+        self._queue: deque[TcpFrame | Refused] = deque()
+        self._later: tuple[str, Later] | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether a request waits that could be answered now."""
+        return bool(self._queue) and self._later is None and not self.closing
+
+    @property
+    def waiting(self) -> bool:
+        """Whether an answer is outstanding that only time can bring."""
+        return self._later is not None
+
+    def receive(self, data: bytes) -> None:
+        """Take in what the client sent; `answers` gives what there is to say to it."""
+        if not self.closing:
+            self._queue.extend(self._framer.receive(data))
+
+    def answers(self, most: int) -> bytes:
+        """The replies to at most so many of the requests that wait."""
+        replies = bytearray()
+        while most > 0 and self.ready:
+            replies += self._answer_one(self._queue.popleft())
+            most -= 1
+        return bytes(replies)
+
+    def tick(self) -> bytes:
+        """The reply that was to come later, if it is there now."""
+        if self._later is None:
+            return b""
+        name, later = self._later
+        reply = later()
+        if reply is None:
+            return b""
+        self._later = None
+        return self._encode(name, reply)
+
+    def _answer_one(self, item: TcpFrame | Refused) -> bytes:
+        if isinstance(item, Refused):
+            self.closing = item.hopeless
+            return self._refuse(item.code, item.reason)
+        try:
+            call = language.tcp_call(item)
+        except WireError as error:
+            return self._refuse(BAD_VALUES, str(error))
+        row = BY_NAME[call.name]
+        if self.visit.robot_id is None and call.name not in _CONNECTS:
+            return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
+        self.visit.terms.wide = bool(self._framer.wide)
+        language.note(call, self.visit.terms)
+        answer = self._answer(call, self.visit)
+        self.closing = not row.has_tcp_reply
+        if self.closing:
+            return b""
+        if isinstance(answer, Reply):
+            return self._encode(call.name, answer)
+        self._later = (call.name, answer)
+        return self.tick()
+
+    def _encode(self, name: str, reply: Reply) -> bytes:
+        if reply.kind == "error":
+            self._count_refusal(f"{name}: error {reply.values[0]}")
+        return language.tcp_reply(BY_NAME[name], reply, self.visit.terms)
+
+    def _refuse(self, code: int, reason: str) -> bytes:
+        self._count_refusal(reason)
+        self.visit.terms.wide = bool(self._framer.wide)
+        return language.tcp_reply(BY_NAME["gs"], error_reply(code), self.visit.terms)
+
+    def _count_refusal(self, reason: str) -> None:
+        self.refused += 1
+        if self.refused == 1:
+            log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)

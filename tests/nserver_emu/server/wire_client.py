@@ -1,0 +1,65 @@
+"""A client for the tests of the server: calls in, replies out, over whatever takes bytes and gives bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.terms import tcp_terms
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.session import Session
+from nserver_emu.simulation.models import N150 as SIMULATED_N150
+from nserver_emu.simulation.setup import IDEAL, NOISY
+from nserver_emu.simulation.simulation import Simulation
+from worlds.files import load_world
+from worlds.world import StartPose
+
+ORIGIN = StartPose(0.0, 0.0, 0.0, 0.0)
+
+
+class WireClient:
+    """`exchange` sends bytes and gives back what has been answered."""
+
+    def __init__(self, exchange: Callable[[bytes], bytes], wide: bool = False) -> None:
+        self.terms = tcp_terms(N150)
+        self.terms.wide = wide
+        self._exchange = exchange
+        self._framer = TcpFramer(reply_bounds, wide=wide)
+
+    def ask(self, name: str, *args: int) -> Reply:
+        """One call, one reply."""
+        call = Call(name, args)
+        language.note(call, self.terms)
+        (reply,) = self.send(name, language.tcp_request(call, wide=self.terms.wide))
+        return reply
+
+    def send(self, name: str, data: bytes) -> list[Reply]:
+        """Raw bytes; the replies, read as answers to that command."""
+        found = self._framer.receive(self._exchange(data))
+        frames = [frame for frame in found if isinstance(frame, TcpFrame)]
+        assert len(frames) == len(found)
+        return [language.read_tcp_reply(BY_NAME[name], frame, self.terms) for frame in frames]
+
+
+def simulation(world: str = "thesis_room", start: StartPose = ORIGIN, noisy: bool = False, seed: int = 0) -> Simulation:
+    """A simulation with one N150, number 1."""
+    made = Simulation(load_world(world), seed=seed)
+    made.add_robot(1, start, SIMULATED_N150, NOISY if noisy else IDEAL)
+    return made
+
+
+def meet(emulator: Emulator) -> tuple[WireClient, Session]:
+    """A connected client and its session, in one process; time stands still unless the test steps it."""
+    session = Session(emulator.answer)
+
+    def exchange(data: bytes) -> bytes:
+        session.receive(data)
+        return session.answers(most=100)
+
+    client = WireClient(exchange)
+    client.ask("connect_robot", 1, 4711)
+    return client, session
