@@ -1,12 +1,12 @@
 """World files: TOML in, a World out; and where the shipped ones are. The only file here that touches the disk.
 
-    name, title                                         texts, both optional
-    [[room]]      corners, name                         a closed outline, free inside
-    [[wall]]      points                                an open line of two points or more
-    [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
-    [[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, 0 where not given
-    [[path]]      name, figure, points, start           way-points from the start on; start: number of a [[start]]
-    corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is a WorldFileError.
+name, title                                         texts, both optional
+[[room]]      corners, name                         a closed outline, free inside
+[[wall]]      points                                an open line of two points or more
+[[obstacle]]  corners, name                         a closed solid; clients may move and delete it
+[[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, 0 where not given
+[[path]]      name, figure, points, start           way-points from the start on; start: number of a [[start]]
+corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is a WorldFileError.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from nclient.errors import WorldFileError
-from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
+from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
 from worlds.tables import SHORTEST_IN, Table, nearest
 from worlds.world import Path, Point, Polygon, StartPose, World
 
@@ -38,8 +38,13 @@ def load_world(name_or_path: str | PathLike[str]) -> World:
     A bare name is a shipped world before it is a file; a path "worlds/X.toml" that does not exist from here is the
     shipped world X. Raises WorldFileError whenever no valid world comes of it.
     """
-    path = _find(fspath(name_or_path))
-    return parse_world(_read(path), str(path), path.stem)
+    name = fspath(name_or_path)
+    try:
+        path = _find(name)
+        text = _read(path)
+    except OSError as error:
+        raise WorldFileError(f"{name}: cannot be read: {error.strerror}") from error
+    return parse_world(text, str(path), path.stem)
 
 
 def parse_world(text: str, file: str, name: str) -> World:
@@ -92,15 +97,22 @@ def _read(path: FilePath) -> str:
     try:
         return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise WorldFileError(f"{path}: expected text in UTF-8, found {error.reason} at byte {error.start}") from error
-    except OSError as error:
-        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
+        raise WorldFileError(
+            f"{path}: expected text in UTF-8, found other bytes at {error.start}: {error.reason}"
+        ) from error
 
 
 def _polygon(table: Table) -> Polygon:
     table.allow(("name",), lengths=("corners",))
     corners = table.points_in("corners", least=3)
-    _refuse_repeats(table, "corners", polygon_segments(corners))
+    edges = polygon_segments(corners)
+    _refuse_repeats(table, "corners", edges)
+    key = table.key_of("corners")
+    if crossed := crossing(edges):
+        one, other = crossed
+        table.fail(key, f"expected the corners in their order around, found edges {one} and {other} that cross")
+    if abs(area(corners)) < SHORTEST_IN * float(lengths(edges).max()):
+        table.fail(key, "expected an outline around some area, found corners on one line")
     return Polygon(corners, table.text("name", ""))
 
 
@@ -128,9 +140,7 @@ def _refuse_repeats(table: Table, name: str, segments: FloatArray) -> None:
 
 def _start(table: Table) -> StartPose:
     table.allow(("steering_deg", "turret_deg"), lengths=("x", "y"))
-    return StartPose(
-        table.length_in("x"), table.length_in("y"), table.angle_rad("steering"), table.angle_rad("turret")
-    )
+    return StartPose(table.length_in("x"), table.length_in("y"), table.angle_rad("steering"), table.angle_rad("turret"))
 
 
 def _paths(top: Table, starts: tuple[StartPose, ...]) -> dict[str, Path]:

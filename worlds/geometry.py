@@ -57,17 +57,46 @@ def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatAr
     return nearest, np.hypot(offset[..., 0], offset[..., 1])
 
 
-def inside(points: npt.ArrayLike, edges: FloatArray) -> BoolArray:
-    """Which of the points (..., 2) lie inside the closed polygon with these edges (n, 4); either orientation.
+def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,)) -> BoolArray:
+    """For points (..., 2) and p closed polygons: inside which of them each lies, (..., p).
 
-    Even-odd rule: a point is inside when a half line from it to the right crosses an odd number of edges. The
-    test is a sign of a cross product, without a division. A point on an edge may count as either.
+    edges (n, 4) are those of all polygons, one below the other, either way round; firsts (p,) the row at which each
+    polygon begins. Even-odd rule: a point is inside when a half line from it to the right crosses an odd number of
+    edges; a test of signs, without a division. A point on an edge may count as either.
     """
     here = np.asarray(points, dtype=np.float64)[..., np.newaxis, :]
     x, y = here[..., 0], here[..., 1]
     x1, y1, x2, y2 = edges.T
-    rises = y2 > y1
     spans = (y1 > y) != (y2 > y)
     left_of_edge = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1) > 0.0
-    odd: BoolArray = (spans & (left_of_edge == rises)).sum(axis=-1) % 2 == 1
+    crossed = spans & (left_of_edge == (y2 > y1))
+    odd: BoolArray = np.logical_xor.reduceat(crossed, np.asarray(firsts, dtype=np.intp), axis=-1)
     return odd
+
+
+def area(corners: npt.ArrayLike) -> float:
+    """The area of a polygon with corners (n, 2), positive where they run counter-clockwise (shoelace formula)."""
+    x1, y1, x2, y2 = polygon_segments(corners).T
+    x0, y0 = x1[0], y1[0]  # from a corner, not from a far origin: nothing cancels
+    return float(((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)).sum() / 2.0)
+
+
+def crossing(edges: FloatArray) -> tuple[int, int] | None:
+    """The first two of the edges (n, 4) that cross each other, as rows (i, j) with i < j; None if no two do.
+
+    Only crossings count where each edge has its ends on both sides of the other: edges that touch do not cross.
+    """
+    first, second = edges[:, :2], edges[:, 2:]
+    sides_1 = _sides(first, second, first)
+    sides_2 = _sides(first, second, second)
+    parted = sides_1 * sides_2 < 0.0
+    rows = np.argwhere(np.triu(parted & parted.T))
+    return (int(rows[0, 0]), int(rows[0, 1])) if len(rows) else None
+
+
+def _sides(first: FloatArray, second: FloatArray, points: FloatArray) -> FloatArray:
+    """Sides (n, k) of k points against the lines from n first to n second ends: left positive."""
+    along = (second - first)[:, np.newaxis]
+    offset = points[np.newaxis] - first[:, np.newaxis]
+    sides: FloatArray = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
+    return sides

@@ -1,17 +1,18 @@
 """The ray caster: the one numeric kernel that sonars, infrareds, the filter and the page all look through.
 
-Arrays in, arrays out; no robot, no noise, no sensor limits here. Each ray is turned into its own frame:
+Arrays in, arrays out; no robot, no noise, no sensor limits here. Each corner of a wall is seen in the ray's frame:
 
-    side    how far a corner of a wall lies to the left of the ray's line      (direction x corner)
-    ahead   how far along the ray it lies                                      (direction . corner)
+    ahead   how far along the ray it lies                           direction . (corner - origin)
+    side    how far it lies to the left of the ray's line           direction x (corner - origin)
 
-A wall is met where its two corners lie on different sides; the range is the mean of their two `ahead`s weighted
-by the opposite sides: a convex mean, which nothing can cancel out of. Both walls at a shared corner compute
-the same side for it, so no ray slips between them.
+A wall is met where its two corners lie on different sides; the range is the mean of their two `ahead`s, each
+weighted with the other's side: a convex mean, out of which nothing cancels. A corner that two walls share is on one
+side for both (or, within ON_LINE_IN, on the line for one of them), so no ray slips between them.
 """
 
 from __future__ import annotations
 
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -22,20 +23,27 @@ from worlds.geometry import FloatArray
 IndexArray = npt.NDArray[np.intp]
 
 ON_LINE_IN: Final = 1e-9
-"""A corner this near to a ray's line lies on it, inches. Rounding of coordinates up to 1e5 in is about
-2e-11, and the smallest thing a robot can tell apart is 1e-2: 1e-9 is far from both. So an answer is exact for
-walls whose corners moved by no more than this."""
+"""A corner this near to a ray's line lies on it, inches. With coordinates up to 1e5 in rounding is some 1e-11, and
+the finest thing a robot tells apart is 1e-2: 1e-9 is far from both. So every answer is the exact one for walls whose
+corners were moved by no more than this."""
 
 ON_WALL_IN: Final = 1e-9
-"""A ray that starts this little past a wall starts on it, inches; the same reason. A ray on a wall meets it at 0."""
+"""A ray that starts this little behind a wall starts on it, inches; for the same reason."""
 
 NO_WALL: Final = -1
 """What stands in `walls_hit` where a ray meets nothing."""
 
+_WORTH_A_LOOK: Final = ON_LINE_IN * 4e5
+"""Two corners whose sides multiply to more than this are clearly both on one side: no side is beyond 4e5 in."""
 
-def cast_rays(
-    origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.ArrayLike
-) -> tuple[FloatArray, IndexArray]:
+_NEVER_ZERO: Final = 1e-200
+"""Added to a difference of sides: changes none but 0, which it keeps from being divided by."""
+
+_BLOCK: Final = 1 << 16
+"""Pairs of ray and wall worked on at a time: half a megabyte an array stays in the cache and bounds the memory."""
+
+
+def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.ArrayLike) -> tuple[FloatArray, IndexArray]:
     """The range from each origin along its direction to the first wall, and which wall that is.
 
     origins     (..., 2) inches, and directions (..., 2) unit vectors; their leading dimensions broadcast
@@ -43,43 +51,110 @@ def cast_rays(
     returns     ranges (...) >= 0 in inches, inf where nothing is met; walls_hit (...) rows of `walls`, -1 there
 
     Walls are closed: a ray through a corner meets it. A ray that starts on a wall meets it at range 0, wherever it
-    points. A wall seen end-on is met at its nearer end. Where walls are met at one range (a shared corner) any one
-    of them is named. All numbers must be finite.
+    points (but for one that leaves a slanted wall at less than 1e-5 rad without lying in it: rounding decides).
+    A wall seen end-on is met at its nearer end. Where walls are met at one range (a shared corner) any one of them
+    is named. All numbers are finite and coordinates at most 1e5 in; this is not checked.
     """
-    starts, ways = np.broadcast_arrays(
-        np.asarray(origins, dtype=np.float64), np.asarray(directions, dtype=np.float64)
+    starts = np.asarray(origins, dtype=np.float64)
+    ways = np.asarray(directions, dtype=np.float64)
+    segments = np.ascontiguousarray(walls, dtype=np.float64)
+    if starts.ndim == ways.ndim == 1 and len(segments):
+        nearest, row = _cast_one(starts, ways, segments)
+        return np.array(nearest), np.array(row, dtype=np.intp)
+    shape = np.broadcast_shapes(starts.shape, ways.shape)
+    ranges, rows = _cast_many(
+        np.broadcast_to(starts, shape).reshape(-1, 2), np.broadcast_to(ways, shape).reshape(-1, 2), segments
     )
-    shape = starts.shape[:-1]
-    segments = np.asarray(walls, dtype=np.float64)
-    if segments.shape[0] == 0:
-        return np.full(shape, np.inf), np.full(shape, NO_WALL, dtype=np.intp)
-    ranges, hits = _first(_meetings(starts.reshape(-1, 2), ways.reshape(-1, 2), segments))
-    return ranges.reshape(shape), hits.reshape(shape)
+    return ranges.reshape(shape[:-1]), rows.reshape(shape[:-1])
+
+
+def _cast_one(origin: FloatArray, direction: FloatArray, walls: FloatArray) -> tuple[float, int]:
+    """One ray: sides and aheads of all corners in arrays, then one by one the few walls worth a look.
+
+    A corner is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
+    """
+    x, y = origin.tolist()
+    dx, dy = direction.tolist()
+    seen = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).view(np.float64)
+    rows = (seen[:, 1] * seen[:, 3] <= _WORTH_A_LOOK).nonzero()[0]
+    nearest, hit = inf, NO_WALL
+    for row, (ahead_1, side_1, ahead_2, side_2) in zip(rows.tolist(), seen.take(rows, axis=0).tolist(), strict=True):
+        if ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN:
+            continue
+        met = _meeting(ahead_1, side_1, ahead_2, side_2)
+        if -ON_WALL_IN <= met < nearest:
+            nearest, hit = met, row
+    return max(nearest, 0.0), hit
+
+
+def _meeting(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> float:
+    """Where a ray's line meets a wall, from its two corners; negative behind the origin, inf for not at all."""
+    if abs(side_1) <= ON_LINE_IN:
+        side_1 = 0.0
+    if abs(side_2) <= ON_LINE_IN:
+        side_2 = 0.0
+    if side_1 * side_2 > 0.0:
+        return inf
+    if side_1 == side_2:
+        nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
+        return farther if farther < 0.0 else max(nearer, 0.0)
+    return (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+
+
+def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Ranges and rows (n,) for n rays (n, 2), a block of rays at a time."""
+    count = len(origins)
+    ranges = np.full(count, inf)
+    rows = np.full(count, NO_WALL, dtype=np.intp)
+    if not len(walls):
+        return ranges, rows
+    step = max(1, _BLOCK // len(walls))
+    for first in range(0, count, step):
+        block = slice(first, first + step)
+        ranges[block], rows[block] = _first(_meetings(origins[block], directions[block], walls))
+    return ranges, rows
 
 
 def _meetings(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
-    """Ranges (m, n) at which n rays meet m walls, inf where they do not."""
-    dx, dy = directions.T
-    ox, oy = origins.T
-    left = np.array((-dy, dx))
-    ends = walls.reshape(-1, 2)
-    side = ends @ left - (dx * oy - dy * ox)
-    ahead = ends @ directions.T - (dx * ox + dy * oy)
-    side *= np.abs(side) > ON_LINE_IN
-    side_1, side_2, ahead_1, ahead_2 = side[0::2], side[1::2], ahead[0::2], ahead[1::2]
+    """`_meeting` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
+    (side_1, side_2), (ahead_1, ahead_2) = _in_ray_frames(origins, directions, walls)
+    met: FloatArray = ahead_1 * side_2
+    met -= ahead_2 * side_1
     width = side_2 - side_1
-    end_on = width == 0.0
-    ranges: FloatArray = (ahead_1 * side_2 - ahead_2 * side_1) / np.where(end_on, 1.0, width)
-    nearer = np.minimum(ahead_1, ahead_2)
-    farther = np.maximum(ahead_1, ahead_2)
-    ranges = np.where(end_on, np.where(farther < -ON_WALL_IN, farther, np.maximum(nearer, 0.0)), ranges)
-    ranges[(side_1 * side_2 > 0.0) | (ranges < -ON_WALL_IN)] = np.inf
-    return np.maximum(ranges, 0.0)
+    width += _NEVER_ZERO
+    met /= width
+    end_on = (side_1 == 0.0) & (side_2 == 0.0)
+    if end_on.any():
+        nearer, farther = np.minimum(ahead_1, ahead_2), np.maximum(ahead_1, ahead_2)
+        np.copyto(met, np.where(farther < 0.0, farther, np.maximum(nearer, 0.0)), where=end_on)
+    missed = side_1 * side_2 > 0.0
+    missed |= met < -ON_WALL_IN
+    np.copyto(met, inf, where=missed)
+    return met
 
 
-def _first(ranges: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """The smallest of ranges (m, n) for each ray (n,), and its row (n,)."""
-    hits = ranges.argmin(axis=0)
-    nearest = np.take_along_axis(ranges, hits[np.newaxis], axis=0)[0]
-    hits[np.isinf(nearest)] = NO_WALL
-    return nearest, hits
+def _in_ray_frames(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sides (2, m, n) and aheads (2, m, n) of the first and the second corners; sides on the line are 0.
+
+    One product each: rows (x, y, 1) of the corners times columns of the rays.
+    """
+    x, y = origins.T
+    dx, dy = directions.T
+    corners = np.ones((2, len(walls), 3))
+    corners[0, :, :2] = walls[:, :2]
+    corners[1, :, :2] = walls[:, 2:]
+    sides: FloatArray = corners @ np.stack((-dy, dx, x * dy - y * dx))
+    aheads: FloatArray = corners @ np.stack((dx, dy, -(x * dx + y * dy)))
+    distances = np.abs(sides)
+    if distances.min() <= ON_LINE_IN:
+        sides[distances <= ON_LINE_IN] = 0.0
+    return sides, aheads
+
+
+def _first(met: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """The smallest of the ranges (m, n) of each ray (n,), not below 0, and its row (n,)."""
+    nearest: FloatArray = met.min(axis=0)
+    rows = np.arange(len(met), dtype=np.int32)[:, np.newaxis]
+    hits = np.where(met == nearest, rows, np.int32(len(met))).min(axis=0).astype(np.intp)
+    hits[nearest == inf] = NO_WALL
+    return np.maximum(nearest, 0.0), hits

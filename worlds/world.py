@@ -10,23 +10,26 @@ every obstacle. Walls and rooms stay; obstacles are what clients may add, move a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, isfinite
 from types import MappingProxyType
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from nclient.errors import StartError
-from worlds.geometry import FloatArray, inside, nearest_points, polygon_segments
+from worlds.geometry import FloatArray, inside, nearest_points, normals, polygon_segments
 
 Point = tuple[float, float]
+
+MARGIN_IN: Final = 0.1
+"""How far from a wall a place is that a refusal proposes, beyond the radius, inches: a tenth, to be seen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Polygon:
-    """A closed outline: of a room (free inside) or of an obstacle (solid inside). Corners in inches, either way round."""
+    """A closed outline of a room (free inside) or an obstacle (solid inside); corners in inches, either way round."""
 
     corners_in: tuple[Point, ...]
     name: str = ""
@@ -76,60 +79,127 @@ class World:
     name: str
     title: str = ""
     rooms: tuple[Polygon, ...] = ()
-    inner_walls: FloatArray = field(default_factory=_no_walls)
+    inner_walls: FloatArray = field(default_factory=_no_walls, repr=False)
     obstacles: tuple[Polygon, ...] = ()
     starts: tuple[StartPose, ...] = (StartPose(0.0, 0.0),)
     paths: Mapping[str, Path] = field(default_factory=dict)
     fixed_walls: FloatArray = field(init=False, repr=False)
     walls: FloatArray = field(init=False, repr=False)
+    _edges: FloatArray = field(init=False, repr=False)
+    _firsts: tuple[int, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        inner = _frozen([np.asarray(self.inner_walls, dtype=np.float64).reshape(-1, 4)])
-        fixed = _frozen([*(room.segments() for room in self.rooms), inner])
-        object.__setattr__(self, "inner_walls", inner)
-        object.__setattr__(self, "fixed_walls", fixed)
-        object.__setattr__(self, "walls", _frozen([fixed, *(thing.segments() for thing in self.obstacles)]))
-        object.__setattr__(self, "paths", MappingProxyType(dict(self.paths)))
+        rooms = [room.segments() for room in self.rooms]
+        solids = [thing.segments() for thing in self.obstacles]
+        inner = _stacked([np.asarray(self.inner_walls, dtype=np.float64)])
+        fixed = _stacked([*rooms, inner])
+        derived = {
+            "inner_walls": inner,
+            "fixed_walls": fixed,
+            "walls": _stacked([fixed, *solids]),
+            "paths": MappingProxyType(dict(self.paths)),
+            "_edges": _stacked([*rooms, *solids]),
+            "_firsts": _first_rows([*rooms, *solids]),
+        }
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
 
     def with_obstacles(self, obstacles: Iterable[Polygon]) -> World:
-        """This world with these obstacles instead of its own; fixed walls keep their rows."""
+        """This world with these obstacles in place of its own; fixed walls keep their rows."""
         return replace(self, obstacles=tuple(obstacles))
 
     def clearance(self, x_in: float, y_in: float) -> float:
-        """Distance from a point to the nearest wall, inches; inf where there is none.
+        """Distance from a point to the nearest wall, inches; inf where there are no walls.
 
         Negative where the point is not free: outside every room, or inside an obstacle; then it is the distance to
         the nearest wall with its sign turned. A robot of radius r fits where clearance > r.
         """
-        if not len(self.walls):
-            return inf
-        _, distances = nearest_points((x_in, y_in), self.walls)
-        distance = float(distances.min())
-        return distance if self._trouble(x_in, y_in) is None else -distance
+        return self._nearest(x_in, y_in)[0]
 
     def require_free(self, x_in: float, y_in: float, radius_in: float) -> None:
         """Refuse a start where a robot of this radius does not fit.
 
-        Raises StartError, which says what the robot touches or that it lies outside, and how to mend it.
+        Raises StartError, which says what the robot touches or that it lies outside, and where it would fit.
         """
-        trouble = self._trouble(x_in, y_in)
-        if trouble is None and self.clearance(x_in, y_in) > radius_in:
+        place = f"the start ({x_in:g}, {y_in:g}) in"
+        if not (isfinite(x_in) and isfinite(y_in)):
+            raise StartError(f"{place} is no place: expected two finite numbers")
+        clearance, row, _ = self._nearest(x_in, y_in)
+        if clearance > radius_in:
             return
-        raise StartError(f"the start ({x_in:g}, {y_in:g}) in is not free: {trouble or 'touches a wall'}")
+        trouble = self._solid_around(x_in, y_in)
+        if not trouble:
+            trouble = f"touches {self._called(row)}: {clearance:.2f} in away, the robot's radius is {radius_in:g} in"
+        raise StartError(f"{place} {trouble}; {self._proposal(x_in, y_in, radius_in)}")
 
-    def _trouble(self, x_in: float, y_in: float) -> str | None:
-        """Why a point is not free space, or None."""
-        here = (x_in, y_in)
-        if self.rooms and not any(inside(here, room.segments()) for room in self.rooms):
-            return "it lies outside the world"
-        for thing in self.obstacles:
-            if inside(here, thing.segments()):
-                return f"it lies inside the obstacle {thing.name}"
-        return None
+    def _nearest(self, x_in: float, y_in: float) -> tuple[float, int, Point]:
+        """Clearance of a point, the row of its nearest wall (-1: none) and the nearest point on it."""
+        if not len(self.walls):
+            return inf, -1, (x_in, y_in)
+        points, distances = nearest_points((x_in, y_in), self.walls)
+        row = int(distances.argmin())
+        distance = float(distances[row])
+        nearest = (float(points[row, 0]), float(points[row, 1]))
+        return (-distance if self._solid_around(x_in, y_in) else distance), row, nearest
+
+    def _solid_around(self, x_in: float, y_in: float) -> str:
+        """Why a point is not free space, as the end of a sentence; "" where it is."""
+        if not self._firsts:
+            return ""
+        within = inside((x_in, y_in), self._edges, self._firsts).tolist()
+        rooms = len(self.rooms)
+        if rooms and not any(within[:rooms]):
+            low, high = self._edges.reshape(-1, 2).min(axis=0), self._edges.reshape(-1, 2).max(axis=0)
+            return (
+                f"lies outside the world {self.name}, which spans x from {low[0]:g} to {high[0]:g} "
+                f"and y from {low[1]:g} to {high[1]:g} in"
+            )
+        solids = [thing for thing, holds in zip(self.obstacles, within[rooms:], strict=True) if holds]
+        return f"lies inside {_titled(solids[0], 'an obstacle')}" if solids else ""
+
+    def _called(self, row: int) -> str:
+        """What the wall in this row is to a person."""
+        kinds = [_titled(room, "the outline of a room") for room in self.rooms for _ in room.corners_in]
+        kinds += ["a wall"] * len(self.inner_walls)
+        kinds += [_titled(thing, "an obstacle") for thing in self.obstacles for _ in thing.corners_in]
+        x1, y1, x2, y2 = self.walls[row]
+        return f"{kinds[row]} ({x1:g}, {y1:g})-({x2:g}, {y2:g})"
+
+    def _proposal(self, x_in: float, y_in: float, radius_in: float) -> str:
+        """A place near by, or a start of this world, where the robot fits; as the end of a sentence."""
+        candidates = [self._pushed_free(x_in, y_in, radius_in), *((start.x_in, start.y_in) for start in self.starts)]
+        for x, y in candidates:
+            if self.clearance(x, y) > radius_in:
+                return f"it fits at ({x:g}, {y:g}) in"
+        return "no place near by is wide enough: take a smaller robot or another world"
+
+    def _pushed_free(self, x_in: float, y_in: float, radius_in: float) -> Point:
+        """The point after it was pushed off its nearest wall, again and again; it need not end up free."""
+        x, y = x_in, y_in
+        for _ in range(20):
+            clearance, row, (near_x, near_y) = self._nearest(x, y)
+            lack = radius_in + MARGIN_IN - clearance
+            if lack <= 0.0:
+                break
+            if clearance == 0.0:
+                off_x, off_y = normals(self.walls[row : row + 1])[0].tolist()
+            else:
+                off_x, off_y = (x - near_x) / clearance, (y - near_y) / clearance
+            x, y = x + off_x * lack, y + off_y * lack
+        return round(x, 2) + 0.0, round(y, 2) + 0.0
 
 
-def _frozen(parts: Iterable[npt.NDArray[np.float64]]) -> FloatArray:
-    """The parts one below the other, read-only."""
-    whole = np.concatenate(list(parts))
+def _titled(polygon: Polygon, kind: str) -> str:
+    return f"{kind.replace('an ', 'the ')} {polygon.name!r}" if polygon.name else kind
+
+
+def _stacked(parts: Sequence[FloatArray]) -> FloatArray:
+    """Segments one below the other (m, 4), a read-only copy."""
+    whole = np.concatenate([_no_walls(), *parts])
     whole.setflags(write=False)
     return whole
+
+
+def _first_rows(parts: Sequence[FloatArray]) -> tuple[int, ...]:
+    """The row at which each part begins when they lie one below the other."""
+    return tuple(sum(len(before) for before in parts[:number]) for number in range(len(parts)))
