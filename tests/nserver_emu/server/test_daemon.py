@@ -1,0 +1,240 @@
+"""The daemon on real sockets: several clients, rude ones among them, and a clean end."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+from collections.abc import Awaitable, Callable
+
+import pytest
+from wire_client import simulation
+
+from nclient.errors import ConnectionLost
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.terms import tcp_terms
+from nserver_emu.server.daemon import REQUESTS_A_TURN, Daemon, stop_on_signals
+from nserver_emu.server.handlers import Emulator
+
+GS = language.tcp_request(Call("gs"))
+
+
+class Client:
+    """A plain asyncio client on a real socket."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+        self._framer = TcpFramer(reply_bounds, wide=False)
+        self._frames: list[TcpFrame] = []
+
+    async def ask(self, name: str, *args: int) -> Reply:
+        self.writer.write(language.tcp_request(Call(name, args)))
+        return await self.reply(name)
+
+    async def reply(self, name: str) -> Reply:
+        while not self._frames:
+            data = await self.reader.read(65536)
+            assert data, "the daemon closed the connection"
+            self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
+        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), tcp_terms(N150))
+
+
+class House:
+    """A daemon that listens, and the clients that came; they are seen out at the end."""
+
+    def __init__(self, daemon: Daemon, port: int) -> None:
+        self.daemon, self.port = daemon, port
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def knock(self, host: str = "127.0.0.1") -> Client:
+        reader, writer = await asyncio.open_connection(host, self.port)
+        self._writers.append(writer)
+        return Client(reader, writer)
+
+    async def call(self, host: str = "127.0.0.1") -> Client:
+        client = await self.knock(host)
+        assert (await client.ask("connect_robot", 1, 1)).values == (self.port,)
+        return client
+
+    async def see_out(self) -> None:
+        for writer in self._writers:
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+
+def with_daemon(visit: Callable[[House], Awaitable[None]], speed: float | None = 1.0) -> None:
+    async def evening() -> None:
+        daemon = Daemon(Emulator(simulation()), speed)
+        house = House(daemon, await daemon.listen("127.0.0.1", 0))
+        stop = asyncio.Event()
+        serving = asyncio.create_task(daemon.serve(stop))
+        try:
+            async with asyncio.timeout(30):
+                await visit(house)
+        finally:
+            stop.set()
+            await serving
+            await house.see_out()
+        assert not daemon.connections
+
+    asyncio.run(evening())
+
+
+def test_a_robot_drives_in_real_time_for_one_client_and_another_sees_it() -> None:
+    async def visit(house: House) -> None:
+        driver, watcher = await house.call(), await house.call()
+        assert (await driver.ask("vm", 100, 0, 0)).slots[38] == 100
+        while (await watcher.ask("gs")).slots[34] < 3:
+            await asyncio.sleep(0.005)
+        assert (await driver.ask("gs")).slots[0] == 10
+
+    with_daemon(visit)
+
+
+def test_the_machines_own_host_name_is_served_on_debians_address_too() -> None:
+    async def visit(house: House) -> None:
+        client = await house.call("127.0.1.1")
+        assert (await client.ask("gs")).kind == "state"
+
+    with_daemon(visit)
+
+
+@pytest.mark.parametrize(("speed", "shown"), [(50.0, 500), (None, 9999)])
+def test_time_runs_as_fast_as_told_and_ws_answers_on_it(speed: float | None, shown: int) -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        await client.ask("sp", 100, 450, 450)
+        await client.ask("pr", 200, 0, 0)
+        reply = await client.ask("ws", 1, 1, 1, 100)
+        assert (reply.slots[0], reply.slots[34], reply.slots[38]) == (shown, 200, 0)
+
+    with_daemon(visit, speed)
+
+
+def test_a_client_that_vanishes_leaves_a_robot_that_stands() -> None:
+    async def visit(house: House) -> None:
+        rude, other = await house.call(), await house.call()
+        await rude.ask("vm", 100, 0, 0)
+        rude.writer.write(GS[:3])
+        rude.writer.transport.abort()
+        while (await other.ask("get_rv")).slots[38]:
+            await asyncio.sleep(0.005)
+
+    with_daemon(visit)
+
+
+def test_garbage_is_refused_and_closed_and_the_others_go_on(caplog: pytest.LogCaptureFixture) -> None:
+    async def visit(house: House) -> None:
+        polite = await house.call()
+        rude = await house.knock()
+        rude.writer.write(b"GET / HTTP/1.1\r\n\r\n" * 50)
+        assert (await rude.reader.read(-1)).startswith(b"\x00\x5b\x00\x01")
+        assert (await polite.ask("gs")).kind == "state"
+
+    with caplog.at_level(logging.WARNING):
+        with_daemon(visit)
+    assert len([record for record in caplog.records if "refused" in record.message]) == 1
+
+
+def test_a_flood_gets_all_its_answers_and_does_not_keep_another_waiting() -> None:
+    async def visit(house: House) -> None:
+        flood, polite = await house.call(), await house.call()
+        count = 40 * REQUESTS_A_TURN
+        flood.writer.write(GS * count)
+        answered = 0
+
+        async def drain() -> None:
+            nonlocal answered
+            for _ in range(count):
+                await flood.reply("gs")
+                answered += 1
+
+        draining = asyncio.create_task(drain())
+        await asyncio.sleep(0)
+        assert (await polite.ask("gs")).kind == "state"
+        assert answered < count
+        await draining
+        assert answered == count
+
+    with_daemon(visit)
+
+
+def test_a_client_that_never_reads_is_not_waited_for() -> None:
+    async def visit(house: House) -> None:
+        deaf, polite = await house.call(), await house.call()
+        deaf.writer.write(GS * 40_000)
+        for _ in range(200):
+            assert (await polite.ask("gs")).kind == "state"
+        blocked = [connection for connection in house.daemon.connections if connection.session.ready]
+        assert len(blocked) == 1
+        deaf.writer.transport.abort()
+
+    with_daemon(visit)
+
+
+def test_a_fault_of_ours_costs_one_connection_only(caplog: pytest.LogCaptureFixture) -> None:
+    async def visit(house: House) -> None:
+        clients = [await house.call(), await house.call()]
+        faulty = next(iter(house.daemon.connections))
+
+        def broken(*_: object) -> Reply:
+            raise RuntimeError("a fault")
+
+        faulty.session._answer = broken
+        heard = []
+        for client in clients:
+            client.writer.write(GS)
+            heard.append(bool(await client.reader.read(1000)))
+        assert sorted(heard) == [False, True]
+
+    with_daemon(visit)
+    assert "because of a fault of ours" in caplog.text
+
+
+def test_a_port_that_is_taken_says_so_and_names_the_remedy() -> None:
+    async def visit(house: House) -> None:
+        with pytest.raises(ConnectionLost, match=f"127.0.0.1:{house.port}.*--port 0"):
+            await Daemon(Emulator(simulation())).listen("127.0.0.1", house.port)
+
+    with_daemon(visit)
+
+
+def test_signals_end_it_cleanly() -> None:
+    async def evening() -> None:
+        daemon, stop = Daemon(Emulator(simulation())), asyncio.Event()
+        stop_on_signals(stop)
+        house = House(daemon, await daemon.listen("127.0.0.1", 0))
+        serving = asyncio.create_task(daemon.serve(stop))
+        client = await house.call()
+        os.kill(os.getpid(), signal.SIGTERM)
+        await serving
+        assert await client.reader.read(-1) == b""
+        await house.see_out()
+
+    asyncio.run(evening())
+
+
+def test_a_machine_that_slept_loses_the_time_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    daemon = Daemon(Emulator(simulation()), speed=2.0)
+    with caplog.at_level(logging.INFO):
+        daemon._pass_time(10.25)
+    assert "10.00 s of real time lost" in caplog.text
+    assert daemon.emulator.simulation.time_s == pytest.approx(0.5)
+
+
+def test_a_clock_that_fails_ends_the_daemon_with_its_reason() -> None:
+    async def house() -> None:
+        daemon = Daemon(Emulator(simulation()))
+        await daemon.listen("127.0.0.1", 0)
+        daemon.emulator.simulation.step = None  # type: ignore[method-assign,assignment]
+        await daemon.serve(asyncio.Event())
+
+    with pytest.raises(TypeError):
+        asyncio.run(house())

@@ -1,0 +1,100 @@
+"""The emulator without a socket: time passes with each exchange; addresses are read strictly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from wire_client import WireClient
+
+from nclient.errors import AddressError, StartError, WorldFileError
+from nserver_emu.server.in_process import InProcess, open_address
+
+
+def connected(address: str) -> tuple[WireClient, InProcess]:
+    end = open_address(address)
+
+    def exchange(data: bytes) -> bytes:
+        end.send(data)
+        return end.receive()
+
+    client = WireClient(exchange)
+    client.ask("connect_robot", 1, 1)
+    return client, end
+
+
+def test_each_exchange_takes_its_step_of_simulated_time() -> None:
+    client, _ = connected("sim:thesis_room?step_s=0.25")
+    assert client.ask("sim_truth").values[1] == 0
+    assert [client.ask("gs").clock for _ in range(3)] == [250, 500, 750]
+    assert client.ask("sim_truth").values[1] == 750
+
+
+def test_a_later_answer_comes_in_the_same_exchange() -> None:
+    client, _ = connected("sim:")
+    client.ask("sp", 100, 450, 450)
+    client.ask("pr", 100, 0, 0)
+    reply = client.ask("ws", 1, 1, 1, 30)
+    assert reply.slots[38] == 0
+    assert reply.slots[34] == 100
+    assert reply.clock is not None
+    assert 1000 < reply.clock < 1500
+
+
+def test_the_same_seed_gives_the_same_run_and_another_one_another() -> None:
+    def run(seed: int) -> list[tuple[int, ...]]:
+        client, _ = connected(f"sim:thesis_room?noisy=1&seed={seed}&start=10,10,30,0")
+        client.ask("vm", 50, 100, 0)
+        return [tuple(client.ask("gs").slots.values()) for _ in range(30)] + [client.ask("sim_truth").values]
+
+    assert run(3) == run(3)
+    assert run(3) != run(4)
+
+
+def test_the_start_is_where_the_address_says() -> None:
+    client, _ = connected("sim:thesis_room?start=-1,20,90")
+    assert client.ask("get_rc").slots == {34: -10, 35: 200, 36: 900, 37: 0}
+
+
+def test_closing_stops_the_robot() -> None:
+    client, end = connected("sim:")
+    client.ask("vm", 50, 0, 0)
+    end.close()
+    assert end.emulator.simulation.robots[1].moving == (False, False, False)
+    end.send(b"\x00\x0f\x00\x00")
+    assert end.receive() == b""
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("sim:?sed=1", "did you mean seed"),
+        ("sim:?colour=1", "There are robot, seed"),
+        ("sim:?seed=x", "seed is a whole number"),
+        ("sim:?noisy=maybe", "noisy is 1 or 0"),
+        ("sim:?step_s=0", "step_s is 0.001 to 10"),
+        ("sim:?step_s=long", "step_s is 0.001 to 10"),
+        ("sim:?robot=r2d2", "no robot model 'r2d2'"),
+        ("sim:?robot=scout", "no simulation of a scout yet"),
+        ("sim:?start=1", "a start is X,Y,STEER,TURRET"),
+        ("sim:?start=a,b", "a start is X,Y,STEER,TURRET"),
+        ("sim:?start=nan,0", "a start is X,Y,STEER,TURRET"),
+    ],
+)
+def test_a_bad_address_names_the_guilty(address: str, words: str) -> None:
+    with pytest.raises(AddressError, match=words):
+        open_address(address)
+
+
+def test_a_world_that_is_not_there_and_a_start_in_a_wall_say_so() -> None:
+    with pytest.raises(WorldFileError, match="thesis_room"):
+        open_address("sim:thesis_rom")
+    with pytest.raises(StartError):
+        open_address("sim:thesis_room?start=-12,0")
+
+
+def test_a_world_file_of_ones_own(tmp_path: Path) -> None:
+    world = tmp_path / "hall.toml"
+    world.write_text('name = "hall"\n[[room]]\ncorners_m = [[-2, -2], [2, -2], [2, 2], [-2, 2]]\n')
+    client, _ = connected(f"sim:{world}")
+    assert client.ask("gs").slots[17] == round(2 / 0.0254 - 9.06)

@@ -1,0 +1,73 @@
+"""The command line of the daemon, in this process and once as a real program."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nserver_emu import cli
+
+
+def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--list-worlds"]) == 0
+    out = capsys.readouterr().out
+    for name in ("thesis_room", "several_walls", "centre_vertex"):
+        assert re.search(rf"^{name} +\S", out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["--start", "-8,0,0,0"], "wall"),
+        (["--start", "500,0,0,0"], "outside"),
+        (["thesis_rom"], "thesis_room"),
+        (["--start", "x"], "a start is X,Y,STEER,TURRET"),
+    ],
+)
+def test_what_cannot_start_says_why_and_exits_1(
+    argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(argv) == 1
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [["--speed", "0"], ["--speed", "fast"], ["--port", "70000"], ["--seed", "-1"], ["--robot", "r2d2"]],
+)
+def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        cli.main(argv)
+    assert stop.value.code == 2
+    assert "usage: nserver" in capsys.readouterr().err
+
+
+def test_a_port_in_use_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert cli.main(["--port", str(taken.getsockname()[1])]) == 1
+    assert "is another nserver running" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: signal.Signals) -> None:
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--speed", "max", "-v"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        line = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", program.stdout.readline())
+        assert line
+        with socket.create_connection(("127.0.0.1", int(line[1])), timeout=10) as client:
+            client.sendall(language.tcp_request(Call("connect_robot", (1, 1))))
+            assert client.recv(8) == bytes((0, 0x52, 0, 1)) + int(line[1]).to_bytes(4, "big")
+        program.send_signal(ending)
+        out, err = program.communicate(timeout=20)
+    assert (program.returncode, out) == (0, "")
+    assert "connected" in err
