@@ -69,9 +69,11 @@ def tcp_request(call: Call, *, wide: bool = False) -> bytes:
 
 def tcp_call(frame: TcpFrame) -> Call:
     """The call that a request frame is. Raises WireError when the numbers are none it can have."""
-    row = BY_TCP_TYPE[frame.type]
-    packet_type = frame.payload[_SPECIAL_TYPE_WORD] if row.name == "special_request" else None
-    return _call(row, packet_type, frame.payload, line=False)
+    row = BY_TCP_TYPE.get(frame.type)
+    if row is None:
+        raise WireError(f"unknown message type {frame.type}")
+    special = row.name == "special_request" and len(frame.payload) > _SPECIAL_TYPE_WORD
+    return _call(row, frame.payload[_SPECIAL_TYPE_WORD] if special else None, frame.payload, line=False)
 
 
 def tcp_reply(row: Command, reply: Reply, terms: Terms) -> bytes:
@@ -92,7 +94,10 @@ def line_request(call: Call, terms: Terms) -> bytes:
     row = row_named(call.name)
     if row.line_type is None or not on_line(row, terms.model):
         raise WireError(f"{call.name} does not exist on the line of a {terms.model.name}")
-    return serial_frame.build_frame(row.line_type, _build(row, row.line_request, call.args))
+    frame = serial_frame.build_frame(row.line_type, _build(row, row.line_request, call.args))
+    if len(frame) > serial_frame.HOST_LIMIT:
+        raise WireError(f"{call.name}: a host's frame has at most {serial_frame.HOST_LIMIT} bytes, not {len(frame)}")
+    return frame
 
 
 def line_call(frame: SerialFrame, terms: Terms) -> Call:
@@ -100,8 +105,8 @@ def line_call(frame: SerialFrame, terms: Terms) -> Call:
     row = BY_LINE_TYPE.get(frame.type)
     if row is None or not on_line(row, terms.model):
         raise WireError(f"type {frame.type} does not exist on the line of a {terms.model.name}")
-    packet_type = frame.data[3] if row.name == "special_request" and len(frame.data) > 3 else None
-    return _call(row, packet_type, frame.data, line=True)
+    special = row.name == "special_request" and len(frame.data) > _SPECIAL_TYPE_BYTE
+    return _call(row, frame.data[_SPECIAL_TYPE_BYTE] if special else None, frame.data, line=True)
 
 
 def line_reply(row: Command, reply: Reply, terms: Terms) -> bytes:
@@ -129,7 +134,7 @@ def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:
         raise WireError(f"{row.name} takes {len(row.arguments)} numbers ({names}), got {len(args)}")
     try:
         return bytes(layout.build(args))
-    except (ConstructError, TypeError) as error:
+    except (ConstructError, TypeError, OverflowError, ValueError) as error:
         raise WireError(f"{row.name}{args}: {error}") from None
 
 

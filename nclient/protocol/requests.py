@@ -43,6 +43,8 @@ MAX_PACKET_DATA = 250
 MOTION_LINE, MOTION_ARC = 0, 1
 _POINT_LASER, _LINE_NAME_OF_POINT_LASER = 51, 35
 _MAX_HISTORY = 10
+_FLOAT_NOISE_DIGITS = 6
+"""1.001 x 1000 is 1000.9999999999999 in doubles; what is that near to a whole number is one."""
 
 FLAG_WORD = ExprAdapter(WORD, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
 FLAG_BYTE = ExprAdapter(LINE_BYTE, lambda obj, _: int(bool(obj)), lambda obj, _: int(bool(obj)))
@@ -168,7 +170,10 @@ class MotionWords(Adapter):
         count = self._COUNTS[kind]
         if len(obj) != 1 + count:
             raise FormatFieldError(f"motion_check {kind} takes {count} numbers after the type", path=path)
-        words = [int(v * 1000) if k in self._ANGLES[kind] else int(v / 10) for k, v in enumerate(obj[1:])]
+        words = [
+            int(round(v * 1000, _FLOAT_NOISE_DIGITS)) if k in self._ANGLES[kind] else int(v / 10)
+            for k, v in enumerate(obj[1:])
+        ]
         return (kind, *words, *[0] * (7 - count))
 
     @staticmethod
@@ -242,7 +247,9 @@ ARM_WAIT = ArmPacket(41, LINE_UNSIGNED, LINE_UNSIGNED, Int32ul)
 ARM_MOVE = ArmPacket(42, *[Int32sl] * 4)
 
 
-def _latin(text: str, path: str) -> bytes:
+def _latin(text: Any, path: str) -> bytes:
+    if not isinstance(text, str):
+        raise FormatFieldError(f"a text is wanted, not {text!r}", path=path)
     try:
         return text.encode("latin-1").split(b"\0")[0]
     except UnicodeEncodeError:

@@ -19,8 +19,8 @@ _OVERHEAD = 4
 _SMALLEST_LENGTH = 2
 HOST_LIMIT = 255
 """Hosts send less than 256 bytes a frame."""
-ROBOT_LIMIT = 4096
-"""More than a state packet with every sensor, stamp and laser line can have."""
+ROBOT_LIMIT = 5174
+"""A state packet with every sensor, every stamp and 482 laser lines: the longest frame a robot can send."""
 
 
 class SerialFrame(NamedTuple):
@@ -37,6 +37,25 @@ def build_frame(frame_type: int, data: bytes = b"") -> bytes:
         raise WireError(f"a frame of type {frame_type} with {len(data)} bytes cannot be")
     body = bytes((START, length & 255, length >> 8, frame_type)) + data
     return body + bytes((sum(body) & 255, END))
+
+
+def only_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
+    """The one frame that these bytes are, nothing before or behind it. Raises WireError, saying what is wrong."""
+    if not data or data[0] != START:
+        raise WireError(f"a frame starts with 01, not with {data[:1].hex() or 'nothing'}")
+    size = _OVERHEAD + int.from_bytes(data[1:3], "little")
+    if len(data) < max(3, size):
+        raise WireError(f"truncated: {len(data)} bytes of a frame of {size if len(data) > 2 else 'unknown length'}")
+    if not _OVERHEAD + _SMALLEST_LENGTH <= size <= limit:
+        raise WireError(f"a frame has {_OVERHEAD + _SMALLEST_LENGTH} to {limit} bytes, not {size}")
+    if len(data) > size:
+        raise WireError(f"{len(data) - size} bytes behind the frame: {data[size:][:8].hex()}")
+    if data[-1] != END:
+        raise WireError(f"a frame ends with 5c, not with {data[-1]:02x}")
+    checksum = sum(data[:-2]) & 255
+    if checksum != data[-2]:
+        raise WireError(f"wrong checksum: {data[-2]:02x}, but the bytes before it give {checksum:02x}")
+    return SerialFrame(data[3], data[4:-2])
 
 
 class SerialFramer:

@@ -9,12 +9,25 @@ touches 0, 42, 44; an error puts its code in 44 and leaves the rest; a predictio
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from nclient.protocol.replies import LAST_TCP_SLOT, Reply
 from nclient.protocol.stamps import Stamp
 
 STATE_SIZE = 45
 ERROR_SLOT = 44
 _UNSIGNED = 0xFFFFFFFF
+
+
+def zero_extended(reply: Reply) -> Reply:
+    """The reply as a 64-bit C client reads it: each word without its sign, -200 as 4294967096."""
+    return replace(
+        reply,
+        slots={slot: value & _UNSIGNED for slot, value in reply.slots.items()},
+        laser=None if reply.laser is None else tuple(value & _UNSIGNED for value in reply.laser),
+        stamps={name: Stamp(*[value & _UNSIGNED for value in stamp]) for name, stamp in reply.stamps.items()},
+        values=tuple(value & _UNSIGNED for value in reply.values),
+    )
 
 
 class HeldState:
@@ -30,12 +43,14 @@ class HeldState:
 
     def absorb(self, reply: Reply) -> None:
         """Take in one reply, in the order they came."""
+        if self._wide:
+            reply = zero_extended(reply)
         if reply.kind == "error":
             self.slots[ERROR_SLOT] = reply.values[0]
         if reply.kind in ("error", "nak", "prediction"):
             return
         for slot, value in reply.slots.items():
-            self.slots[slot] = value & _UNSIGNED if self._wide else value
+            self.slots[slot] = value
         if LAST_TCP_SLOT in reply.slots:
             self.slots[ERROR_SLOT] = 0
         self.stamps.update(reply.stamps)

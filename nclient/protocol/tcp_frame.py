@@ -21,6 +21,8 @@ MAX_UNKNOWN_WORDS = 1024
 """A message of unknown type or wrong count is passed over whole up to this count; beyond it, byte by byte."""
 UNKNOWN_TYPE, WRONG_COUNT = 1, 2
 _CONNECT_TYPES = (101, 102, 103)
+Bounds = Callable[[int], tuple[int, int] | None]
+"""Fewest and most words of a message by its type: request_bounds or reply_bounds."""
 
 
 class TcpFrame(NamedTuple):
@@ -59,6 +61,21 @@ def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: b
     return _HEADER.pack(frame_type, words) + (_widen(payload, reply) if wide else payload)
 
 
+def only_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
+    """The one message that these bytes are, nothing behind it. Raises WireError, saying what is wrong."""
+    framer = TcpFramer(bounds, wide)
+    found = framer.receive(data)
+    if not found:
+        raise WireError(f"truncated: {len(data)} bytes are no whole message")
+    first = found[0]
+    if isinstance(first, Refused):
+        raise WireError(first.reason)
+    if len(found) > 1 or framer.pending or framer.skipped_bytes:
+        size = _HEADER.size + len(first.payload) * (2 if wide else 1)
+        raise WireError(f"{len(data) - size} bytes behind the message: {data[size:][:8].hex()}")
+    return first
+
+
 class TcpFramer:
     """Requests or replies out of a stream. Give it bytes as they come; it gives back what is whole.
 
@@ -66,7 +83,7 @@ class TcpFramer:
     64-bit one: robot ids are at least 1, so a first word of zero comes from the latter.
     """
 
-    def __init__(self, bounds: Callable[[int], tuple[int, int] | None], wide: bool | None = None) -> None:
+    def __init__(self, bounds: Bounds, wide: bool | None = None) -> None:
         self.wide = wide
         self.frames = 0
         self.skipped_bytes = 0

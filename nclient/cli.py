@@ -1,0 +1,130 @@
+"""The command `nomad`: finds its subcommands by entry point and hands over to the one that is named.
+
+    nomad COMMAND ...    COMMAND: an entry point of the group `nomad.commands`, a module with
+                         add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
+
+Rules: knows no subcommand by name and imports only the one that is asked for, so that one which lacks an extra
+hurts no other. Exit codes: 0 done, 1 a NomadError (told on stderr), 2 wrong usage or a missing extra, 130 Ctrl-C,
+141 the reader of our output went away.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import difflib
+import importlib.util
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points, version
+from pathlib import Path
+from typing import Protocol
+
+from nclient.errors import NomadError
+
+GROUP = "nomad.commands"
+DISTRIBUTION = "nomad-nserver"
+USAGE, INTERRUPTED, READER_GONE = 2, 130, 141
+
+
+class Subcommand(Protocol):
+    """What a module must have to be a subcommand."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Say what the command line holds."""
+        ...
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Do it; the exit code."""
+        ...
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `nomad` with these arguments (those of the process when None); the exit code.
+
+    Help, version and arguments that make no sense leave by argparse's SystemExit.
+    """
+    try:
+        code = _dispatch(list(sys.argv[1:] if argv is None else argv))
+        sys.stdout.flush()
+    except NomadError as error:
+        print(f"nomad: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        _let_stdout_go()
+        return READER_GONE
+    return code
+
+
+def _dispatch(arguments: list[str]) -> int:
+    commands = {point.name: point for point in entry_points(group=GROUP)}
+    if not arguments or arguments[0].startswith("-"):
+        _top_parser(commands).parse_args(arguments or ["--help"])
+        return 0
+    name, *rest = arguments
+    if name not in commands:
+        return _complain(_unknown(name, commands))
+    try:
+        command: Subcommand = commands[name].load()
+    except ImportError as error:
+        return _complain(_unloadable(name, error))
+    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
+    parser = argparse.ArgumentParser(
+        prog=f"nomad {name}", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    command.add_arguments(parser)
+    return command.run(parser.parse_args(rest))
+
+
+def _top_parser(commands: dict[str, EntryPoint]) -> argparse.ArgumentParser:
+    width = max(map(len, commands), default=0)
+    lines = [f"  {name:{width}}  {summary(point)}".rstrip() for name, point in sorted(commands.items())]
+    parser = argparse.ArgumentParser(
+        prog="nomad",
+        usage="nomad COMMAND ...",
+        description="Nomad robots and their Nserver from the command line.",
+        epilog="\n".join(("commands (nomad COMMAND --help says more):", *lines)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"nomad {version(DISTRIBUTION)}")
+    return parser
+
+
+def summary(point: EntryPoint) -> str:
+    """The first line of the docstring of a subcommand's module, read without importing it; empty if it cannot be."""
+    try:
+        spec = importlib.util.find_spec(point.module)
+    except (ImportError, ValueError):
+        return "(not installed whole)"
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return ""
+    source = importlib.util.decode_source(Path(spec.origin).read_bytes())
+    docstring = ast.get_docstring(ast.parse(source)) or ""
+    return docstring.partition("\n")[0]
+
+
+def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
+    nearest = difflib.get_close_matches(name, commands, n=1, cutoff=0.5)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are: {', '.join(sorted(commands))}"
+    return f"no command {name!r}; {hint}"
+
+
+def _unloadable(name: str, error: ImportError) -> str:
+    missing = f"the module {error.name!r}, which is not installed" if error.name else str(error)
+    return f"the command {name!r} needs {missing}; pip install '{DISTRIBUTION}[all]' brings all there is"
+
+
+def _complain(message: str) -> int:
+    print(f"nomad: {message}", file=sys.stderr)
+    return USAGE
+
+
+def _let_stdout_go() -> None:
+    """Keep the interpreter from flushing into the closed pipe once more as it ends."""
+    try:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (OSError, ValueError):  # stdout is no file of the system
+        return
