@@ -25,7 +25,7 @@ def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> No
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (["--start", "-8,0,0,0"], "wall"),
+        (["--start", "-8,0,0,0"], "touches the outline"),
         (["--start", "500,0,0,0"], "outside"),
         (["thesis_rom"], "thesis_room"),
         (["--start", "x"], "a start is X,Y,STEER,TURRET"),

@@ -56,7 +56,12 @@ def test_every_command_is_answered_and_what_is_not_there_yet_says_so(row: Comman
 
 def test_connect_answers_the_port_and_0_for_a_robot_that_is_not_there(emulator: Emulator) -> None:
     session = Session(emulator.answer)
-    client = WireClient(lambda data: (session.receive(data), session.answers(9))[1])
+
+    def exchange(data: bytes) -> bytes:
+        session.receive(data)
+        return session.answers(9)
+
+    client = WireClient(exchange)
     assert client.ask("connect_robot", 9, 1).values == (0,)
     assert client.ask("gs").values == (3,)
     assert client.ask("connect_robot", 1, 1).values == (7019,)
