@@ -1,0 +1,128 @@
+"""Driving to way-points on an estimate: the thesis' control law, turned into velocities for a real robot's axes.
+
+    refresh ──> localizer ──> navigator ──> drive ──> wait for the rest of the period, and round again
+
+Rules: speaks to a robot through nclient's names only; waiting is handed in, so the loop knows no clock of its own.
+The law's limits are a step's; at a step every PERIOD_S they are speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from localization.belief import Belief, Floats
+from localization.control import Gains, distance_to, next_step
+from localization.echoes import DEFAULT_ORDER, DEFAULT_RATE, FiringSchedule
+from localization.localizer import Estimate, Localizer, Surroundings
+from nclient.robot import Robot
+from nclient.robot_state import RobotState
+
+PERIOD_S = 0.1
+"""The law's step (ROBOTS.md)."""
+STOP_RADIUS_IN = 1.0
+"""A way-point of a live run counts as reached within this."""
+COMMAND_TIMEOUT_S = 2
+"""The robot stops by itself when no command comes for so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """Limits of a live run. The shares of the error that a period corrects are the thesis'."""
+
+    translation_in_s: float = 5.0
+    steering_rad_s: float = 0.5
+    alpha_rho: float = 0.1
+    alpha_theta: float = 0.1
+
+    @property
+    def gains(self) -> Gains:
+        """The same as limits of one step."""
+        return Gains(self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta)
+
+
+class Command(NamedTuple):
+    """Velocities to drive at."""
+
+    translation_in_s: float
+    steering_rad_s: float
+
+
+class Navigator:
+    """From way-point to way-point. `waypoints`: (x, y) in inches, visited in order."""
+
+    def __init__(
+        self,
+        waypoints: Sequence[tuple[float, float]],
+        speeds: Speeds | None = None,
+        radius_in: float = STOP_RADIUS_IN,
+    ) -> None:
+        self._goals = [np.array(point, dtype=np.float64) for point in waypoints]
+        self._gains = (speeds or Speeds()).gains
+        self._radius_in = radius_in
+        self.passed = 0
+        """How many way-points are behind."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last way-point was reached."""
+        return self.passed == len(self._goals)
+
+    def command(self, pose: Floats) -> Command | None:
+        """What to do at this pose (3,); None when there is nowhere left to go."""
+        while not self.finished and distance_to(pose, self._goals[self.passed]) <= self._radius_in:
+            self.passed += 1
+        if self.finished:
+            return None
+        step = next_step(pose, self._goals[self.passed], self._gains) / PERIOD_S
+        return Command(float(step[0]), float(step[1]))
+
+
+class Progress(NamedTuple):
+    """A moment of a run."""
+
+    estimate: Estimate
+    state: RobotState
+    passed: int
+
+
+def begin(robot: Robot, known: Surroundings, belief: Belief) -> Localizer:
+    """Restart the robot's ring, so that its firing instants are known, and start a filter on it."""
+    state = robot.configure_sonars(rate=DEFAULT_RATE, order=DEFAULT_ORDER)
+    assert state.clock_s is not None
+    localizer = Localizer(known, belief, FiringSchedule(state.clock_s))
+    localizer.update(state)
+    return localizer
+
+
+def follow(
+    robot: Robot, localizer: Localizer, navigator: Navigator, wait: Callable[[float], None]
+) -> Iterator[Progress]:
+    """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends.
+
+    `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
+    """
+    robot.set_timeout(COMMAND_TIMEOUT_S)
+    state = robot.refresh()
+    try:
+        while True:
+            estimate = localizer.update(state)
+            command = navigator.command(estimate.pose)
+            yield Progress(estimate, state, navigator.passed)
+            if command is None:
+                return
+            after = robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
+            state = _next_state(robot, state, after, wait)
+    finally:
+        robot.stop()
+
+
+def _next_state(robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]) -> RobotState:
+    """The state a period after `before`."""
+    gone_s = (after.clock_s or 0.0) - (before.clock_s or 0.0)
+    if gone_s < PERIOD_S:
+        wait((PERIOD_S - gone_s) / max(after.speed_factor, 0.01))
+    return robot.refresh()
