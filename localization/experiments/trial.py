@@ -1,0 +1,128 @@
+"""One figure driven by a batch of seeds at once: true robots, their sonars, their filters, step by step.
+
+Rules: arrays with a leading dimension of seeds; no process, no file, no picture. The truth is used to move, to make
+readings and to keep the bound, and never reaches the filter or the control law. Without the filter the robot is steered
+by its odometry, from the true start. A robot that has reached its last goal stands still until the others have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+import numpy.typing as npt
+
+from localization import ekf
+from localization.belief import Belief, Floats, add, independent
+from localization.control import next_step, reached
+from localization.experiments import streams
+from localization.experiments.consistency import bound_step, information
+from localization.experiments.settings import Course
+from localization.gating import observe
+from localization.measurement import meet, range_jacobian, rays, sight
+from localization.motion import move, step_variance, transition
+
+Indices = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A batch of n robots after a step: `truth` (n, 3), what each filter believes, the `bound` (n, 3, 3) on its
+    covariance, the goal each drives to (`leg`, (n,), as many as there are goals when all are reached), and the NIS
+    (n,) of its last correction with the number of beams `used` (n,)."""
+
+    truth: Floats
+    belief: Belief
+    bound: Floats
+    leg: Indices
+    nis: Floats
+    used: Indices
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """What a batch of n seeds did in at most T steps; row k is after step k + 1, rows after a robot's last step repeat
+    nothing of meaning.
+
+    `steps` (n,), `reached` (n,) whether every goal was; `truth` and `mean` (T, n, 3); `cov` and `bound` (T, n, 3, 3);
+    `nis` and `used` (T, n).
+    """
+
+    seeds: tuple[int, ...]
+    steps: Indices
+    reached: npt.NDArray[np.bool_]
+    truth: Floats
+    mean: Floats
+    cov: Floats
+    bound: Floats
+    nis: Floats
+    used: Indices
+
+
+def run(course: Course, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
+    """Drive the course once with each seed; after each step `tick` is told how many robots took it."""
+    moment = _start(course, seeds)
+    history: list[Moment] = []
+    steps = np.zeros(len(seeds), dtype=np.intp)
+    chance = streams.step_errors(seeds, len(course.beams.directions))
+    for motion_error, sonar_error in islice(chance, course.most_steps):
+        driving = moment.leg < len(course.goals_in)
+        if not driving.any():
+            break
+        moment = _advance(course, moment, motion_error, sonar_error)
+        history.append(moment)
+        steps += driving
+        tick(int(driving.sum()))
+    return Runs(
+        tuple(seeds),
+        steps,
+        moment.leg == len(course.goals_in),
+        np.stack([past.truth for past in history]),
+        np.stack([past.belief.mean for past in history]),
+        np.stack([past.belief.cov for past in history]),
+        np.stack([past.bound for past in history]),
+        np.stack([past.nis for past in history]),
+        np.stack([past.used for past in history]),
+    )
+
+
+def _start(course: Course, seeds: Sequence[int]) -> Moment:
+    """All robots at the start; each filter a little off, as its covariance says; without the filter exactly there."""
+    count = len(seeds)
+    truth = np.tile(course.start, (count, 1))
+    std = np.array(course.start_std) if course.filtered else np.zeros(3)
+    belief = independent(add(truth, std * streams.start_errors(seeds)), std)
+    nothing = np.zeros(count, dtype=np.intp)
+    return Moment(truth, belief, belief.cov, nothing, np.zeros(count), nothing)
+
+
+def _advance(course: Course, moment: Moment, motion_error: Floats, sonar_error: Floats) -> Moment:
+    """One step of all robots: command, move, predict, and with the filter look and correct."""
+    driving = moment.leg < len(course.goals_in)
+    goals = course.goals_in[np.minimum(moment.leg, len(course.goals_in) - 1)]
+    step = next_step(moment.belief.mean, goals, course.gains) * driving[:, None]
+    truth = move(moment.truth, step + np.sqrt(step_variance(step, course.noise)) * motion_error)
+    belief = ekf.predict(moment.belief, step, course.noise)
+    bound, nis, used = moment.bound, moment.nis, moment.used
+    if course.filtered:
+        belief, nis, used, gained = _look(course, truth, belief, sonar_error)
+        bound = bound_step(bound, *transition(moment.truth, step, course.noise), gained)
+    arrived = driving & reached(belief.mean, goals, course.waypoint_radius_in)
+    return Moment(truth, belief, bound, moment.leg + arrived, nis, used)
+
+
+def _look(course: Course, truth: Floats, belief: Belief, sonar_error: Floats) -> tuple[Belief, Floats, Indices, Floats]:
+    """Readings made at the truth, beliefs corrected by them: the beliefs, NIS, beams used, and what a perfect filter
+    could have gained from all beams (n, 3, 3)."""
+    aimed = rays(truth[:, None, :], course.beams)
+    lines = course.walls.lines[meet(aimed, course.walls)]
+    seen = sight(aimed, lines)
+    variance = course.sonar.variance(seen.ranges_in)
+    readings = seen.ranges_in + np.sqrt(variance) * sonar_error
+    observation = observe(belief, course.beams, readings, course.walls, course.sonar)
+    corrected = ekf.correct(belief, observation)
+    nis = ekf.innovation_squared(belief, corrected, observation)
+    gained = information(range_jacobian(seen, lines), variance)
+    return corrected, nis, observation.used.sum(axis=-1), gained
