@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 from construct import (
@@ -93,13 +94,18 @@ class WordSlots(Construct):
         super().__init__()
         self.slots = range(first, last + 1)
         self.format = struct.Struct(f">{len(self.slots)}i")
+        self.all_of = itemgetter(*self.slots, first)  # one slot more, so that a run of one is a tuple too
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
         return dict(zip(self.slots, self.format.unpack(_take(stream, self.format.size, path)), strict=True))
 
     def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
         try:
-            stream.write(self.format.pack(*[obj.get(slot, 0) for slot in self.slots]))
+            values = self.all_of(obj)[:-1]
+        except KeyError:
+            values = tuple(obj.get(slot, 0) for slot in self.slots)
+        try:
+            stream.write(self.format.pack(*values))
         except struct.error as error:
             raise FormatFieldError(f"State {dict(obj)}: {error}", path=path) from None
         return obj

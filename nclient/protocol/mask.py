@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntFlag
 
 from nclient.errors import WireError
@@ -41,8 +41,11 @@ class Mask:
     """
 
     smask: tuple[int, ...]
+    whole: bool = field(init=False, compare=False, repr=False)
+    """Whether every sensor and number is let through."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "whole", all(self.smask[1:41]) and all(self.smask[LASER_SLOT:]))
         if len(self.smask) != SLOTS:
             raise WireError(f"a mask has {SLOTS} numbers, Smask[0] to Smask[{SLOTS - 1}]; got {len(self.smask)}")
         if not 0 <= self.smask[0] <= 31 or any(bit not in (0, 1) for bit in self.smask[1:]):

@@ -72,7 +72,7 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, speed: int) 
         0,
     ]
     mask = visit.terms.mask
-    if not all(mask.smask[1:41]) or not all(mask.smask[42:]):
+    if not mask.whole:
         kept = visit.kept
         slots = [
             value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)
