@@ -24,6 +24,9 @@ from localization.motion import OdometryNoise, step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
 
+THESIS_ODOMETRY = OdometryNoise()
+"""What the experiments take the encoders to miss."""
+
 
 class Report(Protocol):
     """What the filter wants of a robot's state; nclient's RobotState has it."""
@@ -72,7 +75,7 @@ class Surroundings:
 
     walls: npt.ArrayLike
     body: SonarRing
-    odometry: OdometryNoise = OdometryNoise()
+    odometry: OdometryNoise = THESIS_ODOMETRY
     sonar: SonarModel = WIRE_SONAR
     gate: Gate = STRICT
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from nclient.robot import Robot
+from nclient.robot_state import RobotState
 
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
 from localization.echoes import DEFAULT_ORDER, DEFAULT_RATE, FiringSchedule
 from localization.localizer import Estimate, Localizer, Surroundings
-from nclient.robot import Robot
-from nclient.robot_state import RobotState
 
 PERIOD_S = 0.1
 """The law's step (ROBOTS.md)."""

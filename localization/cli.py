@@ -1,0 +1,146 @@
+"""`nomad localize`: drive a robot from way-point to way-point on the filter's estimate, on whatever address.
+
+Rules: reads options, prints, waits on the real clock; what drives and what estimates is navigation's and localizer's.
+Where the other end is our simulation the true error is printed beside the estimate; the filter never sees the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from dataclasses import astuple
+from pathlib import Path
+
+from localization.belief import independent
+from localization.localizer import THESIS_ODOMETRY, Surroundings
+from localization.motion import OdometryNoise
+from localization.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
+from localization.run import Moment, Run
+from nclient import Robot, connect
+from worlds.bodies import BODIES
+from worlds.files import load_world
+from worlds.world import World
+
+START_STD = (0.1, 0.1, 0.01)
+"""How well the robot is placed at the start: inches, inches, radians."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `nomad localize`."""
+    parser.description = "Drive a robot to way-points, localizing it by its sonars against a map of walls."
+    parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --map thesis_room --waypoints 0,0 60,40"
+    parser.add_argument("address", nargs="?", metavar="ADDRESS",
+                        help="nserver://host[:port]/id or sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
+    parser.add_argument("--map", required=True, metavar="WORLD", help="the walls: a shipped world or a TOML file")
+    goals = parser.add_mutually_exclusive_group(required=True)
+    goals.add_argument("--waypoints", nargs="+", type=_point, metavar="X,Y", help="where to go, in inches, in order")
+    goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
+    parser.add_argument("--start", type=_pose, metavar="X,Y,HEADING",
+                        help="where the robot stands now, inches and degrees; its encoders are set to it "
+                             "(default: what they say)")
+    parser.add_argument("--start-std", type=_stds, default=START_STD, metavar="X,Y,HEADING",
+                        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
+    parser.add_argument("--body", choices=sorted(BODIES), default="n150", help="the robot's model (default n150)")
+    parser.add_argument("--speed", type=_positive, default=Speeds().translation_in_s, metavar="IN_S",
+                        help="top speed in in/s (default %(default)s)")
+    parser.add_argument("--radius", type=_positive, default=STOP_RADIUS_IN, metavar="IN",
+                        help="a way-point is reached within this (default %(default)s in)")
+    parser.add_argument("--odometry-noise", type=_noise, default=THESIS_ODOMETRY, metavar="A,B,C",
+                        help="what the encoders miss: inches in an inch, radians in a radian, radians in an inch "
+                             f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
+    parser.add_argument("--time-limit", type=_positive, default=300.0, metavar="S",
+                        help="give up after so many seconds of the robot's clock (default %(default)s)")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it. 0 when every way-point was reached, 3 when the time ran out."""
+    world = load_world(options.map)
+    points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
+    if options.picture:
+        from localization.drawing import require_matplotlib
+
+        require_matplotlib()
+    with connect(options.address) as robot:
+        done = _drive(robot, world, points, options)
+    if options.picture:
+        from localization.drawing import draw_run
+
+        draw_run(options.picture, world, done, BODIES[options.body])
+    print(json.dumps(done.summary()) if options.json else done.verdict())
+    return 0 if done.reached == len(points) else 3
+
+
+def _drive(robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace) -> Run:
+    state = robot.refresh()
+    if options.start:
+        x, y, heading = options.start
+        robot.set_position(x_in=x, y_in=y)
+        turret_rad = heading + state.turret_rad - state.steering_rad
+        state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
+    belief = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
+    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise)
+    navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius)
+    simulated = robot.is_simulated()
+    done, told_s = Run(points), -math.inf
+    for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep):
+        done.add(_moment(robot, progress, simulated))
+        clock_s = progress.estimate.clock_s
+        if not options.json and clock_s >= told_s + 1.0:
+            told_s = clock_s
+            print(done.line(), flush=True)
+        if done.duration_s > options.time_limit:
+            break
+    return done
+
+
+def _moment(robot: Robot, progress: Progress, simulated: bool) -> Moment:
+    truth = robot.truth() if simulated else None
+    true_pose = (truth.x_in, truth.y_in, truth.steering_rad) if truth else None
+    state = progress.state
+    return Moment(progress.estimate, (state.x_in, state.y_in, state.steering_rad), true_pose, progress.passed)
+
+
+def _points_of(world: World, name: str) -> list[tuple[float, float]]:
+    if name not in world.paths:
+        there = ", ".join(world.paths) or "none"
+        raise argparse.ArgumentTypeError(f"the map {world.name} has no path {name!r}; it has {there}")
+    return list(world.paths[name].points_in)
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    numbers = [float(part) for part in text.split(",")]
+    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
+        raise argparse.ArgumentTypeError(f"{count} numbers with commas between them, not {text!r}")
+    return numbers
+
+
+def _point(text: str) -> tuple[float, float]:
+    x, y = _numbers(text, 2)
+    return x, y
+
+
+def _pose(text: str) -> tuple[float, float, float]:
+    x, y, heading_deg = _numbers(text, 3)
+    return x, y, math.radians(heading_deg)
+
+
+def _stds(text: str) -> tuple[float, float, float]:
+    x, y, heading_rad = _pose(text)
+    if min(x, y, heading_rad) < 0:
+        raise argparse.ArgumentTypeError("a standard deviation is not negative")
+    return x, y, heading_rad
+
+
+def _noise(text: str) -> OdometryNoise:
+    return OdometryNoise(*_numbers(text, 3))
+
+
+def _positive(text: str) -> float:
+    (number,) = _numbers(text, 1)
+    if number <= 0:
+        raise argparse.ArgumentTypeError("a number above 0")
+    return number

@@ -1,0 +1,119 @@
+"""What a live run leaves: its moments, and what they come to in words and numbers.
+
+Rules: values and sums; no robot, no file, no drawing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from localization.belief import Floats, difference
+from localization.localizer import Estimate
+from localization.observation import Refusal
+
+Pose = tuple[float, float, float]
+"""x_in, y_in, heading of the steering in radians."""
+
+
+class Moment(NamedTuple):
+    """One period of a run: estimate, what the encoders say, the truth where it is known, way-points behind."""
+
+    estimate: Estimate
+    odometry: Pose
+    truth: Pose | None
+    passed: int
+
+    @property
+    def error(self) -> Floats | None:
+        """Estimate less truth, (3,) in inches and radians; None where the truth is not known."""
+        return None if self.truth is None else difference(self.estimate.pose, np.array(self.truth))
+
+
+@dataclass
+class Run:
+    """The moments of a run to `waypoints`."""
+
+    waypoints: list[tuple[float, float]]
+    moments: list[Moment] = field(default_factory=list)
+
+    def add(self, moment: Moment) -> None:
+        """The next moment."""
+        self.moments.append(moment)
+
+    @property
+    def reached(self) -> int:
+        """How many way-points were reached."""
+        return self.moments[-1].passed if self.moments else 0
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds of the robot's clock."""
+        return self.moments[-1].estimate.clock_s - self.moments[0].estimate.clock_s if self.moments else 0.0
+
+    def errors_in(self) -> Floats:
+        """Distance between estimate and truth, (k,) inches, of the moments whose truth is known."""
+        found = [moment.error for moment in self.moments]
+        return np.array([math.hypot(error[0], error[1]) for error in found if error is not None])
+
+    def odometry_errors_in(self) -> Floats:
+        """Distance between what the encoders say and the truth, (k,) inches, likewise."""
+        pairs = [(moment.odometry, moment.truth) for moment in self.moments if moment.truth]
+        return np.array([math.hypot(told[0] - true[0], told[1] - true[1]) for told, true in pairs])
+
+    def line(self) -> str:
+        """The last moment in one line."""
+        moment = self.moments[-1]
+        x, y, heading = moment.estimate.pose
+        std = moment.estimate.belief.std
+        text = (
+            f"{self.duration_s:6.1f} s  estimate ({x:7.2f}, {y:7.2f}) in {math.degrees(heading):7.2f} deg"
+            f"  ± {max(std[0], std[1]):.2f} in {math.degrees(std[2]):.2f} deg"
+        )
+        error = moment.error
+        if error is None or moment.truth is None:
+            return text
+        return (
+            f"{text}  truth ({moment.truth[0]:7.2f}, {moment.truth[1]:7.2f})"
+            f"  off {math.hypot(error[0], error[1]):.2f} in {math.degrees(error[2]):+.2f} deg"
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """The run in numbers; null where there is no truth to compare with."""
+        errors = self.errors_in()
+        echoes = [echo for moment in self.moments for echo in moment.estimate.echoes]
+        last = self.moments[-1]
+        return {
+            "waypoints": len(self.waypoints),
+            "reached": self.reached,
+            "duration_s": round(self.duration_s, 3),
+            "echoes_used": sum(echo.refusal is Refusal.NONE for echo in echoes),
+            "echoes_refused": {
+                refusal.name.lower(): count
+                for refusal in Refusal
+                if refusal and (count := sum(echo.refusal is refusal for echo in echoes))
+            },
+            "estimate": [float(value) for value in last.estimate.pose],
+            "truth": list(last.truth) if last.truth else None,
+            "end_error_in": float(errors[-1]) if len(errors) else None,
+            "rmse_position_in": float(np.sqrt((errors**2).mean())) if len(errors) else None,
+            "odometry_end_error_in": float(self.odometry_errors_in()[-1]) if len(errors) else None,
+        }
+
+    def verdict(self) -> str:
+        """What became of it, in two or three lines."""
+        result = self.summary()
+        lines = [
+            f"{self.line().strip()}",
+            f"{result['reached']} of {result['waypoints']} way-points reached in {result['duration_s']:.1f} s; "
+            f"{result['echoes_used']} echoes used, {sum(result['echoes_refused'].values())} refused",
+        ]
+        if result["end_error_in"] is not None:
+            lines.append(
+                f"the estimate is {result['end_error_in']:.2f} in off at the end (RMSE {result['rmse_position_in']:.2f}"
+                f" in); odometry alone is {result['odometry_end_error_in']:.2f} in off"
+            )
+        return "\n".join(lines)
