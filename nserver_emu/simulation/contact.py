@@ -9,6 +9,7 @@ falls again, so a robot that touches may leave in every direction in which the g
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, cos, hypot, sin, sqrt
 from typing import Final, NamedTuple
@@ -73,10 +74,10 @@ class Ground:
         towards: FloatArray = np.arctan2(nearest[close, 1] - y_in, nearest[close, 0] - x_in)
         return towards
 
-    def away(self, row: int, x_in: float, y_in: float) -> tuple[float, float, float]:
-        """Distance from thing number `row` to a point, and the unit vector from the one to the other.
+    def away(self, row: int, radius_in: float, x_in: float, y_in: float) -> tuple[float, float, float]:
+        """Gap between thing number `row` and a disc, and the unit vector from the one to the centre of the other.
 
-        At distance 0 no direction is right; the vector is then 0, which nothing presses against.
+        With the centre on the thing no direction is right; the vector is then 0, which nothing presses against.
         """
         x1, y1, x2, y2 = self.segments[row].tolist()
         along_x, along_y = x2 - x1, y2 - y1
@@ -86,7 +87,7 @@ class Ground:
         dx, dy = x_in - x1 - share * along_x, y_in - y1 - share * along_y
         distance = hypot(dx, dy)
         per = 1.0 / distance if distance else 0.0
-        return distance - float(self.thickness[row]), dx * per, dy * per
+        return distance - float(self.thickness[row]) - radius_in, dx * per, dy * per
 
 
 class Course(NamedTuple):
@@ -124,25 +125,32 @@ def first_contact(course: Course, radius_in: float, ground: Ground) -> Contact |
         return None
     chord, share, row = hit
     guess = times[chord] + share * (times[chord + 1] - times[chord])
-    earliest, latest = times[max(chord - 1, 0)], times[min(chord + 2, count)]
-    time = min(max(_solve(course, radius_in, ground, row, guess), earliest), latest)
-    _, away_x, away_y = ground.away(row, *course.place(time))
+    window = times[max(chord - 1, 0)], times[min(chord + 2, count)]
+    time = _solve(course, lambda x, y: ground.away(row, radius_in, x, y), guess, window)
+    _, away_x, away_y = ground.away(row, radius_in, *course.place(time))
     return Contact(time, away_x, away_y)
 
 
-def _solve(course: Course, radius_in: float, ground: Ground, row: int, guess_s: float) -> float:
-    """The time at which the gap to one thing is 0, by Newton's method; the guess where it does not converge."""
+def _solve(
+    course: Course,
+    away: Callable[[float, float], tuple[float, float, float]],
+    guess_s: float,
+    window_s: tuple[float, float],
+) -> float:
+    """The time in a window at which a gap is 0, by Newton's method; the guess where it does not converge.
+
+    away    the gap at a place, inches, and the unit vector along which it grows
+    """
     time = guess_s
     for _ in range(NEWTON_STEPS):
-        distance, away_x, away_y = ground.away(row, *course.place(time))
-        gap = distance - radius_in
+        gap, away_x, away_y = away(*course.place(time))
         if abs(gap) < GAP_SOLVED_IN:
             return time
         vx, vy = course.velocity(time)
         rate = away_x * vx + away_y * vy
         if rate >= 0.0:
             break
-        time -= gap / rate
+        time = min(max(time - gap / rate, window_s[0]), window_s[1])
     return guess_s
 
 

@@ -67,3 +67,7 @@ class SynchroDrive:
         self.translation.stop()
         for axis, angle in ((self.steering, self.steering_rad), (self.turret, self.turret_rad)):
             axis.move_by(-short_way(angle), axis.speed or axis.limits.top_speed)
+
+    def found_zero(self) -> None:
+        """The search is over: what is left of both angles is rounding and whole turns."""
+        self.put(0.0, 0.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from math import sqrt
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -54,11 +54,12 @@ class MotionNoise:
     def disturbed(self, stretch: Stretch, chance: np.random.Generator) -> Stretch:
         """The stretch that is really driven: the same seconds, another length, and a turn that carries the body along.
 
-        Its turn less that of the commanded stretch is the body's. Draws twice if anything moves, else never.
+        Its turn less that of the commanded stretch is the body's. Draws twice if anything moves and there
+        is noise, else never; then the very same stretch comes back.
         """
         duration = stretch.duration_s
         way, angle = stretch.distance_at(duration), stretch.turn_at(duration)
-        if way == 0.0 and angle == 0.0:
+        if self == NO_NOISE or (way == 0.0 and angle == 0.0):
             return stretch
         longer = self.along * sqrt(abs(way)) * chance.standard_normal()
         turned = sqrt(self.turn**2 * abs(angle) + self.drift**2 * abs(way)) * chance.standard_normal()
@@ -70,3 +71,7 @@ class MotionNoise:
             stretch.turn_rate + turned / duration,
             stretch.turn_acceleration,
         )
+
+
+NO_NOISE: Final = MotionNoise()
+"""Every motion as commanded."""

@@ -234,6 +234,7 @@ class SimulatedRobot:
     def _end_zero(self) -> None:
         if self._zeroing and not any(self.moving):
             self._zeroing = False
+            self._drive.found_zero()
             self._encoders.define_position(0.0, 0.0)
             self._encoders.define_angles(-self._drive.steering_rad, -self._drive.turret_rad)
 

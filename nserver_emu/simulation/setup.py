@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from nserver_emu.simulation.noise import MotionNoise
+from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
 from nserver_emu.simulation.sonar import SonarNoise
 
 
@@ -31,7 +31,7 @@ class RobotSetup:
     sonar: SonarNoise
 
 
-IDEAL: Final = RobotSetup("ideal", ramps=False, motion=MotionNoise(), sonar=SonarNoise())
+IDEAL: Final = RobotSetup("ideal", ramps=False, motion=NO_NOISE, sonar=SonarNoise())
 NOISY: Final = RobotSetup(
     "noisy",
     ramps=True,

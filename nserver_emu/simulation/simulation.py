@@ -6,6 +6,9 @@ simulation goes on bit for bit.
 
 from __future__ import annotations
 
+from dataclasses import fields
+from typing import Any
+
 from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity
@@ -61,3 +64,11 @@ class Simulation:
         self._time_ps += to_ps(dt_s)
         for robot in self.robots.values():
             robot.advance_to(self._time_ps)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The world as what it is built from: its read-only views can neither be pickled nor copied."""
+        built_from = {part.name: getattr(self._world, part.name) for part in fields(World) if part.init}
+        return self.__dict__ | {"_world": built_from | {"paths": dict(self._world.paths)}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state | {"_world": World(**state["_world"])})

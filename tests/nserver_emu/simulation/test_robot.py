@@ -1,0 +1,340 @@
+"""Commands and what they do to the encoder robot and the actual one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, pi, radians, remainder, sin, tau
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import NOISY, RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import DEFAULT_ORDER
+from worlds.world import StartPose
+
+Lone = Callable[..., tuple[Simulation, SimulatedRobot]]
+REACH = 100.0 - 9.72
+"""Where a robot touches the walls of the room."""
+
+RAMPS_ONLY = RobotSetup("ramps only", ramps=True, motion=NOISY.motion.__class__(), sonar=NOISY.sonar.__class__())
+
+
+def still(robot: SimulatedRobot) -> bool:
+    return robot.still((0, 1, 2))
+
+
+def test_a_robot_wakes_where_it_was_put_with_all_sonars_read(lone: Lone) -> None:
+    _, robot = lone(StartPose(10.0, -20.0, 0.5, -0.5))
+    assert robot.encoder == robot.actual == pytest.approx((10.0, -20.0, 0.5, tau - 0.5))
+    assert robot.velocities == (0.0, 0.0, 0.0)
+    assert robot.moving == (False, False, False)
+    assert robot.bumpers == 0
+    assert 255 not in robot.sonar.readings_in
+    assert all(stamp.pose == robot.encoder and stamp.sensor_time_s == 0.0 for stamp in robot.sonar.stamps)
+
+
+def test_velocities_draw_an_arc_until_told_otherwise(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.set_velocities(10.0, 0.5, -0.25)
+    assert robot.velocities == (10.0, 0.5, -0.25)
+    simulation.step(3.0)
+    arc = 20.0 * sin(1.5), 20.0 * (1.0 - cos(1.5)), 1.5, tau - 0.75
+    assert robot.encoder == robot.actual == pytest.approx(arc)
+    robot.stop()
+    assert (robot.velocities, still(robot)) == ((0.0, 0.0, 0.0), True)
+
+
+def test_relative_moves_run_all_at_once_each_at_its_speed(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.set_speeds(5.0, 0.2, 0.4)
+    robot.move_relative(-10.0, 0.0, 1.0)
+    assert robot.velocities == (-5.0, 0.0, 0.4)
+    simulation.step(1.99)
+    assert robot.moving == (True, False, True)
+    simulation.step(0.02)
+    assert robot.moving == (False, False, True)
+    assert not robot.still((0, 2))
+    assert robot.still((0, 1))
+    simulation.step(1.0)
+    assert (robot.velocities, still(robot)) == ((0.0, 0.0, 0.0), True)
+    assert robot.encoder == pytest.approx((-10.0, 0.0, 0.0, 1.0))
+
+
+def test_mv_tells_each_axis_its_own(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.set_velocities(1.0, 0.0, 0.3)
+    robot.command_axis(0, 0, 99.0)
+    robot.command_axis(1, 1, -0.5)
+    robot.command_axis(2, 3, 99.0)
+    assert robot.velocities == (1.0, -0.5, 0.0)
+    robot.command_axis(0, 5, 4.0)
+    robot.command_axis(0, 2, -8.0)
+    assert robot.velocities == (-4.0, -0.5, 0.0)
+    simulation.step(2.5)
+    assert robot.moving == (False, True, False)
+
+
+def test_mv_sets_accelerations(lone: Lone) -> None:
+    simulation, robot = lone(setup=RAMPS_ONLY)
+    robot.command_axis(0, 4, 10.0)
+    robot.set_velocities(20.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert robot.velocities[0] == pytest.approx(10.0)
+    assert robot.encoder.x_in == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("command", [-1, 6, 7, 8])
+def test_mv_knows_six_commands(lone: Lone, command: int) -> None:
+    _, robot = lone()
+    with pytest.raises(ValueError, match=str(command)):
+        robot.command_axis(0, command, 1.0)
+
+
+def test_ramps_stop_smoothly_and_show_a_velocity_from_first_to_last(lone: Lone) -> None:
+    simulation, robot = lone(setup=RAMPS_ONLY)
+    robot.set_accelerations(10.0, radians(100.0), radians(100.0))
+    robot.set_velocities(20.0, 0.0, 0.0)
+    assert robot.velocities[0] > 0.0
+    simulation.step(2.0)
+    robot.stop()
+    assert robot.velocities[0] == pytest.approx(20.0)
+    simulation.step(1.99)
+    assert robot.velocities[0] > 0.0
+    simulation.step(0.02)
+    assert (robot.velocities[0], still(robot)) == (0.0, True)
+    assert robot.actual.x_in == pytest.approx(40.0)
+    robot.set_velocities(0.0, 0.5, 0.5)
+    robot.limp()
+    assert still(robot)
+
+
+def test_dp_and_da_change_what_the_encoders_say_only(lone: Lone) -> None:
+    simulation, robot = lone(StartPose(5.0, 5.0, 0.2, 0.1))
+    robot.define_position(-7.0, 3.0)
+    robot.define_angles(pi / 2, 1.0)
+    assert robot.encoder == pytest.approx((-7.0, 3.0, pi / 2, 1.0))
+    robot.move_relative(10.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert robot.encoder == pytest.approx((-7.0, 13.0, pi / 2, 1.0))
+    assert robot.actual == pytest.approx((5.0 + 10.0 * cos(0.2), 5.0 + 10.0 * sin(0.2), 0.2, 0.1))
+
+
+def test_place_moves_both_and_ends_a_search_for_zero(lone: Lone) -> None:
+    _, robot = lone(StartPose(0.0, 0.0, 1.0, 1.0), setup=NOISY)
+    robot.define_angles(0.3, 0.3)
+    robot.zero()
+    robot.place(40.0, -30.0, 2.0, 3.0)
+    assert robot.encoder == robot.actual == pytest.approx((40.0, -30.0, 2.0, 3.0))
+    assert not robot.zeroing
+
+
+def test_zero_turns_to_the_bumpers_zero_and_then_reads_0(lone: Lone) -> None:
+    simulation, robot = lone(StartPose(30.0, 20.0, radians(90.0), radians(-45.0)))
+    robot.set_velocities(5.0, 0.0, 0.0)
+    robot.zero()
+    assert robot.zeroing
+    assert robot.velocities == pytest.approx((0.0, radians(-45.0), radians(45.0)))
+    simulation.step(1.5)
+    assert robot.encoder[:3] == pytest.approx((30.0, 20.0, radians(22.5)))
+    simulation.step(0.6)
+    assert (robot.zeroing, robot.encoder) == (False, (0.0, 0.0, 0.0, 0.0))
+    assert robot.actual[:2] == (30.0, 20.0)
+    assert [remainder(angle, tau) for angle in robot.actual[2:]] == pytest.approx([0.0, 0.0], abs=1e-9)
+    robot.define_position(1.0, 1.0)
+    robot.zero()
+    assert (robot.zeroing, robot.encoder) == (False, (0.0, 0.0, 0.0, 0.0))
+
+
+def test_zero_finds_the_body_that_noise_has_turned(lone: Lone) -> None:
+    simulation, robot = lone(setup=NOISY)
+    robot.set_velocities(3.0, 0.5, 0.3)
+    simulation.step(10.0)
+    robot.zero()
+    simulation.step(12.0)
+    assert not robot.zeroing
+    assert robot.actual.steering_rad == pytest.approx(robot.actual.turret_rad)
+    assert abs(robot.actual.steering_rad - pi) < pi - 0.01
+
+
+@pytest.mark.parametrize("command", ["stop", "limp", "set_velocities", "move_relative", "command_axis"])
+def test_a_motion_command_ends_a_search_for_zero(lone: Lone, command: str) -> None:
+    simulation, robot = lone(StartPose(3.0, 0.0, 1.0, 0.0))
+    robot.zero()
+    values = {"stop": (), "limp": (), "command_axis": (1, 1, 0.0)}.get(command, (0.0, 0.0, 0.0))
+    getattr(robot, command)(*values)
+    simulation.step(5.0)
+    assert (robot.zeroing, robot.encoder.x_in) == (False, 3.0)
+
+
+def test_settings_do_not_end_a_search_for_zero(lone: Lone) -> None:
+    simulation, robot = lone(StartPose(3.0, 0.0, 1.0, 0.0))
+    robot.zero()
+    robot.command_axis(1, 5, 0.1)
+    robot.set_timeout(0.5)
+    simulation.step(1.0)
+    assert robot.zeroing
+    simulation.step(1.0)
+    assert (robot.zeroing, robot.encoder.x_in) == (False, 0.0)
+
+
+def test_the_timeout_stops_at_its_very_instant(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.set_timeout(1.0)
+    simulation.step(0.5)
+    robot.set_velocities(10.0, 0.1, 0.1)
+    simulation.step(0.7)
+    robot.feed()
+    simulation.step(0.999)
+    assert robot.velocities == (10.0, 0.1, 0.1)
+    simulation.step(5.0)
+    assert still(robot)
+    assert robot.encoder.turret_rad == pytest.approx(0.17)
+    robot.set_velocities(-10.0, 0.0, 0.0)
+    simulation.step(0.5)
+    assert robot.velocities[0] == -10.0
+    robot.set_timeout(0.0)
+    simulation.step(3.0)
+    assert robot.velocities[0] == -10.0
+
+
+def test_without_a_timeout_nothing_stops(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.set_timeout(-1.0)
+    robot.set_velocities(0.0, 0.1, 0.0)
+    simulation.step(1000.0)
+    assert robot.moving[1]
+
+
+def test_contact_stops_the_wheels_and_sets_the_bumper(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.set_velocities(10.0, 0.0, 0.3)
+    simulation.step(9.0)
+    assert robot.bumpers == 0
+    simulation.step(1.0)
+    assert robot.actual.x_in == pytest.approx(REACH, abs=1e-9)
+    assert robot.encoder.x_in == pytest.approx(REACH, abs=1e-9)
+    assert robot.moving == (False, False, True)
+    assert robot.velocities[0] == 0.0
+    assert robot.bumpers == 1
+    assert robot.encoder.turret_rad == pytest.approx(3.0)
+
+
+def test_steering_goes_on_after_a_contact_in_an_arc(lone: Lone) -> None:
+    simulation, robot = lone(StartPose(60.0, 0.0))
+    robot.set_velocities(20.0, 0.2, 0.0)
+    simulation.step(5.0)
+    assert robot.actual.steering_rad == pytest.approx(1.0)
+    assert robot.actual.x_in == pytest.approx(REACH, abs=1e-9)
+    assert 0.0 < robot.actual.y_in < 20.0
+
+
+def test_leaving_sliding_and_pressing_on(lone: Lone) -> None:
+    simulation, robot = lone(StartPose(80.0, 0.0))
+    robot.set_velocities(10.0, 0.0, 0.0)
+    simulation.step(3.0)
+    robot.set_velocities(10.0, 0.0, 0.0)
+    assert robot.velocities[0] == 10.0
+    simulation.step(0.1)
+    assert (robot.velocities[0], robot.bumpers) == (0.0, 1)
+    robot.move_relative(0.0, pi / 2, 0.0)
+    simulation.step(3.0)
+    robot.move_relative(30.0, 0.0, 0.0)
+    simulation.step(2.0)
+    assert robot.actual.y_in == pytest.approx(30.0)
+    assert robot.bumpers == 1
+    robot.move_relative(0.0, pi / 4, 0.0)
+    simulation.step(2.0)
+    robot.move_relative(10.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert robot.actual.x_in == pytest.approx(REACH - 10.0 / 2**0.5)
+    assert robot.bumpers == 0
+    robot.move_relative(-20.0, 0.0, 0.0)
+    simulation.step(2.0)
+    assert robot.actual.x_in == pytest.approx(REACH)
+    assert robot.bumpers == 1
+
+
+def test_a_robot_set_into_a_wall_can_only_leave_it(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.place(95.0, 0.0, 0.0, 0.0)
+    assert robot.bumpers != 0
+    robot.set_velocities(5.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert robot.actual.x_in == 95.0
+    robot.set_velocities(-5.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert robot.actual.x_in == pytest.approx(90.0)
+    assert robot.bumpers == 0
+
+
+def test_noise_may_hold_a_leaving_robot_at_the_wall_but_never_stops_its_wheels(lone: Lone) -> None:
+    simulation, robot = lone(setup=NOISY)
+    held = 0
+    for _ in range(60):
+        robot.place(REACH, 0.0, 0.0, 0.0)
+        robot.set_velocities(-0.4, 0.0, 0.0)
+        before = robot.encoder.x_in
+        simulation.step(0.01)
+        assert robot.moving[0]
+        assert robot.encoder.x_in < before
+        assert robot.actual.x_in <= REACH
+        held += robot.bumpers
+    assert 5 < held < 55
+    simulation.step(40.0)
+    assert robot.actual.x_in < REACH - 5.0
+
+
+def test_noisy_wheels_stop_at_walls_as_well(lone: Lone) -> None:
+    simulation, robot = lone(setup=NOISY, seed=4)
+    robot.set_velocities(15.0, 0.0, 0.0)
+    simulation.step(10.0)
+    assert robot.moving == (False, False, False)
+    assert robot.bumpers != 0
+    assert robot.actual.x_in == pytest.approx(REACH, abs=1e-3)
+    assert robot.encoder.x_in != pytest.approx(REACH, abs=1e-3)
+
+
+def test_sonars_fire_in_their_order_and_stamp_the_encoder_pose(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.define_position(1000.0, 0.0)
+    simulation.step(0.1)
+    robot.configure_sonars(5, (4, 12, 255))
+    robot.set_velocities(10.0, 0.0, 0.5)
+    simulation.step(0.095)
+    fired = {number: stamp for number, stamp in enumerate(robot.sonar.stamps) if stamp.sensor_time_s >= 0.1}
+    assert {number: stamp.sensor_time_s for number, stamp in fired.items()} == {4: 0.18, 12: 0.16}
+    assert fired[4].pose == pytest.approx((1000.8, 0.0, 0.0, 0.04))
+    assert fired[4].velocities == (10.0, 0.0, 0.5)
+    assert fired[4].pose_time_s == 0.18
+    assert robot.time_s == pytest.approx(0.195)
+
+
+def test_sonars_see_from_the_actual_robot(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.define_position(50.0, 50.0)
+    robot.define_angles(1.0, 1.0)
+    robot.set_velocities(20.0, 0.0, 0.0)
+    simulation.step(2.001)
+    read = dict(zip(DEFAULT_ORDER, [robot.sonar.readings_in[number] for number in DEFAULT_ORDER], strict=True))
+    front_stamp = robot.sonar.stamps[0]
+    assert read[0] == round(100.0 - 20.0 * front_stamp.sensor_time_s - 9.06)
+    assert read[8] == round(100.0 + 20.0 * robot.sonar.stamps[8].sensor_time_s - 9.06)
+
+
+def test_the_random_walk_of_a_run_has_the_spread_of_its_formula(lone: Lone) -> None:
+    """20 in ahead: x spreads by a_t sqrt(20), y by the integral of the heading's walk, the heading by a_d sqrt(20)."""
+    strays = []
+    for seed in range(300):
+        simulation, robot = lone(StartPose(-50.0, 0.0), setup=NOISY, seed=seed)
+        robot.configure_sonars(15, (255,))
+        robot.move_relative(20.0, 0.0, 0.0)
+        for _ in range(20):
+            simulation.step(0.1)
+        actual, encoder = robot.actual, robot.encoder
+        assert encoder == pytest.approx((-30.0, 0.0, 0.0, 0.0))
+        turned = (actual.steering_rad + pi) % tau - pi
+        strays.append((actual.x_in - encoder.x_in, actual.y_in - encoder.y_in, turned))
+    expected = np.array([0.1**2 * 20.0, 0.005**2 * 20.0**3 / 3.0, 0.005**2 * 20.0])
+    np.testing.assert_allclose(np.var(strays, axis=0) / expected, 1.0, atol=4.0 * np.sqrt(2.0 / 300.0))

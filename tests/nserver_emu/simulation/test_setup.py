@@ -1,0 +1,19 @@
+"""The setups by name, with the settings of the experiments."""
+
+from __future__ import annotations
+
+from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
+from nserver_emu.simulation.setup import SETUPS
+from nserver_emu.simulation.sonar import SonarNoise
+
+
+def test_ideal_has_neither_ramps_nor_noise() -> None:
+    ideal = SETUPS["ideal"]
+    assert (ideal.name, ideal.ramps, ideal.motion, ideal.sonar) == ("ideal", False, NO_NOISE, SonarNoise())
+
+
+def test_noisy_has_the_settings_of_the_experiments() -> None:
+    noisy = SETUPS["noisy"]
+    assert (noisy.name, noisy.ramps) == ("noisy", True)
+    assert noisy.motion == MotionNoise(along=0.1, turn=0.1, drift=0.005)
+    assert noisy.sonar == SonarNoise(std_share=0.01, least_std_in=0.05)

@@ -1,0 +1,126 @@
+"""The ring: order, instants, limits, noise, and that looking changes nothing."""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.instants import NEVER_PS, to_ps
+from nserver_emu.simulation.poses import Pose, Stamp
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, Eye, SonarNoise, SonarRing
+from worlds.bodies import N150
+
+OFF = 255
+SQUARE = np.array(
+    [
+        [-100.0, -100.0, 100.0, -100.0],
+        [100.0, -100.0, 100.0, 100.0],
+        [100.0, 100.0, -100.0, 100.0],
+        [-100.0, 100.0, -100.0, -100.0],
+    ]
+)
+HERE = Eye(0.0, 0.0, 0.0)
+
+
+def stamp(time_s: float = 0.0) -> Stamp:
+    return Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), time_s, time_s)
+
+
+def ring(noise: SonarNoise | None = None, walls: np.ndarray = SQUARE) -> SonarRing:
+    return SonarRing(N150, noise or SonarNoise(), walls, np.random.default_rng(5))
+
+
+def fire(sonars: SonarRing, until_s: float) -> list[tuple[int, int]]:
+    """Let the ring fire until then; which sonar was stamped when, in milliseconds."""
+    fired = []
+    while sonars.due_ps <= to_ps(until_s):
+        now = sonars.due_ps // 10**9
+        sonars.fire_due(HERE, stamp(now / 1000.0))
+        fired.append((next(i for i, s in enumerate(sonars.stamps) if s.sensor_time_s == now / 1000.0), now))
+    return fired
+
+
+def test_entry_k_fires_rate_times_4_ms_times_k_later_and_round_again() -> None:
+    sonars = ring()
+    sonars.configure(15, DEFAULT_ORDER, to_ps(0.5))
+    fired = fire(sonars, 0.5 + 17 * 0.06)
+    assert fired == [(DEFAULT_ORDER[k % 16], 500 + 60 * k) for k in range(18)]
+
+
+@pytest.mark.parametrize(("rate", "interval_ms"), [(1, 4), (0, 4), (-3, 4), (255, 1020), (1000, 1020)])
+def test_rates_are_clamped(rate: int, interval_ms: int) -> None:
+    sonars = ring()
+    sonars.configure(rate, (3, 4, OFF, 7), to_ps(1.0))
+    assert fire(sonars, 1.0 + 2.5e-3 * interval_ms) == [(3, 1000), (4, 1000 + interval_ms), (3, 1000 + 2 * interval_ms)]
+
+
+@pytest.mark.parametrize("order", [(), (255, 0, 1), (-1,), (16, 0)])
+def test_no_first_sonar_switches_the_ring_off_and_keeps_the_readings(order: tuple[int, ...]) -> None:
+    sonars = ring()
+    sonars.fire_all(HERE, stamp())
+    before = sonars.readings_in
+    sonars.configure(15, order, 0)
+    assert sonars.due_ps == NEVER_PS
+    assert sonars.readings_in == before != (255,) * 16
+
+
+def test_readings_are_whole_inches_from_the_ring() -> None:
+    sonars = ring()
+    assert sonars.readings_in == (255,) * 16
+    turret, x, y = radians(10.0), 20.0, -30.0
+    sonars.fire_all(Eye(x, y, turret), stamp())
+    for number, reading in enumerate(sonars.readings_in):
+        way = turret + radians(22.5) * number
+        to_x = (100.0 * np.sign(cos(way)) - x) / cos(way)
+        to_y = (100.0 * np.sign(sin(way)) - y) / sin(way)
+        assert reading == round(min(to_x, to_y) - 9.06)
+
+
+@pytest.mark.parametrize(
+    ("gap", "reading"), [(0.5, 6), (5.9, 6), (6.4, 6), (6.6, 7), (254.4, 254), (254.6, 255), (300.0, 255)]
+)
+def test_limits(gap: float, reading: int) -> None:
+    x = 9.06 + gap
+    sonars = ring(walls=np.array([[x, -1.0, x, 1.0]]))
+    sonars.fire_all(HERE, stamp())
+    assert sonars.readings_in == (reading, *[255] * 15)
+    assert all(type(value) is int for value in sonars.readings_in)
+
+
+def test_noise_has_the_spread_it_is_given() -> None:
+    noise = SonarNoise(std_share=0.01, least_std_in=0.05)
+    assert (noise.std_in(1.0), noise.std_in(200.0)) == (0.05, 2.0)
+    sonars = ring(noise, walls=SQUARE * 2.0)
+    readings = []
+    for _ in range(4000):
+        sonars.fire_all(HERE, stamp())
+        readings.append(sonars.readings_in[0])
+    assert np.mean(readings) == pytest.approx(200.0 - 9.06, abs=0.13)
+    assert np.var(readings) == pytest.approx(1.9094**2 + 1.0 / 12.0, rel=0.1)
+    nothing = ring(noise, walls=np.empty((0, 4)))
+    nothing.fire_all(HERE, stamp())
+    assert nothing.readings_in == (255,) * 16
+
+
+def test_looking_often_or_late_gives_the_same_readings() -> None:
+    noise = SonarNoise(std_share=0.05)
+    often, late = ring(noise), ring(noise)
+    for sonars in (often, late):
+        sonars.configure(15, DEFAULT_ORDER, 0)
+    for number in range(40):
+        for sonars in (often, late):
+            sonars.fire_due(Eye(number, -number, 0.1 * number), stamp(number))
+        seen = often.readings_in
+    assert late.readings_in == seen
+    assert late.stamps == often.stamps
+
+
+def test_an_echo_meets_the_walls_of_its_instant() -> None:
+    sonars = ring()
+    sonars.fire_all(HERE, stamp())
+    sonars.surround(np.empty((0, 4)))
+    assert sonars.readings_in[0] == 91
+    sonars.fire_all(HERE, stamp())
+    assert sonars.readings_in[0] == 255
