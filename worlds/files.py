@@ -1,11 +1,12 @@
 """World files: TOML in, a World out; and where the shipped ones are. The only file here that touches the disk.
 
-name, title                                         texts, both optional
-[[room]]      corners, name                         a closed outline, free inside
-[[wall]]      points                                an open line of two points or more
-[[obstacle]]  corners, name                         a closed solid; clients may move and delete it
-[[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, 0 where not given
-[[path]]      name, figure, points, start           way-points from the start on; start: number of a [[start]]
+    name, title                                         texts, both optional
+    [[room]]      corners, name                         a closed outline, free inside
+    [[wall]]      points                                an open line of two points or more
+    [[obstacle]]  corners, name                         a closed solid; clients may move and delete it
+    [[start]]     x, y, steering_deg, turret_deg        degrees counter-clockwise, 0 where not given
+    [[path]]      name, figure, points, start           way-points from the start on; start: number of a [[start]]
+
 corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is a WorldFileError.
 """
 

@@ -18,13 +18,13 @@ BoolArray = npt.NDArray[np.bool_]
 def polyline_segments(points: npt.ArrayLike) -> FloatArray:
     """The k - 1 segments (k - 1, 4) that join k >= 1 points (k, 2) in their order."""
     array = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-    return np.hstack((array[:-1], array[1:]))
+    return np.concatenate((array[:-1], array[1:]), axis=1)
 
 
 def polygon_segments(corners: npt.ArrayLike) -> FloatArray:
     """The n edges (n, 4) of the closed polygon with n corners (n, 2), the closing edge last."""
     array = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    return np.hstack((array, np.roll(array, -1, axis=0)))
+    return np.concatenate((array, np.concatenate((array[1:], array[:1]))), axis=1)
 
 
 def lengths(segments: FloatArray) -> FloatArray:
@@ -47,14 +47,16 @@ def nearest_points(points: npt.ArrayLike, segments: FloatArray) -> tuple[FloatAr
 
     The foot of the perpendicular, held between the two ends; a segment of length 0 is its point.
     """
-    here = np.asarray(points, dtype=np.float64)[..., np.newaxis, :]
-    first = segments[:, :2]
-    along = segments[:, 2:] - first
-    squared = np.einsum("mk,mk->m", along, along)
-    share = ((here - first) * along).sum(axis=-1) / np.where(squared > 0.0, squared, 1.0)
-    nearest: FloatArray = first + np.clip(share, 0.0, 1.0)[..., np.newaxis] * along
-    offset = here - nearest
-    return nearest, np.hypot(offset[..., 0], offset[..., 1])
+    here = np.asarray(points, dtype=np.float64)[..., np.newaxis]
+    x, y = here[..., 0, :], here[..., 1, :]
+    x1, y1, x2, y2 = segments.T
+    along_x, along_y = x2 - x1, y2 - y1
+    squared = along_x * along_x + along_y * along_y
+    squared[squared == 0.0] = 1.0
+    share = ((x - x1) * along_x + (y - y1) * along_y) / squared
+    share = np.minimum(np.maximum(share, 0.0), 1.0)
+    nearest_x, nearest_y = x1 + share * along_x, y1 + share * along_y
+    return np.stack((nearest_x, nearest_y), axis=-1), np.hypot(x - nearest_x, y - nearest_y)
 
 
 def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,)) -> BoolArray:
@@ -64,8 +66,8 @@ def inside(points: npt.ArrayLike, edges: FloatArray, firsts: npt.ArrayLike = (0,
     polygon begins. Even-odd rule: a point is inside when a half line from it to the right crosses an odd number of
     edges; a test of signs, without a division. A point on an edge may count as either.
     """
-    here = np.asarray(points, dtype=np.float64)[..., np.newaxis, :]
-    x, y = here[..., 0], here[..., 1]
+    here = np.asarray(points, dtype=np.float64)[..., np.newaxis]
+    x, y = here[..., 0, :], here[..., 1, :]
     x1, y1, x2, y2 = edges.T
     spans = (y1 > y) != (y2 > y)
     left_of_edge = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1) > 0.0

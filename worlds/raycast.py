@@ -89,16 +89,14 @@ def _cast_one(origin: FloatArray, direction: FloatArray, walls: FloatArray) -> t
 
 def _meeting(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> float:
     """Where a ray's line meets a wall, from its two corners; negative behind the origin, inf for not at all."""
-    if abs(side_1) <= ON_LINE_IN:
-        side_1 = 0.0
-    if abs(side_2) <= ON_LINE_IN:
-        side_2 = 0.0
-    if side_1 * side_2 > 0.0:
-        return inf
-    if side_1 == side_2:
-        nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
+    on_line_1, on_line_2 = abs(side_1) <= ON_LINE_IN, abs(side_2) <= ON_LINE_IN
+    if not (on_line_1 or on_line_2):
+        return inf if side_1 * side_2 > 0.0 else (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+    nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
+    if on_line_1 and on_line_2:
         return farther if farther < 0.0 else max(nearer, 0.0)
-    return (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+    mean = (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+    return min(max(mean, nearer), farther)
 
 
 def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, IndexArray]:
@@ -117,24 +115,26 @@ def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -
 
 def _meetings(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
     """`_meeting` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
-    (side_1, side_2), (ahead_1, ahead_2) = _in_ray_frames(origins, directions, walls)
+    (side_1, side_2), (ahead_1, ahead_2) = sides, _ = _in_ray_frames(origins, directions, walls)
     met: FloatArray = ahead_1 * side_2
     met -= ahead_2 * side_1
     width = side_2 - side_1
     width += _NEVER_ZERO
     met /= width
-    end_on = (side_1 == 0.0) & (side_2 == 0.0)
-    if end_on.any():
-        nearer, farther = np.minimum(ahead_1, ahead_2), np.maximum(ahead_1, ahead_2)
-        np.copyto(met, np.where(farther < 0.0, farther, np.maximum(nearer, 0.0)), where=end_on)
     missed = side_1 * side_2 > 0.0
+    on_line = np.abs(sides) <= ON_LINE_IN
+    if on_line.any():
+        missed &= ~on_line.any(axis=0)
+        nearer, farther = np.minimum(ahead_1, ahead_2), np.maximum(ahead_1, ahead_2)
+        end_on = np.where(farther < 0.0, farther, np.maximum(nearer, 0.0))
+        met = np.where(on_line.all(axis=0), end_on, np.clip(met, nearer, farther))
     missed |= met < -ON_WALL_IN
     np.copyto(met, inf, where=missed)
     return met
 
 
 def _in_ray_frames(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sides (2, m, n) and aheads (2, m, n) of the first and the second corners; sides on the line are 0.
+    """Sides (2, m, n) and aheads (2, m, n) of the first and the second corners.
 
     One product each: rows (x, y, 1) of the corners times columns of the rays.
     """
@@ -145,9 +145,6 @@ def _in_ray_frames(origins: FloatArray, directions: FloatArray, walls: FloatArra
     corners[1, :, :2] = walls[:, 2:]
     sides: FloatArray = corners @ np.stack((-dy, dx, x * dy - y * dx))
     aheads: FloatArray = corners @ np.stack((dx, dy, -(x * dx + y * dy)))
-    distances = np.abs(sides)
-    if distances.min() <= ON_LINE_IN:
-        sides[distances <= ON_LINE_IN] = 0.0
     return sides, aheads
 
 

@@ -1,0 +1,297 @@
+"""The ray caster against an exact, slow solver in fractions, and by its promises: closed corners, starts on walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+from math import cos, hypot, inf, pi, sin
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+
+from worlds import raycast
+from worlds.geometry import polygon_segments
+from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_rays
+
+Pair = tuple[float, float]
+Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]
+Wall = tuple[float, float, float, float]
+Rational = tuple[Fraction, Fraction]
+
+SQUARE = polygon_segments([(0, 0), (10, 0), (10, 10), (0, 10)])
+EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
+
+
+def meeting_exactly(origin: Rational, direction: Rational, wall: Wall) -> Fraction | None:
+    """The witness: origin + t direction = first + u (second - first) by Cramer's rule, in exact fractions.
+
+    The smallest t >= 0 with 0 <= u <= 1, or None. Nothing in common with the kernel: no sides, no tolerance.
+    """
+    x, y = Fraction(wall[0]) - origin[0], Fraction(wall[1]) - origin[1]
+    ex, ey = Fraction(wall[2]) - Fraction(wall[0]), Fraction(wall[3]) - Fraction(wall[1])
+    dx, dy = direction
+    determinant = dx * ey - dy * ex
+    if determinant:
+        t, u = (x * ey - y * ex) / determinant, (x * dy - y * dx) / determinant
+        return t if t >= 0 and 0 <= u <= 1 else None
+    if x * dy != y * dx:
+        return None
+    ends = sorted(((x * dx + y * dy), ((x + ex) * dx + (y + ey) * dy)))
+    return max(ends[0], Fraction(0)) if ends[1] >= 0 else None
+
+
+def alone(origin: Pair, direction: Pair, walls: npt.ArrayLike) -> tuple[float, int]:
+    """One ray through the path for a single ray."""
+    ranges, rows = cast_rays(origin, direction, walls)
+    assert ranges.shape == rows.shape == ()
+    return float(ranges), int(rows)
+
+
+def among(origin: Pair, direction: Pair, walls: npt.ArrayLike) -> tuple[float, int]:
+    """One ray through the path for many, beside another that points the other way."""
+    ranges, rows = cast_rays(origin, [direction, (-direction[0], -direction[1])], walls)
+    assert ranges.shape == rows.shape == (2,)
+    return float(ranges[0]), int(rows[0])
+
+
+both_ways = pytest.mark.parametrize("cast", [alone, among])
+
+
+# Whole numbers and directions of Pythagorean triangles: every side and every range is a fraction with a small
+# denominator, so whatever is not exactly zero is far beyond the tolerances, and the kernel must agree to the last case.
+
+whole = st.integers(-6, 6)
+walls_on_grid = st.lists(st.tuples(whole, whole, whole, whole), min_size=1, max_size=6)
+triangles = st.sampled_from([(1, 0, 1), (3, 4, 5), (4, 3, 5), (5, 12, 13), (12, 5, 13), (8, 15, 17)])
+signs = st.sampled_from([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+
+
+@both_ways
+@given(st.tuples(whole, whole), triangles, signs, st.booleans(), walls_on_grid)
+@example((0, 0), (1, 0, 1), (1, 1), False, [(3, 0, 5, 0)])  # end-on, ahead
+@example((4, 0), (1, 0, 1), (1, 1), False, [(3, 0, 5, 0)])  # within the wall, along it
+@example((6, 0), (1, 0, 1), (1, 1), False, [(3, 0, 5, 0)])  # end-on, behind
+@example((0, 0), (3, 4, 5), (1, 1), False, [(3, 4, 6, 4)])  # grazes an end
+@example((0, 0), (3, 4, 5), (1, 1), False, [(3, 4, 6, 4), (3, 4, 6, 3)])  # a corner pointing at the ray's side
+@example((3, 4), (3, 4, 5), (1, 1), False, [(3, 4, 6, 4)])  # starts on the end of a wall
+@example((0, 0), (1, 0, 1), (1, 1), False, [(2, 0, 2, 0)])  # a wall that is a point
+def test_it_agrees_with_the_exact_solver_in_every_degenerate_case(
+    cast: Cast,
+    origin: tuple[int, int],
+    triangle: tuple[int, int, int],
+    sign: tuple[int, int],
+    swap: bool,
+    walls: list[tuple[int, int, int, int]],
+) -> None:
+    a, b, c = triangle
+    exact = (Fraction(sign[0] * a, c), Fraction(sign[1] * b, c))
+    exact = exact[::-1] if swap else exact
+    met = [meeting_exactly((Fraction(origin[0]), Fraction(origin[1])), exact, wall) for wall in walls]
+    ranges = [inf if t is None else float(t) for t in met]
+
+    found, row = cast(origin, (float(exact[0]), float(exact[1])), walls)
+
+    assert found == pytest.approx(min(ranges), abs=1e-12)
+    assert row == NO_WALL if found == inf else ranges[row] == pytest.approx(found, abs=1e-12)
+
+
+# Any numbers at all: the answer must be right for walls moved by a few ON_LINE_IN.
+
+inches = st.floats(-100.0, 100.0)
+anywhere = st.tuples(inches, inches)
+angles = st.floats(0.0, 2.0 * pi)
+SLACK_IN = 4 * ON_LINE_IN
+
+
+def apart(point: Rational, wall: Wall) -> float:
+    """Distance of a point to a wall, the foot of the perpendicular found in fractions."""
+    ax, ay, bx, by = (Fraction(number) for number in wall)
+    ex, ey, squared = bx - ax, by - ay, (bx - ax) ** 2 + (by - ay) ** 2
+    share = ((point[0] - ax) * ex + (point[1] - ay) * ey) / squared if squared else Fraction(0)
+    share = min(max(share, Fraction(0)), Fraction(1))
+    return hypot(float(point[0] - ax - share * ex), float(point[1] - ay - share * ey))
+
+
+def surely_blocks(origin: Rational, direction: Rational, wall: Wall, reach: float) -> bool:
+    """Whether the wall stands across the ray before `reach` even if it moves a little."""
+    t = meeting_exactly(origin, direction, wall)
+    if t is None:
+        return False
+    sides = [
+        float(direction[0] * (Fraction(y) - origin[1]) - direction[1] * (Fraction(x) - origin[0]))
+        for x, y in (wall[:2], wall[2:])
+    ]
+    if min(map(abs, sides)) < SLACK_IN:
+        return False
+    length = hypot(wall[2] - wall[0], wall[3] - wall[1])
+    return SLACK_IN < float(t) < reach - SLACK_IN * (1.0 + length / abs(sides[1] - sides[0]))
+
+
+@both_ways
+@given(anywhere, angles, st.lists(st.tuples(inches, inches, inches, inches), min_size=1, max_size=8))
+def test_any_answer_is_right_for_walls_moved_by_a_few_tolerances(
+    cast: Cast, origin: Pair, angle: float, walls: list[Wall]
+) -> None:
+    direction = (cos(angle), sin(angle))
+    start = (Fraction(origin[0]), Fraction(origin[1]))
+    way = (Fraction(direction[0]), Fraction(direction[1]))
+
+    found, row = cast(origin, direction, walls)
+
+    assert not [wall for wall in walls if surely_blocks(start, way, wall, found)]
+    if found < inf:
+        reached = (start[0] + Fraction(found) * way[0], start[1] + Fraction(found) * way[1])
+        assert apart(reached, walls[row]) < SLACK_IN
+
+
+@given(st.lists(st.floats(1.0, 100.0), min_size=3, max_size=12), anywhere, angles)
+def test_no_ray_slips_out_of_a_closed_outline(radii: list[float], centre: Pair, angle: float) -> None:
+    bearings = np.arange(len(radii)) * 2.0 * pi / len(radii)
+    corners = np.array(centre) + np.array(radii)[:, np.newaxis] * np.stack(
+        (np.cos(bearings), np.sin(bearings)), axis=-1
+    )
+    outline = polygon_segments(corners)
+    aimed = np.arctan2(corners[:, 1] - centre[1], corners[:, 0] - centre[0])
+    every = np.concatenate((aimed, np.nextafter(aimed, 9.0), np.nextafter(aimed, -9.0), [angle]))
+
+    ranges, rows = cast_rays(centre, np.stack((np.cos(every), np.sin(every)), axis=-1), outline)
+
+    assert np.isfinite(ranges).all()
+    assert (rows != NO_WALL).all()
+    np.testing.assert_allclose(ranges[: len(radii)], radii, atol=1e-6)
+    for bearing in every:
+        assert np.isfinite(cast_rays(centre, (cos(bearing), sin(bearing)), outline)[0])
+
+
+@pytest.mark.parametrize("far", [0.0, 9.9e4])
+def test_a_shared_corner_does_not_leak_far_from_the_origin_either(far: float) -> None:
+    fan = [(far + 100.0, far + y, far + 100.0, far + y + 0.1) for y in np.arange(-50, 50) / 10.0]
+    rng = np.random.default_rng(1)
+    origins = far + np.stack((rng.uniform(0.0, 50.0, 500), rng.uniform(-4.0, 4.0, 500)), axis=-1)
+    corners = np.array(fan)[rng.integers(1, 100, 500), :2]
+    ways = (corners - origins) / np.hypot(*(corners - origins).T)[:, np.newaxis]
+
+    ranges, _ = cast_rays(origins, ways, fan)
+
+    np.testing.assert_allclose(ranges, np.hypot(*(corners - origins).T), atol=1e-8)
+
+
+@both_ways
+@pytest.mark.parametrize("direction", [EAST, NORTH, WEST, SOUTH, (0.6, 0.8), (-0.8, 0.6)])
+@pytest.mark.parametrize("origin", [(10.0, 5.0), (5.0, 0.0), (0.0, 0.0), (10.0, 10.0)])
+def test_a_ray_that_starts_on_a_wall_meets_it_at_0_wherever_it_points(
+    cast: Cast, origin: Pair, direction: Pair
+) -> None:
+    assert cast(origin, direction, SQUARE)[0] == 0.0
+
+
+@both_ways
+@given(anywhere, anywhere, st.floats(0.0, 1.0), st.floats(0.001, pi - 0.001), st.booleans())
+def test_a_start_on_a_slanted_wall_is_on_it_in_spite_of_rounding(
+    cast: Cast, first: Pair, second: Pair, share: float, angle: float, behind: bool
+) -> None:
+    assume(hypot(second[0] - first[0], second[1] - first[1]) > 0.1)
+    origin = (first[0] + share * (second[0] - first[0]), first[1] + share * (second[1] - first[1]))
+    way = np.arctan2(second[1] - first[1], second[0] - first[0]) + (angle if behind else -angle)
+
+    found, row = cast(origin, (cos(way), sin(way)), [(*first, *second)])
+
+    assert found == pytest.approx(0.0, abs=1e-9)
+    assert row == 0
+
+
+@both_ways
+def test_a_start_a_hair_behind_a_wall_is_on_it_and_no_more_than_a_hair(cast: Cast) -> None:
+    wall = [(10.0, 0.0, 10.0, 10.0)]
+    assert cast((10.0 + 0.5 * ON_WALL_IN, 5.0), EAST, wall) == (0.0, 0)
+    assert cast((10.0 + 2.0 * ON_WALL_IN, 5.0), EAST, wall) == (inf, NO_WALL)
+
+
+@both_ways
+def test_an_end_a_hair_beside_the_ray_is_grazed_and_no_more_than_a_hair(cast: Cast) -> None:
+    assert cast((0.0, 0.0), EAST, [(5.0, 0.5 * ON_LINE_IN, 5.0, 9.0)]) == (5.0, 0)
+    assert cast((0.0, 0.0), EAST, [(5.0, 2.0 * ON_LINE_IN, 5.0, 9.0)]) == (inf, NO_WALL)
+
+
+@both_ways
+def test_a_parallel_wall_is_not_met_and_divides_nothing_by_zero(cast: Cast) -> None:
+    assert cast((0.0, 0.0), EAST, [(1.0, 3.0, 9.0, 3.0), (1.0, -3.0, 9.0, -3.0)]) == (inf, NO_WALL)
+
+
+@both_ways
+def test_a_wall_seen_end_on_is_met_at_its_nearer_end_from_either_side(cast: Cast) -> None:
+    wall = [(3.0, 0.0, 7.0, 0.0)]
+    assert cast((0.0, 0.0), EAST, wall) == (3.0, 0)
+    assert cast((9.0, 0.0), WEST, wall) == (2.0, 0)
+    assert cast((9.0, 0.0), EAST, wall) == (inf, NO_WALL)
+
+
+@both_ways
+def test_the_first_of_several_walls_is_named(cast: Cast) -> None:
+    walls = [(9.0, -1.0, 9.0, 1.0), (4.0, -1.0, 4.0, 1.0), (-2.0, -1.0, -2.0, 1.0)]
+    assert cast((0.0, 0.0), EAST, walls) == (4.0, 1)
+    assert cast((0.0, 0.0), WEST, walls) == (2.0, 2)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (3,), (2, 3), (0,)])
+def test_without_walls_nothing_is_met_in_any_shape(shape: tuple[int, ...]) -> None:
+    ranges, rows = cast_rays(np.zeros((*shape, 2)), np.broadcast_to(EAST, (*shape, 2)), np.empty((0, 4)))
+    assert ranges.shape == rows.shape == shape
+    assert np.isinf(ranges).all()
+    assert (rows == NO_WALL).all()
+    assert (ranges.dtype, rows.dtype) == (np.dtype(np.float64), np.dtype(np.intp))
+
+
+@pytest.mark.parametrize(
+    ("origins", "directions", "shape"),
+    [
+        ((2,), (2,), ()),
+        ((2,), (16, 2), (16,)),
+        ((5, 2), (2,), (5,)),
+        ((4, 3, 1, 2), (16, 2), (4, 3, 16)),
+        ((0, 2), (2,), (0,)),
+    ],
+)
+def test_leading_dimensions_broadcast(
+    origins: tuple[int, ...], directions: tuple[int, ...], shape: tuple[int, ...]
+) -> None:
+    rng = np.random.default_rng(2)
+    starts = rng.uniform(1.0, 9.0, origins)
+    ways = rng.normal(size=directions)
+    ways /= np.hypot(ways[..., 0], ways[..., 1])[..., np.newaxis]
+
+    ranges, rows = cast_rays(starts, ways, SQUARE)
+
+    assert ranges.shape == rows.shape == shape
+    assert (ranges.dtype, rows.dtype) == (np.dtype(np.float64), np.dtype(np.intp))
+    starts, ways = np.broadcast_to(starts, (*shape, 2)), np.broadcast_to(ways, (*shape, 2))
+    for place in np.ndindex(shape):
+        distance, row = cast_rays(starts[place], ways[place], SQUARE)
+        assert ranges[place] == pytest.approx(float(distance), abs=1e-12)
+        assert rows[place] == row
+
+
+def test_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    origins, turns = rng.uniform(0.0, 10.0, (101, 2)), rng.uniform(0.0, 2.0 * pi, 101)
+    ways = np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+    walls = rng.uniform(0.0, 10.0, (7, 4))
+    whole_ranges, whole_rows = cast_rays(origins, ways, walls)
+
+    monkeypatch.setattr(raycast, "_BLOCK", 70)
+    ranges, rows = cast_rays(origins, ways, walls)
+
+    np.testing.assert_allclose(ranges, whole_ranges, atol=1e-12)
+    np.testing.assert_array_equal(rows, whole_rows)
+
+
+@both_ways
+def test_walls_may_be_a_view_of_any_kind_and_are_never_written(cast: Cast) -> None:
+    columns = np.asfortranarray(SQUARE)
+    columns.setflags(write=False)
+    assert cast((2.0, 5.0), EAST, columns) == (8.0, 1)
+    assert cast((2.0, 5.0), EAST, SQUARE[1::2]) == (8.0, 0)
+    assert cast((2.0, 5.0), EAST, SQUARE.astype(np.int64)) == (8.0, 1)
