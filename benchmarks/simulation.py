@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Sequence
-from math import pi, tau
+from math import pi, sin, tau
 from time import perf_counter
 
 import numpy as np
@@ -38,10 +38,13 @@ def scene() -> World:
 
 
 def roam(simulation: Simulation, robot: SimulatedRobot, steps: int) -> None:
-    """Drive in arcs; wherever the robot is stopped it turns and drives on."""
+    """Drive in arcs that change every two seconds; wherever the robot is stopped it drives back."""
+    speed = 12.0
     for step in range(steps):
-        if not robot.moving[0]:
-            robot.set_velocities(12.0, 0.35 if step % 2 else -0.35, 0.2)
+        stopped = not robot.moving[0]
+        if stopped or step % 20 == 0:
+            speed = -speed if stopped else speed
+            robot.set_velocities(speed, 0.5 * sin(step), 0.2)
         simulation.step(DT_S)
         assert len(robot.sonar.readings_in) == 16
 

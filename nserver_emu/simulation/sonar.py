@@ -135,16 +135,13 @@ class SonarRing:
         self._stamps[sonar] = stamp
 
     def _listen(self) -> None:
-        """Cast the rays of all firings since the last look, in one go."""
-        if not self._unheard:
-            return
-        firings = list(self._unheard.values())
-        origins = [(firing.x_in, firing.y_in) for firing in firings]
-        ways = [(cos(firing.direction_rad), sin(firing.direction_rad)) for firing in firings]
-        ranges, _ = cast_rays(np.array(origins), np.array(ways), self._walls)
-        for sonar, firing, from_axis in zip(self._unheard, firings, ranges.tolist(), strict=True):
-            self._readings[sonar] = self._reading(from_axis - self.body.sonar_ring_radius_in, firing.chance)
-        self._unheard = {}
+        """Cast the rays of all firings since the last look, ray by ray: few they are, at most sixteen, and a batch of
+        another size would round another way, so that looking more often could change a reading."""
+        for sonar, firing in self._unheard.items():
+            way = cos(firing.direction_rad), sin(firing.direction_rad)
+            from_axis, _ = cast_rays((firing.x_in, firing.y_in), way, self._walls)
+            self._readings[sonar] = self._reading(float(from_axis) - self.body.sonar_ring_radius_in, firing.chance)
+        self._unheard.clear()
 
     def _reading(self, range_in: float, chance: float) -> int:
         """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
