@@ -87,7 +87,7 @@ class ReplyShape:
         except ConstructError as error:
             raise WireError(f"no {self.kind} reply of this shape: {error}") from None
         if stream.tell() != len(data):
-            raise WireError(f"a {self.kind} reply ends after {stream.tell()} bytes; there are {len(data)}")
+            raise WireError(f"no {self.kind} reply of this shape: it ends after {stream.tell()} of {len(data)} bytes")
         volts = (found["volt_cpu"], found["volt_motor"]) if "volt_cpu" in found else None
         values = tuple(found.get("values", ()))
         return Reply(self.kind, slots, found.get("laser"), stamps, found.get("clock"), volts, values)
@@ -99,7 +99,7 @@ class ReplyShape:
             "slots": reply.slots,
             "stamps": reply.stamps,
             "laser": reply.laser,
-            "clock": reply.clock,
+            "clock": reply.clock or 0,
             "values": reply.values,
             "volt_cpu": cpu,
             "volt_motor": motor,

@@ -18,7 +18,8 @@ from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
 
 _HEADER = struct.Struct(">hH")
 MAX_UNKNOWN_WORDS = 1024
-"""A message of unknown type or wrong count is passed over whole up to this count; beyond it, byte by byte."""
+"""A message of unknown type or wrong count is passed over whole up to this count; beyond it the frame is lost,
+and the search goes on byte by byte, reported once, until a good message is found."""
 UNKNOWN_TYPE, WRONG_COUNT = 1, 2
 _CONNECT_TYPES = (101, 102, 103)
 Bounds = Callable[[int], tuple[int, int] | None]
@@ -127,8 +128,8 @@ class TcpFramer:
     def _refuse(
         self, message_type: int, count: int, bounds: tuple[int, int] | None, found: list[TcpFrame | Refused]
     ) -> None:
-        hopeless = count > MAX_UNKNOWN_WORDS
-        if not (hopeless and self._lost):
+        hopeless = self._lost or count > MAX_UNKNOWN_WORDS
+        if not self._lost:
             if bounds is None:
                 found.append(Refused(UNKNOWN_TYPE, f"unknown message type {message_type}", hopeless))
             else:

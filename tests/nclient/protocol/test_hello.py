@@ -1,0 +1,48 @@
+"""The eleven bare bytes of a N200 on TCP, against bit positions written down by hand."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import line_masks
+
+from nclient.errors import WireError
+from nclient.protocol.hello import HELLO_SIZE, Hello, adopt, build_hello, read_hello
+from nclient.protocol.mask import Mask
+from nclient.protocol.models import N200
+from nclient.protocol.terms import line_terms
+
+
+def test_where_the_bits_are() -> None:
+    found = read_hello(bytes.fromhex("01 00 80 00 02" "01" "25" "21" "aabbcc"))
+    assert [slot for slot in range(1, 44) if found.mask.has(slot)] == [1, 24, 34, 41, 42, 43]
+    assert (found.mask.position, found.laser_mode) == (18, 33)
+    without = read_hello(bytes.fromhex("00 00 00 00 00" "fe" "00" "00" "000000"))
+    assert [slot for slot in range(1, 44) if without.mask.has(slot)] == [41]
+
+
+@settings(max_examples=40, deadline=None)
+@given(line_masks, st.integers(0, 255))
+def test_hellos_come_back_from_their_bytes(mask: Mask, mode: int) -> None:
+    built = build_hello(Hello(mask, mode))
+    assert len(built) == HELLO_SIZE
+    assert read_hello(built) == Hello(mask, mode)
+
+
+def test_the_host_adopts_mask_and_mode() -> None:
+    terms = line_terms(N200)
+    mask = terms.mask.with_position(4)
+    adopt(Hello(mask, 33), terms)
+    assert (terms.mask, terms.laser_mode, terms.laser_width) == (mask, 33, 4)
+
+
+@pytest.mark.parametrize("size", [0, 10, 12])
+def test_no_other_number_of_bytes(size: int) -> None:
+    with pytest.raises(WireError, match=f"11 bytes, not {size}"):
+        read_hello(bytes(size))
+
+
+def test_a_mode_that_is_no_byte() -> None:
+    with pytest.raises(WireError, match="a hello cannot carry this"):
+        build_hello(Hello(line_terms(N200).mask, 256))

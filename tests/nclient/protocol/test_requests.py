@@ -1,0 +1,210 @@
+"""Requests whose bytes are not just their numbers: texts, obstacles, motion checks, packets, flags; and refusals."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nclient.errors import WireError
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N150, N200, SCOUT
+from nclient.protocol.serial_frame import SerialFrame
+from nclient.protocol.tcp_frame import TcpFrame
+from nclient.protocol.terms import line_terms
+
+
+def tcp(name: str, *args: Any) -> bytes:
+    return language.tcp_request(Call(name, args))
+
+
+def line(name: str, *args: Any) -> bytes:
+    return language.line_request(Call(name, args), line_terms(N200))
+
+
+def words(built: bytes) -> tuple[int, ...]:
+    return struct.unpack(f">{len(built) // 4 - 1}i", built[4:])
+
+
+@pytest.mark.parametrize(("text", "wire"), [
+    ("hello", "6c6c6568" "0000006f"), ("four", "72756f66" "00000000"), ("a", "00000061"), ("", "00000000"),
+])
+def test_a_text_over_tcp_arrives_in_reversed_fours(text: str, wire: str) -> None:
+    assert tcp("tk", text)[4:].hex() == wire
+
+
+def test_what_follows_the_nul_of_a_text_is_rubbish() -> None:
+    frame = TcpFrame(19, bytes.fromhex("6c6c6568" "dead006f" "deadbeef"))
+    assert language.tcp_call(frame) == Call("tk", ("hello",))
+    assert tcp("tk", "hello\0world") == tcp("tk", "hello")
+
+
+def test_a_text_on_the_line_ends_with_a_nul() -> None:
+    assert line("tk", "hi")[4:-2] == b"hi\0"
+    with pytest.raises(WireError, match="tk"):
+        language.line_call(SerialFrame(11, b"no end"), line_terms(N200))
+
+
+@pytest.mark.parametrize(("build", "longest"), [(tcp, 255), (line, 248)])
+def test_the_longest_text(build: Any, longest: int) -> None:
+    assert build("tk", "x" * longest)
+    with pytest.raises(WireError, match="at most"):
+        build("tk", "x" * (longest + 1))
+
+
+@pytest.mark.parametrize("build", [tcp, line])
+@pytest.mark.parametrize(("text", "wrong"), [("wo liegt Łódź?", "Latin-1"), (5, "a text is wanted, not 5")])
+def test_texts_that_cannot_be_said(build: Any, text: Any, wrong: str) -> None:
+    with pytest.raises(WireError, match=wrong):
+        build("tk", text)
+
+
+@pytest.mark.parametrize("args", [
+    (), (0,), (11, *range(22)), (3, 1, 2, 3, 4), (1, 1, 2, 3), (-1,), ("one", 1, 2),
+])
+def test_obstacles_that_cannot_be(args: tuple[Any, ...]) -> None:
+    with pytest.raises(WireError, match="add_obstacle"):
+        tcp("add_obstacle", *args)
+    with pytest.raises(WireError, match="move_obstacle"):
+        tcp("move_obstacle", *args, 1, 2, 3)
+
+
+@pytest.mark.parametrize(("kind", "payload"), [
+    (50, (0, 1, 2)), (50, (11, 1, 2)), (50, (2, 1, 2, 3)), (52, (1, 1, 2, 3)), (52, (1, 1, 2, 3, 4, 5)),
+])
+def test_obstacle_words_that_contradict_themselves(kind: int, payload: tuple[int, ...]) -> None:
+    with pytest.raises(WireError, match=r"an obstacle is n = 1\.\.10"):
+        language.tcp_call(TcpFrame(kind, struct.pack(f">{len(payload)}i", *payload)))
+
+
+def test_motion_checks_are_truncated_toward_zero() -> None:
+    assert words(tcp("motion_check", 0, -12345, 12349, 9, -9)) == (0, -1234, 1234, 0, 0, 0, 0, 0)
+    arc = words(tcp("motion_check", 1, 1000, -1000, 1570.7969, -0.0019, 5000, 0, 10))
+    assert arc == (1, 100, -100, 1570796, -1, 500, 0, 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(-7_000_000, 7_000_000))
+def test_no_millionth_of_a_radian_is_lost_on_the_way_back(angle: int) -> None:
+    call = language.tcp_call(TcpFrame(400, struct.pack(">8i", 1, 0, 0, angle, 0, 0, 0, 0)))
+    assert call.args[3] == pytest.approx(angle / 1000, abs=1e-12)
+    assert words(language.tcp_request(call))[3] == angle
+
+
+@pytest.mark.parametrize("args", [
+    (), (2, 0, 0, 0, 0), (0, 1, 2, 3), (0, 1, 2, 3, 4, 5), (1, 1, 2, 3, 4), (0, math.nan, 0, 0, 0),
+    (0, math.inf, 0, 0, 0), (0, 10**12, 0, 0, 0), ("line", 0, 0, 0, 0),
+])
+def test_motion_checks_that_cannot_be(args: tuple[Any, ...]) -> None:
+    with pytest.raises(WireError, match="motion_check"):
+        tcp("motion_check", *args)
+
+
+def test_a_motion_check_of_no_known_type() -> None:
+    with pytest.raises(WireError, match=r"type 0 \(line\) or 1 \(arc\)"):
+        language.tcp_call(TcpFrame(400, struct.pack(">8i", 2, *[0] * 7)))
+
+
+def test_a_special_packet_counts_its_own_four_bytes() -> None:
+    assert line("special_request", 200, 1, 2, 250)[4:-2].hex() == "0700" "00" "c8" "0102fa"
+    assert words(tcp("special_request", 200, 1, 2, 250)) == (7, 0, 0, 200, 1, 2, 250)
+
+
+@pytest.mark.parametrize("data", ["0800" "00" "c8" "0102fa", "0600" "00" "c8" "0102fa", "0700", ""])
+def test_a_special_packet_of_another_length_than_it_says(data: str) -> None:
+    raw = bytes.fromhex(data)
+    with pytest.raises(WireError, match="special_request"):
+        language.line_call(SerialFrame(128, raw), line_terms(N150))
+    with pytest.raises(WireError, match="special_request"):
+        language.tcp_call(TcpFrame(300, struct.pack(f">{len(raw)}i", *raw)))
+
+
+@pytest.mark.parametrize("args", [(), (256,), (1, -1), (1, 256), (1, *[0] * 251), (1, 1.5)])
+def test_special_packets_that_cannot_be(args: tuple[Any, ...]) -> None:
+    with pytest.raises(WireError, match="special_request"):
+        tcp("special_request", *args)
+
+
+def test_the_longest_special_packet() -> None:
+    assert len(tcp("special_request", 1, *[7] * 250)) == 4 + 4 * 254
+    assert len(line("special_request", 1, *[7] * 245)) == 255
+    with pytest.raises(WireError, match="a host's frame has at most 255 bytes, not 256"):
+        line("special_request", 1, *[7] * 246)
+
+
+def test_the_arms_packets() -> None:
+    assert line("arm_zr", 1)[4:-2].hex() == "0600" "00" "28" "0100"
+    assert line("arm_ws", 1, 2, 500)[4:-2].hex() == "0c00" "00" "29" "0100" "0200" "f4010000"
+    assert line("arm_mv", 1, 2000, 2, -300)[4:-2].hex() == "1400" "00" "2a" "01000000" "d0070000" "02000000" "d4feffff"
+
+
+def test_a_users_packet_with_a_number_of_the_arms_is_no_arm_packet() -> None:
+    call = Call("special_request", (41, 1, 2, 3))
+    frame = language.line_request(call, line_terms(N150))
+    assert language.line_call(SerialFrame(128, frame[4:-2]), line_terms(N150)) == call
+    built = language.tcp_request(call)
+    assert language.tcp_call(TcpFrame(300, built[4:])) == call
+
+
+def test_flags_are_0_or_1() -> None:
+    assert words(tcp("ws", 5, 0, -1, 20)) == (1, 0, 1, 20)
+    assert line("ws", 5, 0, -1, 20)[4:-2].hex() == "01000114"
+    assert language.line_call(SerialFrame(31, b"\x05\x00\xff\x14"), line_terms(N150)).args == (1, 0, 1, 20)
+
+
+def test_a_history_of_more_than_10_is_sent_as_10_on_the_line() -> None:
+    assert line("conf_ir", 12, *range(16))[4] == 10
+    assert words(tcp("conf_ir", 12, *range(16)))[0] == 12
+
+
+def test_the_point_laser_is_35_on_the_line() -> None:
+    assert line("conf_ls", 51, 20, 20, 20, 4)[4] == 35
+    call = language.line_call(SerialFrame(17, bytes((35, 20, 20, 20, 0, 4))), line_terms(N200))
+    assert call == Call("conf_ls", (51, 20, 20, 20, 4))
+
+
+@pytest.mark.parametrize("args", [(40000, 0, 0), (0, -32768, 0), (1.5, 0, 0), ("1", 0, 0), (1, 2), (1, 2, 3, 4)])
+def test_numbers_that_vm_cannot_carry_on_the_line(args: tuple[Any, ...]) -> None:
+    with pytest.raises(WireError, match="vm"):
+        line("vm", *args)
+
+
+@pytest.mark.parametrize("args", [(2**31, 0, 0), (1.5, 0, 0), (None, 0, 0), (1, 2), ()])
+def test_numbers_that_vm_cannot_carry_over_tcp(args: tuple[Any, ...]) -> None:
+    with pytest.raises(WireError, match="vm"):
+        tcp("vm", *args)
+
+
+def test_the_number_of_arguments_is_said_by_name() -> None:
+    with pytest.raises(WireError, match=r"dp takes 2 numbers \(x, y\), got 1"):
+        tcp("dp", 1)
+    with pytest.raises(WireError, match=r"gs takes 0 numbers \(nothing\), got 1"):
+        tcp("gs", 1)
+
+
+def test_masks_that_cannot_be_sent() -> None:
+    for build in (tcp, line):
+        with pytest.raises(WireError, match="a mask is"):
+            build("ct", 32, *[0] * 43)
+
+
+@pytest.mark.parametrize(("name", "args", "models"), [
+    ("pa", (1, 2, 3), (N150, SCOUT)), ("conf_ser", (1, 9600), (N200,)), ("get_cp", (), (N150, SCOUT)),
+    ("get_rpx", (), (N150, N200, SCOUT)), ("ct", (0,) * 44, (N150, SCOUT)), ("tk", ("hi",), (N150,)),
+])
+def test_what_a_models_line_does_not_have(name: str, args: tuple[Any, ...], models: tuple[Any, ...]) -> None:
+    for model in models:
+        with pytest.raises(WireError, match=f"{name} does not exist on the line of a {model.name}"):
+            language.line_request(Call(name, args), line_terms(model))
+
+
+def test_what_tcp_does_not_have() -> None:
+    with pytest.raises(WireError, match="conf_ser does not exist over TCP"):
+        tcp("conf_ser", 1, 9600)
+    with pytest.raises(WireError, match="no command 'fly'"):
+        tcp("fly")

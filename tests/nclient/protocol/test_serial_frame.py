@@ -1,0 +1,154 @@
+"""Frames on a line that is never clean: good ones come out whatever is around them, and every byte is accounted for."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import cuts, in_pieces
+
+from nclient.errors import WireError
+from nclient.protocol.serial_frame import ROBOT_LIMIT, SerialFrame, SerialFramer, build_frame, only_frame
+
+frames = st.lists(st.builds(SerialFrame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
+noise_without_start = st.binary(max_size=30).map(lambda data: data.replace(b"\x01", b"\x02"))
+VM = bytes.fromhex("01080005640032800000245c")
+quick = settings(max_examples=60, deadline=None)
+
+
+def bytes_of(sent: list[SerialFrame]) -> bytes:
+    return b"".join(build_frame(*frame) for frame in sent)
+
+
+def accounted(framer: SerialFramer, found: list[SerialFrame]) -> int:
+    assert framer.frames == len(found)
+    return sum(len(frame.data) + 6 for frame in found) + framer.skipped_bytes + framer.pending
+
+
+def test_the_documented_frame() -> None:
+    assert build_frame(5, bytes.fromhex("640032800000")) == VM
+    assert SerialFramer().receive(VM) == [SerialFrame(5, VM[4:10])]
+
+
+@quick
+@given(frames, cuts)
+def test_any_cuts(sent: list[SerialFrame], places: list[int]) -> None:
+    framer = SerialFramer()
+    found = [frame for piece in in_pieces(bytes_of(sent), places) for frame in framer.receive(piece)]
+    assert found == sent
+    assert (framer.skipped_bytes, framer.pending) == (0, 0)
+
+
+@quick
+@given(frames)
+def test_byte_by_byte(sent: list[SerialFrame]) -> None:
+    framer = SerialFramer()
+    assert [frame for byte in bytes_of(sent) for frame in framer.receive(bytes((byte,)))] == sent
+
+
+@quick
+@given(frames, st.lists(noise_without_start, min_size=7, max_size=7), cuts)
+def test_noise_between_frames_is_skipped_and_counted(
+    sent: list[SerialFrame], noise: list[bytes], places: list[int]
+) -> None:
+    stream = b"".join(dirt + build_frame(*frame) for dirt, frame in zip(noise, sent, strict=False)) + noise[-1]
+    framer = SerialFramer()
+    found = [frame for piece in in_pieces(stream, places) for frame in framer.receive(piece)]
+    assert found == sent
+    assert framer.skipped_bytes == sum(map(len, noise[: len(sent)])) + len(noise[-1])
+
+
+@quick
+@given(st.binary(max_size=60), cuts)
+def test_any_noise_before_a_frame_hides_it_at_most_until_the_deadline(noise: bytes, places: list[int]) -> None:
+    framer = SerialFramer()
+    found = [frame for piece in in_pieces(noise + VM, places) for frame in framer.receive(piece)]
+    found += framer.expire()
+    assert SerialFrame(5, VM[4:10]) in found
+    assert framer.pending == 0
+    assert accounted(framer, found) == len(noise) + len(VM)
+
+
+@quick
+@given(st.lists(st.one_of(st.binary(max_size=80), st.just(VM), st.just(VM[:7])), max_size=8))
+def test_whatever_comes_every_byte_is_accounted_for(pieces: list[bytes]) -> None:
+    framer = SerialFramer(limit=255)
+    found = [frame for piece in pieces for frame in framer.receive(piece)]
+    assert accounted(framer, found) == sum(map(len, pieces))
+    assert framer.pending <= 255
+
+
+@pytest.mark.parametrize("length", [0, ROBOT_LIMIT - 3, 0xFFFF])
+def test_a_length_that_cannot_be_costs_one_byte_and_no_frame(length: int) -> None:
+    framer = SerialFramer()
+    corrupt = VM[:1] + length.to_bytes(2, "little") + VM[3:]
+    assert framer.receive(corrupt + VM) == [SerialFrame(5, VM[4:10])]
+    assert framer.skipped_bytes == len(corrupt)
+
+
+def test_a_corrupt_length_within_bounds_waits_for_more_bytes_only() -> None:
+    framer = SerialFramer()
+    corrupt = VM[:1] + b"\x40\x00" + VM[3:]
+    assert framer.receive(corrupt + VM) == []
+    more = framer.receive(VM * 5)
+    assert more == [SerialFrame(5, VM[4:10])] * 6
+    assert framer.skipped_bytes == len(corrupt)
+
+
+def test_a_wrong_checksum_and_a_wrong_end() -> None:
+    framer = SerialFramer()
+    assert framer.receive(VM[:-2] + b"\x25\x5c") == []
+    assert framer.bad_checksums == 1
+    assert framer.receive(VM[:-1] + b"\x5d") == []
+    assert framer.bad_checksums == 1
+    assert framer.skipped_bytes == 24
+
+
+def test_a_trailing_half_stays_until_the_rest_or_the_deadline() -> None:
+    framer = SerialFramer()
+    assert framer.receive(VM + VM[:5]) == [SerialFrame(5, VM[4:10])]
+    assert framer.pending == 5
+    assert framer.receive(VM[5:]) == [SerialFrame(5, VM[4:10])]
+    framer.receive(VM[:5])
+    assert framer.expire() == []
+    assert framer.skipped_bytes == 5
+
+
+def test_a_host_forgets_what_came_before_it_asks() -> None:
+    framer = SerialFramer()
+    framer.receive(VM[:8])
+    framer.clear()
+    assert (framer.pending, framer.skipped_bytes) == (0, 8)
+    assert framer.receive(VM) == [SerialFrame(5, VM[4:10])]
+
+
+@pytest.mark.parametrize(("kind", "size"), [(5, 65534), (256, 0), (-1, 0)])
+def test_frames_that_cannot_be(kind: int, size: int) -> None:
+    with pytest.raises(WireError, match=f"type {kind} with {size} bytes"):
+        build_frame(kind, bytes(size))
+
+
+@pytest.mark.parametrize(("text", "wrong"), [
+    ("", "starts with 01, not with nothing"),
+    ("5c", "starts with 01, not with 5c"),
+    ("01", "truncated: 1 bytes of a frame of unknown length"),
+    ("010800", "truncated: 3 bytes of a frame of 12"),
+    ("01080005640032800000245c00", "1 bytes behind the frame: 00"),
+    ("01080005640032800000245d", "ends with 5c, not with 5d"),
+    ("01080005640032800000255c", "wrong checksum: 25, but the bytes before it give 24"),
+    ("0101005c5c", "6 to 5174 bytes, not 5"),
+])
+def test_what_is_wrong_with_one_line_of_a_recording(text: str, wrong: str) -> None:
+    with pytest.raises(WireError, match=wrong):
+        only_frame(bytes.fromhex(text))
+
+
+@quick
+@given(st.integers(0, 255), st.binary(max_size=40))
+def test_the_one_frame_there_is(kind: int, data: bytes) -> None:
+    assert only_frame(build_frame(kind, data)) == SerialFrame(kind, data)
+
+
+def test_a_frame_longer_than_the_other_end_sends() -> None:
+    with pytest.raises(WireError, match="6 to 255 bytes, not 260"):
+        only_frame(build_frame(128, bytes(254)), limit=255)

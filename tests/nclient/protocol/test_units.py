@@ -1,0 +1,40 @@
+"""Wire units against exact decimal arithmetic and the recorded volts' formula."""
+
+from __future__ import annotations
+
+import math
+from decimal import ROUND_HALF_UP, Decimal
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nclient.protocol import units
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(-(10**7), 10**7))
+def test_tenths_round_to_the_nearest_and_ties_away_from_zero(hundredths: int) -> None:
+    exact = Decimal(hundredths).scaleb(-1).quantize(Decimal(1), ROUND_HALF_UP)
+    assert units.tenths(hundredths / 100) == int(exact)
+
+
+@pytest.mark.parametrize(("degrees", "tenths"), [(0, 0), (90, 900), (-90, 2700), (360, 0), (-0.04, 0), (359.96, 0)])
+def test_a_heading_is_0_to_3599(degrees: float, tenths: int) -> None:
+    assert units.heading_tenths(math.radians(degrees)) == tenths
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(-36000, 36000))
+def test_tenths_to_radians_and_back(tenths: int) -> None:
+    assert units.tenths_from_rad(units.rad_from_tenths(tenths)) == tenths
+    assert units.rad_from_tenths(tenths) == pytest.approx(tenths * math.pi / 1800, abs=1e-12)
+
+
+@pytest.mark.parametrize("full_range_v", [units.CPU_RANGE_V, units.MOTOR_RANGE_V])
+def test_volts_of_every_byte_and_back(full_range_v: float) -> None:
+    assert units.volts(0, full_range_v) == pytest.approx(0.4 * full_range_v)
+    assert units.volts(255, full_range_v) == pytest.approx(full_range_v)
+    assert [units.raw_volts(units.volts(raw, full_range_v), full_range_v) for raw in range(256)] == list(range(256))
+    assert units.raw_volts(0.0, full_range_v) == 0
+    assert units.raw_volts(99.0, full_range_v) == 255
