@@ -7,37 +7,37 @@ Leading dimensions are independent filters.
     correct   K = P H' (H P H' + R)^-1             mean' = mean + K innovation
               P' = (I - K H) P (I - K H)' + K R K'   (Joseph: symmetric, never negative, whatever rounding does to K)
 
-R is diagonal, so K is worked out as (I + P A)^-1 P H' R^-1 with A = H' R^-1 H (the matrix inversion lemma): one system
-as large as the state instead of one as large as the ring.
+R is diagonal, so with A = H' R^-1 H the matrix inversion lemma gives K = M H' R^-1, M = (I + P A)^-1 P: one system as
+large as the state instead of one as large as the ring. Then K H = M A and K R K' = M A M'.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from localization.belief import Belief, Floats, add, difference
-from localization.motion import OdometryNoise, move, transition
+from localization.motion import OdometryNoise, transition
 from localization.observation import Observation
 
 
 def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     """The belief after steps (..., 2) of drho_in and dtheta_rad that the encoders report; state x, y, heading."""
-    by_pose, process_cov = transition(belief.mean, step, noise)
-    cov = by_pose @ belief.cov @ np.swapaxes(by_pose, -1, -2) + process_cov
-    return Belief(move(belief.mean, step), _symmetric(cov))
+    mean, by_pose, process_cov = transition(belief.mean, step, noise)
+    return Belief(mean, _symmetric(_around(by_pose, belief.cov) + process_cov))
 
 
 def correct(belief: Belief, observation: Observation) -> Belief:
     """The belief after an observation of n beams; any state of three coordinates or more."""
-    by_state = observation.jacobian
-    weighted = np.swapaxes(by_state / observation.variance[..., None], -1, -2)
-    identity = np.eye(belief.mean.shape[-1])
-    gain = np.linalg.solve(identity + belief.cov @ (weighted @ by_state), belief.cov) @ weighted
-    kept = identity - gain @ by_state
-    noise = (gain * observation.variance[..., None, :]) @ np.swapaxes(gain, -1, -2)
-    cov = kept @ belief.cov @ np.swapaxes(kept, -1, -2) + noise
-    change = (gain @ observation.innovation[..., None])[..., 0]
-    return Belief(add(belief.mean, change), _symmetric(cov))
+    weighted = (observation.jacobian / observation.variance[..., None]).swapaxes(-1, -2)
+    gained = weighted @ observation.jacobian
+    identity = _identity(belief.mean.shape[-1])
+    spread = np.linalg.solve(identity + belief.cov @ gained, belief.cov)
+    learned = spread @ gained
+    cov = _around(identity - learned, belief.cov) + learned @ spread.swapaxes(-1, -2)
+    change = spread @ (weighted @ observation.innovation[..., None])
+    return Belief(add(belief.mean, change[..., 0]), _symmetric(cov))
 
 
 def innovation_squared(before: Belief, after: Belief, observation: Observation) -> Floats:
@@ -52,7 +52,19 @@ def innovation_squared(before: Belief, after: Belief, observation: Observation) 
     return nis
 
 
+def _around(factor: Floats, cov: Floats) -> Floats:
+    product: Floats = factor @ cov @ factor.swapaxes(-1, -2)
+    return product
+
+
 def _symmetric(cov: Floats) -> Floats:
     """Rounding leaves the two halves of a covariance a few bits apart; their mean."""
-    mean: Floats = 0.5 * (cov + np.swapaxes(cov, -1, -2))
+    mean: Floats = 0.5 * (cov + cov.swapaxes(-1, -2))
     return mean
+
+
+@lru_cache(maxsize=8)
+def _identity(size: int) -> Floats:
+    identity = np.eye(size)
+    identity.setflags(write=False)
+    return identity

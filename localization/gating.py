@@ -26,6 +26,7 @@ from localization.measurement import (
     Sight,
     SonarModel,
     WallMap,
+    left_of,
     meet,
     range_jacobian,
     rays,
@@ -67,15 +68,15 @@ class Association(NamedTuple):
 
 def associate(belief: Belief, beams: Beams, walls: WallMap, gate: Gate = STRICT) -> Association:
     """Pair the n beams of each belief (mean (..., 3), cov (..., 3, 3)) with walls of the map."""
-    pose = belief.mean[..., None, :]
-    aimed = rays(pose, beams)
+    aimed = rays(belief.mean[..., None, :], beams)
     met = meet(aimed, walls)
     lines = walls.lines[met]
     seen = sight(aimed, lines)
     refusals = np.zeros(met.shape, dtype=np.int8)
-    refusals[~(np.abs(seen.cos_incidence) >= gate.min_cos_incidence)] = Refusal.GRAZING
-    refusals[~_same_wall_around(belief, beams, walls, (met, aimed, seen), gate.sigmas)] = Refusal.AMBIGUOUS_WALL
-    refusals[met < 0] = Refusal.NO_WALL
+    np.putmask(refusals, ~(np.abs(seen.cos_incidence) >= gate.min_cos_incidence), Refusal.GRAZING.value)
+    ambiguous = ~_same_wall_around(belief, beams, walls, (met, aimed, seen), gate.sigmas)
+    np.putmask(refusals, ambiguous, Refusal.AMBIGUOUS_WALL.value)
+    np.putmask(refusals, met < 0, Refusal.NO_WALL.value)
     return Association(lines, seen, range_jacobian(seen, lines), refusals)
 
 
@@ -83,20 +84,19 @@ def observe(
     belief: Belief, beams: Beams, readings_in: Floats, walls: WallMap, sonar: SonarModel, gate: Gate = STRICT
 ) -> Observation:
     """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3)."""
-    pairs = associate(belief, beams, walls, gate)
-    innovation = readings_in - pairs.seen.ranges_in
-    variance = sonar.variance(pairs.seen.ranges_in)
-    spread = ((pairs.jacobian @ belief.cov) * pairs.jacobian).sum(axis=-1) + variance
-    likely = innovation * innovation <= gate.threshold * spread
-    refusals = np.where(likely | (pairs.refusals > 0), pairs.refusals, np.int8(Refusal.GATE))
-    refusals[~((readings_in > sonar.lowest_in) & (readings_in < sonar.highest_in))] = Refusal.LIMIT
-    used = refusals == Refusal.NONE
-    return Observation(
-        np.where(used, innovation, 0.0),
-        np.where(used[..., None], pairs.jacobian, 0.0),
-        np.where(used, variance, 1.0),
-        refusals,
-    )
+    _, seen, jacobian, refusals = associate(belief, beams, walls, gate)
+    innovation = readings_in - seen.ranges_in
+    variance = sonar.variance(seen.ranges_in)
+    spread = ((jacobian @ belief.cov) * jacobian).sum(axis=-1) + variance
+    unlikely = ~(innovation * innovation <= gate.threshold * spread)
+    np.putmask(refusals, unlikely & (refusals == Refusal.NONE.value), Refusal.GATE.value)
+    measured = (readings_in > sonar.lowest_in) & (readings_in < sonar.highest_in)
+    np.putmask(refusals, ~measured, Refusal.LIMIT.value)
+    silent = refusals != Refusal.NONE.value
+    np.copyto(innovation, 0.0, where=silent)
+    np.copyto(jacobian, 0.0, where=silent[..., None])
+    np.copyto(variance, 1.0, where=silent)
+    return Observation(innovation, jacobian, variance, refusals)
 
 
 def _same_wall_around(
@@ -109,13 +109,15 @@ def _same_wall_around(
     """
     met, aimed, seen = at_mean
     sideways = np.empty((*met.shape, 3))
-    sideways[..., 0] = -aimed.directions[..., 1]
-    sideways[..., 1] = aimed.directions[..., 0]
+    sideways[..., :2] = left_of(aimed.directions)
     sideways[..., 2] = (aimed.directions * seen.points_in).sum(axis=-1)
-    sideways[met < 0] = 0.0
+    np.copyto(sideways, 0.0, where=(met < 0)[..., None])
     pull = sideways @ belief.cov
     way = np.sqrt((pull * sideways).sum(axis=-1, keepdims=True))
-    shift = pull * (sigmas / np.where(way > 0.0, way, 1.0))
-    poses = belief.mean[..., None, :] + np.stack([shift, -shift])
+    np.copyto(way, 1.0, where=~(way > 0.0))
+    shift = (sigmas / way) * pull
+    poses = np.empty((2, *shift.shape))
+    np.add(belief.mean[..., None, :], shift, out=poses[0])
+    np.subtract(belief.mean[..., None, :], shift, out=poses[1])
     same: Mask = (meet(rays(poses, beams), walls) == met).all(axis=0)
     return same

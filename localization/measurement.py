@@ -12,7 +12,7 @@ so a ring, a turned turret, and a beam fired a moment ago from another pose are 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -39,11 +39,18 @@ class Beams:
 
     `axes_in` (..., n, 2), the points they radiate from (the robot's axis: zeros, but for beams fired elsewhere); unit
     `directions` (..., n, 2); `standoff_in`, how far along them the sonars sit. Leading dimensions as the poses'.
+    `axes_left` and `directions_left` are the same turned by a quarter, kept because every pose needs them.
     """
 
     axes_in: Floats
     directions: Floats
     standoff_in: float
+    axes_left: Floats = field(init=False, repr=False)
+    directions_left: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes_left", left_of(self.axes_in))
+        object.__setattr__(self, "directions_left", left_of(self.directions))
 
 
 class Rays(NamedTuple):
@@ -144,27 +151,24 @@ def fired_at(beams: Beams, displacement: Floats) -> Beams:
     `displacement` (..., n, 3), or (3,) for all: the pose at the firing instant in the frame of the pose at hand
     (inches ahead, inches to the left, radians), taken from odometry; the noise of that short way is left out.
     """
-    turn = displacement[..., HEADING]
-    axes = displacement[..., :2] + rotate(turn, beams.axes_in)
-    return Beams(axes, rotate(turn, beams.directions), beams.standoff_in)
+    there = rays(np.broadcast_to(displacement, (*np.broadcast_shapes(displacement.shape[:-1], (1,)), 3)), beams)
+    return Beams(there.axes_in, there.directions, beams.standoff_in)
 
 
-def rotate(angle_rad: Floats, vectors: Floats) -> Floats:
-    """Vectors (..., 2) turned counter-clockwise by angles (...)."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
-    x, y = vectors[..., 0], vectors[..., 1]
-    first = cos * x - sin * y
-    turned = np.empty((*first.shape, 2))
-    turned[..., 0] = first
-    turned[..., 1] = sin * x + cos * y
+def left_of(vectors: Floats) -> Floats:
+    """Vectors (..., 2) turned by a quarter, counter-clockwise."""
+    turned = np.empty(vectors.shape)
+    turned[..., 0] = -vectors[..., 1]
+    turned[..., 1] = vectors[..., 0]
     return turned
 
 
 def rays(poses: Floats, beams: Beams) -> Rays:
     """The n beams laid out in the map from poses (..., n, 3), a pose a beam, or (..., 1, 3), one for all."""
-    heading = poses[..., HEADING]
-    arms = rotate(heading, beams.axes_in)
-    return Rays(poses[..., :2] + arms, rotate(heading, beams.directions), arms, beams.standoff_in)
+    heading = poses[..., HEADING, None]
+    cos, sin = np.cos(heading), np.sin(heading)
+    arms = cos * beams.axes_in + sin * beams.axes_left
+    return Rays(poses[..., :2] + arms, cos * beams.directions + sin * beams.directions_left, arms, beams.standoff_in)
 
 
 def meet(aimed: Rays, walls: WallMap) -> Indices:
@@ -180,8 +184,9 @@ def sight(aimed: Rays, lines: Floats) -> Sight:
     """Rays against lines (..., n, 3) of unit normal and offset, each beam against its own."""
     normal_x, normal_y = lines[..., 0], lines[..., 1]
     cosine = normal_x * aimed.directions[..., 0] + normal_y * aimed.directions[..., 1]
+    np.copyto(cosine, np.nan, where=cosine == 0.0)
     left = lines[..., 2] - normal_x * aimed.axes_in[..., 0] - normal_y * aimed.axes_in[..., 1]
-    from_axis = left / np.where(cosine == 0.0, np.nan, cosine)
+    from_axis = left / cosine
     points = aimed.arms_in + from_axis[..., None] * aimed.directions
     return Sight(from_axis - aimed.standoff_in, cosine, points)
 
@@ -190,12 +195,10 @@ def range_jacobian(seen: Sight, lines: Floats) -> Floats:
     """d range / d (x, y, theta), (..., n, 3), of what was seen of lines (..., n, 3).
 
     Differentiating the range of the module's head gives, with w from the robot's position to the point met,
-    d range = (n_x w_y - n_y w_x) dtheta / (normal . direction) - normal . dp / (normal . direction).
+    d range = ((n_x w_y - n_y w_x) dtheta - normal . dp) / (normal . direction).
     """
-    normal_x, normal_y = lines[..., 0], lines[..., 1]
     jacobian = np.empty((*seen.ranges_in.shape, 3))
-    jacobian[..., 0] = -normal_x
-    jacobian[..., 1] = -normal_y
-    jacobian[..., 2] = normal_x * seen.points_in[..., 1] - normal_y * seen.points_in[..., 0]
-    jacobian /= np.where(seen.cos_incidence == 0.0, np.nan, seen.cos_incidence)[..., None]
+    np.negative(lines[..., :2], out=jacobian[..., :2])
+    jacobian[..., 2] = lines[..., 0] * seen.points_in[..., 1] - lines[..., 1] * seen.points_in[..., 0]
+    jacobian /= seen.cos_incidence[..., None]
     return jacobian

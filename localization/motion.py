@@ -9,10 +9,13 @@ with drho = T v and dtheta = T w.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import HEADING, Floats, add, difference
+from localization.belief import HEADING, Floats, add, difference, part
+
+_IDENTITY: Final = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,50 +32,50 @@ class OdometryNoise:
     drift_std: float = 0.005
 
 
+class Transition(NamedTuple):
+    """What a step does to a pose and to a small error of it.
+
+    `pose` (..., 3), where it leads; `by_pose` (..., 3, 3), F, the derivative of that by the pose it began at;
+    `process_cov` (..., 3, 3), Q, the covariance the step adds. Q has rank 2, two noises in three coordinates: it cannot
+    be inverted.
+    """
+
+    pose: Floats
+    by_pose: Floats
+    process_cov: Floats
+
+
 def step_variance(step: Floats, noise: OdometryNoise) -> Floats:
     """Variances (..., 2) of drho (in^2) and dtheta (rad^2) for steps (..., 2)."""
-    length = np.abs(step)
-    variance: Floats = length * (noise.translation_std**2, noise.rotation_std**2)
-    variance[..., 1] += noise.drift_std**2 * length[..., 0]
+    rolled, turned = abs(part(step, 0)), abs(part(step, 1))
+    variance = np.empty(step.shape)
+    variance[..., 0] = noise.translation_std**2 * rolled
+    variance[..., 1] = noise.drift_std**2 * rolled + noise.rotation_std**2 * turned
     return variance
 
 
 def move(pose: Floats, step: Floats) -> Floats:
     """Where poses (..., 3) are after steps (..., 2): straight along the heading half-way through the turn."""
-    drho, dtheta = step[..., 0], step[..., 1]
-    middle = pose[..., HEADING] + 0.5 * dtheta
-    change = np.empty((*middle.shape, 3))
-    change[..., 0] = drho * np.cos(middle)
-    change[..., 1] = drho * np.sin(middle)
-    change[..., 2] = dtheta
-    return add(pose, change)
+    return _moved(pose, step, _ahead(pose, part(step, 1)))
 
 
-def move_jacobians(pose: Floats, step: Floats) -> tuple[Floats, Floats]:
-    """Derivatives of `move` by the pose, F (..., 3, 3), and by the step, G (..., 3, 2)."""
-    drho = step[..., 0]
-    middle = pose[..., HEADING] + 0.5 * step[..., 1]
-    cos, sin = np.cos(middle), np.sin(middle)
-    by_pose = np.zeros((*middle.shape, 3, 3))
-    by_pose[..., (0, 1, 2), (0, 1, 2)] = 1.0
-    by_pose[..., 0, 2] = -drho * sin
-    by_pose[..., 1, 2] = drho * cos
-    by_step = np.zeros((*middle.shape, 3, 2))
-    by_step[..., 0, 0] = cos
-    by_step[..., 1, 0] = sin
-    by_step[..., :2, 1] = 0.5 * by_pose[..., :2, 2]
-    by_step[..., 2, 1] = 1.0
-    return by_pose, by_step
+def transition(pose: Floats, step: Floats, noise: OdometryNoise) -> Transition:
+    """`move` with its derivatives at poses (..., 3) and steps (..., 2).
 
-
-def transition(pose: Floats, step: Floats, noise: OdometryNoise) -> tuple[Floats, Floats]:
-    """What a step does to a small error: F (..., 3, 3) and the covariance Q (..., 3, 3) that it adds.
-
-    Q = G diag(var(step)) G' is of rank 2, two noises in three coordinates: it cannot be inverted.
+    Q = G diag(step_variance) G' with G (..., 3, 2), the derivative by the step.
     """
-    by_pose, by_step = move_jacobians(pose, step)
-    scaled = by_step * step_variance(step, noise)[..., None, :]
-    return by_pose, scaled @ np.swapaxes(by_step, -1, -2)
+    ahead = _ahead(pose, part(step, 1))
+    drho = part(step, 0)
+    by_heading = drho * -part(ahead, 1), drho * part(ahead, 0)
+    by_pose = np.zeros((*ahead.shape[:-1], 3, 3))
+    by_pose[...] = _IDENTITY
+    by_pose[..., 0, 2], by_pose[..., 1, 2] = by_heading
+    by_step = np.zeros((*ahead.shape[:-1], 3, 2))
+    by_step[..., :2, 0] = ahead
+    by_step[..., 0, 1], by_step[..., 1, 1] = 0.5 * by_heading[0], 0.5 * by_heading[1]
+    by_step[..., 2, 1] = 1.0
+    by_step *= np.sqrt(step_variance(step, noise))[..., None, :]
+    return Transition(_moved(pose, step, ahead), by_pose, by_step @ by_step.swapaxes(-1, -2))
 
 
 def step_between(before: Floats, after: Floats) -> Floats:
@@ -82,6 +85,23 @@ def step_between(before: Floats, after: Floats) -> Floats:
     step can make, is left out, so poses must be read often enough for one arc to describe the way between them.
     """
     change = difference(after, before)
-    middle = before[..., HEADING] + 0.5 * change[..., HEADING]
-    along = change[..., 0] * np.cos(middle) + change[..., 1] * np.sin(middle)
-    return np.stack([along, change[..., HEADING]], axis=-1)
+    turn = part(change, HEADING)
+    ahead = _ahead(before, turn)
+    along = part(change, 0) * part(ahead, 0) + part(change, 1) * part(ahead, 1)
+    return np.stack([along, turn], axis=-1)
+
+
+def _ahead(pose: Floats, turn: Floats) -> Floats:
+    """The unit vector (..., 2) along the heading of poses (..., 3) half-way through turns (...)."""
+    middle = part(pose, HEADING) + 0.5 * turn
+    ahead = np.empty((*middle.shape, 2))
+    ahead[..., 0] = np.cos(middle)
+    ahead[..., 1] = np.sin(middle)
+    return ahead
+
+
+def _moved(pose: Floats, step: Floats, ahead: Floats) -> Floats:
+    change = np.empty((*ahead.shape[:-1], 3))
+    change[..., :2] = step[..., :1] * ahead
+    change[..., 2] = step[..., 1]
+    return add(pose, change)

@@ -50,7 +50,7 @@ class Observation:
     @property
     def used(self) -> Mask:
         """Which beams may correct, (..., n)."""
-        accepted: Mask = self.refusals == Refusal.NONE
+        accepted: Mask = self.refusals == Refusal.NONE.value
         return accepted
 
     def reasons(self) -> tuple[Refusal, ...]:

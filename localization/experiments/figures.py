@@ -65,7 +65,7 @@ def draw(figure: Figure, course: Course, tracks: Sequence[Track], folder: Path) 
 
 
 def trajectory(figure: Figure, course: Course, track: Track) -> Picture:
-    """The world with its way-points, the true way and the estimated one, and 3-sigma ellipses of the estimate."""
+    """The world with its way-points, the true way and the estimated one; without the filter 3-sigma ellipses."""
     picture = _picture(7.2, 7.0)
     axes = picture.add_subplot(aspect="equal")
     for x1, y1, x2, y2 in course.walls.segments:
@@ -76,10 +76,8 @@ def trajectory(figure: Figure, course: Course, track: Track) -> Picture:
         axes.plot(*outline.T, color=color, linewidth=1, alpha=0.7)
     axes.plot(*_from(course.start, track.truth).T, color=TRUTH, linewidth=1.8, label="truth")
     axes.plot(*track.mean[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=_estimate_name(figure))
-    for k, row in enumerate(np.linspace(len(track.mean) / ELLIPSES, len(track.mean) - 1, ELLIPSES).astype(int)):
-        outline = ellipse(track.mean[row], track.cov[row], 3.0)
-        label = "3 sigma" if k == 0 else None
-        axes.plot(*outline.T, color=ESTIMATE, linewidth=0.8, alpha=0.8, label=label)
+    if not figure.filtered:
+        _ellipses(axes, track)
     end = np.hypot(*(track.mean[-1] - track.truth[-1])[:2])
     axes.set_title(f"Figure {figure.name}: {figure.title}\n{len(track.mean)} steps, {end:.2f} in off at the end")
     axes.set(xlabel="x (in)", ylabel="y (in)")
@@ -120,6 +118,15 @@ def ellipse(mean: Floats, cov: Floats, sigmas: float) -> Floats:
 def _circle() -> Floats:
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def _ellipses(axes: Axes, track: Track) -> None:
+    """3-sigma ellipses along the run; where there is a filter they are smaller than a line is wide."""
+    label = "3 sigma"
+    for row in np.linspace(len(track.mean) / ELLIPSES, len(track.mean) - 1, ELLIPSES).astype(int):
+        outline = ellipse(track.mean[row], track.cov[row], 3.0)
+        axes.plot(*outline.T, color=ESTIMATE, linewidth=0.8, alpha=0.8, label=label)
+        label = ""
 
 
 def _way_points(axes: Axes, course: Course) -> None:

@@ -108,7 +108,8 @@ def _advance(course: Course, moment: Moment, motion_error: Floats, sonar_error: 
     bound, nis, used = moment.bound, moment.nis, moment.used
     if course.filtered:
         belief, nis, used, gained = _look(course, truth, belief, sonar_error)
-        bound = bound_step(bound, *transition(moment.truth, step, course.noise), gained)
+        _, by_pose, process_cov = transition(moment.truth, step, course.noise)
+        bound = bound_step(bound, by_pose, process_cov, gained)
     arrived = driving & reached(belief.mean, goals, course.waypoint_radius_in)
     return Moment(truth, belief, bound, moment.leg + arrived, nis, used)
 
