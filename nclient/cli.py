@@ -113,8 +113,12 @@ def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
 
 
 def _unloadable(name: str, error: ImportError) -> str:
-    missing = f"the module {error.name!r}, which is not installed" if error.name else str(error)
-    return f"the command {name!r} needs {missing}; pip install '{DISTRIBUTION}[all]' brings all there is"
+    if not isinstance(error, ModuleNotFoundError):
+        return f"the command {name!r} cannot be loaded: {error}"
+    return (
+        f"the command {name!r} needs the module {error.name!r}, which is not installed; "
+        f"pip install '{DISTRIBUTION}[all]' brings all there is"
+    )
 
 
 def _complain(message: str) -> int:

@@ -134,8 +134,13 @@ def describe_held(held: HeldState) -> dict[str, Any]:
 def _shown_volts(raw: int | None, full_range_v: float) -> float | None:
     if raw is None:
         return None
-    (single,) = _FLOAT32.unpack(_FLOAT32.pack(volts(raw, full_range_v)))
-    return round(float(single), 5)
+    return round(_single(volts(raw, _single(full_range_v))), 5)
+
+
+def _single(value: float) -> float:
+    """The value as the C client's float holds it; it keeps the ranges in floats, too."""
+    (single,) = _FLOAT32.unpack(_FLOAT32.pack(value))
+    return float(single)
 
 
 def _said(reply: Reply, name: str | None) -> dict[str, Any]:
