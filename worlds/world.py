@@ -20,6 +20,7 @@ import numpy as np
 
 from nclient.errors import StartError
 from worlds.geometry import FloatArray, inside, nearest_points, normals, polygon_segments
+from worlds.raycast import ON_WALL_IN
 
 Point = tuple[float, float]
 
@@ -128,8 +129,10 @@ class World:
         if clearance > radius_in:
             return
         trouble = self._solid_around(x_in, y_in)
-        if not trouble:
-            trouble = f"touches {self._called(row)}: {clearance:.2f} in away, the robot's radius is {radius_in:g} in"
+        if not trouble or abs(clearance) <= ON_WALL_IN:
+            trouble = (
+                f"touches {self._called(row)}: {abs(clearance):.2f} in away, the robot's radius is {radius_in:g} in"
+            )
         raise StartError(f"{place} {trouble}; {self._proposal(x_in, y_in, radius_in)}")
 
     def _nearest(self, x_in: float, y_in: float) -> tuple[float, int, Point]:
@@ -171,7 +174,7 @@ class World:
         for x, y in candidates:
             if self.clearance(x, y) > radius_in:
                 return f"it fits at ({x:g}, {y:g}) in"
-        return "no place near by is wide enough: take a smaller robot or another world"
+        return "no place near by is wide enough: start elsewhere or take a smaller robot"
 
     def _pushed_free(self, x_in: float, y_in: float, radius_in: float) -> Point:
         """The point after it was pushed off its nearest wall, again and again; it need not end up free."""

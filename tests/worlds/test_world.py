@@ -1,0 +1,185 @@
+"""Worlds: what is free, how much room there is, what a refused start is told, and obstacles that come and go."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import FrozenInstanceError
+from math import hypot, inf, nan
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from nclient.errors import StartError
+from worlds.bodies import N150
+from worlds.raycast import cast_rays
+from worlds.world import MARGIN_IN, Path, Polygon, StartPose, World
+
+ROOM = Polygon(((0.0, 0.0), (100.0, 0.0), (100.0, 80.0), (0.0, 80.0)), "hall")
+CRATE = Polygon(((40.0, 30.0), (60.0, 30.0), (60.0, 50.0), (40.0, 50.0)), "crate")
+WALL = np.array([[20.0, 0.0, 20.0, 10.0]])
+WORLD = World("test", rooms=(ROOM,), inner_walls=WALL, obstacles=(CRATE,), starts=(StartPose(80.0, 60.0),))
+
+FITS = re.compile(r"it fits at \((\S+), (\S+)\) in$")
+
+
+def refusal(world: World, x: float, y: float, radius: float) -> str:
+    with pytest.raises(StartError) as caught:
+        world.require_free(x, y, radius)
+    return str(caught.value)
+
+
+def test_walls_are_rooms_then_inner_walls_then_obstacles_and_read_only() -> None:
+    assert WORLD.fixed_walls.tolist() == [*ROOM.segments().tolist(), *WALL.tolist()]
+    assert WORLD.walls.tolist() == [*WORLD.fixed_walls.tolist(), *CRATE.segments().tolist()]
+    for array in (WORLD.walls, WORLD.fixed_walls, WORLD.inner_walls):
+        assert not array.flags.writeable
+    with pytest.raises(FrozenInstanceError):
+        WORLD.name = "other"  # type: ignore[misc]
+
+
+def test_a_world_keeps_copies_of_what_it_was_made_of() -> None:
+    walls = np.array([[0.0, 0.0, 1.0, 0.0]])
+    paths = {"1": Path("a", "1", StartPose(0.0, 0.0), ((0.0, 0.0), (1.0, 1.0)))}
+    world = World("copy", inner_walls=walls, paths=paths)
+    walls[0, 0] = 9.0
+    paths.clear()
+    assert world.walls.tolist() == [[0.0, 0.0, 1.0, 0.0]]
+    assert world.paths["1"].goals_in == ((1.0, 1.0),)
+
+
+def test_obstacles_come_and_go_and_fixed_walls_keep_their_rows() -> None:
+    empty = WORLD.with_obstacles([])
+    assert empty.walls.tolist() == WORLD.fixed_walls.tolist()
+    fuller = WORLD.with_obstacles([*WORLD.obstacles, CRATE.moved(0.0, -25.0)])
+    assert len(fuller.walls) == 5 + 8
+    assert fuller.walls[:9].tolist() == WORLD.walls.tolist()
+    assert (fuller.name, fuller.starts, fuller.rooms) == (WORLD.name, WORLD.starts, WORLD.rooms)
+    assert len(WORLD.walls) == 5 + 4
+
+
+def test_a_moved_polygon_keeps_its_shape_and_name() -> None:
+    moved = CRATE.moved(1.0, -2.0)
+    assert moved.corners_in[0] == (41.0, 28.0)
+    assert moved.name == "crate"
+    np.testing.assert_allclose(moved.segments() - CRATE.segments(), np.tile([1.0, -2.0], (4, 2)))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "expected"),
+    [
+        (10.0, 40.0, 10.0),
+        (30.0, 40.0, 10.0),
+        (17.0, 5.0, 3.0),
+        (20.0, 13.0, 3.0),
+        (-5.0, 40.0, -5.0),
+        (103.0, 84.0, -5.0),
+        (50.0, 32.0, -2.0),
+        (0.0, 40.0, 0.0),
+    ],
+    ids=["hall", "crate", "wall", "wall end", "outside", "beyond a corner", "in the crate", "on the outline"],
+)
+def test_clearance_is_the_distance_to_the_nearest_wall_and_negative_where_nothing_is_free(
+    x: float, y: float, expected: float
+) -> None:
+    assert WORLD.clearance(x, y) == pytest.approx(expected)
+
+
+def test_without_walls_there_is_room_without_end() -> None:
+    open_plain = World("plain")
+    assert open_plain.clearance(1e4, 1e4) == inf
+    open_plain.require_free(1e4, 1e4, 1e3)
+    assert open_plain.walls.shape == (0, 4)
+
+
+def test_walls_alone_enclose_nothing() -> None:
+    lone = World("lone", inner_walls=WALL)
+    assert lone.clearance(-100.0, 5.0) == pytest.approx(120.0)
+
+
+def test_a_place_is_free_if_any_room_holds_it() -> None:
+    twin = Polygon(((100.0, 0.0), (200.0, 0.0), (200.0, 80.0), (100.0, 80.0)))
+    both = World("both", rooms=(ROOM, twin))
+    assert both.clearance(150.0, 40.0) == pytest.approx(40.0)
+    assert both.clearance(250.0, 40.0) == pytest.approx(-50.0)
+
+
+@given(st.floats(0.5, 99.5), st.floats(0.5, 79.5))
+def test_the_clearance_is_what_points_along_the_walls_and_rays_show(x: float, y: float) -> None:
+    clearance = abs(WORLD.clearance(x, y))
+    dots = np.linspace(WORLD.walls[:, :2], WORLD.walls[:, 2:], 1001)  # at most 0.1 in apart
+    nearest = float(np.hypot(dots[..., 0] - x, dots[..., 1] - y).min())
+    assert clearance - 1e-9 <= nearest <= hypot(clearance, 0.05) + 1e-9
+    turns = np.linspace(0.0, 2.0 * np.pi, 90)
+    ranges, _ = cast_rays((x, y), np.stack((np.cos(turns), np.sin(turns)), axis=-1), WORLD.walls)
+    assert clearance <= ranges.min() + 1e-9
+
+
+def test_a_free_start_passes_and_one_that_just_touches_does_not() -> None:
+    WORLD.require_free(10.0, 40.0, 9.99)
+    assert "touches" in refusal(WORLD, 10.0, 40.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "says"),
+    [
+        (
+            5.0,
+            40.0,
+            "the start (5, 40) in touches the outline of a room 'hall' (0, 80)-(0, 0): 5.00 in away, the robot's",
+        ),
+        (37.0, 40.0, "touches the obstacle 'crate' (40, 50)-(40, 30): 3.00 in away, the robot's radius is 9.72 in;"),
+        (20.0, 12.0, "touches a wall (20, 0)-(20, 10): 2.00 in away"),
+        (50.0, 40.0, "lies inside the obstacle 'crate';"),
+        (-1.0, 40.0, "lies outside the world test, which spans x from 0 to 100 and y from 0 to 80 in;"),
+        (0.0, 40.0, "(0, 80)-(0, 0): 0.00 in away"),
+    ],
+)
+def test_a_refused_start_is_told_what_it_touches_and_where_it_would_fit(x: float, y: float, says: str) -> None:
+    message = refusal(WORLD, x, y, N150.radius_in)
+    assert says in message
+    fits = FITS.search(message)
+    assert fits is not None
+    WORLD.require_free(float(fits[1]), float(fits[2]), N150.radius_in)
+
+
+@given(st.floats(-30.0, 130.0), st.floats(-30.0, 110.0), st.floats(1.0, 12.0))
+def test_whatever_a_refusal_proposes_is_free(x: float, y: float, radius: float) -> None:
+    assume(WORLD.clearance(x, y) <= radius)
+    fits = FITS.search(refusal(WORLD, x, y, radius))
+    assert fits is not None
+    assert WORLD.clearance(float(fits[1]), float(fits[2])) > radius
+
+
+def test_the_proposal_is_near_by_where_that_is_easy() -> None:
+    fits = FITS.search(refusal(WORLD, 5.0, 60.0, 9.72))
+    assert fits is not None
+    assert float(fits[1]) == pytest.approx(9.72 + MARGIN_IN)
+    assert float(fits[2]) == 60.0
+
+
+def test_a_start_of_the_world_is_proposed_where_pushing_off_does_not_help() -> None:
+    cell = Polygon(((0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)))
+    far = World("far", rooms=(cell, ROOM.moved(500.0, 0.0)), starts=(StartPose(10.0, 10.0), StartPose(550.0, 40.0)))
+    assert "it fits at (550, 40) in" in refusal(far, 10.0, 10.0, 15.0)
+
+
+def test_nothing_is_proposed_where_nothing_fits() -> None:
+    assert "start elsewhere or take a smaller robot" in refusal(WORLD, 50.0, 70.0, 60.0)
+
+
+def test_an_obstacle_without_a_name_is_an_obstacle() -> None:
+    nameless = WORLD.with_obstacles([Polygon(CRATE.corners_in)])
+    assert "lies inside an obstacle;" in refusal(nameless, 50.0, 40.0, 1.0)
+    assert "touches an obstacle (" in refusal(nameless, 39.5, 40.0, 1.0)
+
+
+@pytest.mark.parametrize(("x", "y"), [(nan, 0.0), (0.0, inf)])
+def test_a_start_that_is_no_number_is_no_place(x: float, y: float) -> None:
+    assert "expected two finite numbers" in refusal(WORLD, x, y, 1.0)
+
+
+def test_a_path_begins_at_its_start() -> None:
+    path = Path("there", "5.4", StartPose(0.0, 0.0), ((0.0, 0.0), (60.0, 40.0), (1.0, 2.0)))
+    assert path.goals_in == ((60.0, 40.0), (1.0, 2.0))
