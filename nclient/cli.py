@@ -62,8 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _dispatch(arguments: list[str]) -> int:
     commands = {point.name: point for point in entry_points(group=GROUP)}
     if not arguments or arguments[0].startswith("-"):
-        _top_parser(commands).parse_args(arguments or ["--help"])
-        return 0
+        parser = _top_parser(commands)
+        parser.parse_args(arguments or ["--help"])
+        parser.error("a command is wanted")
     name, *rest = arguments
     if name not in commands:
         return _complain(_unknown(name, commands))

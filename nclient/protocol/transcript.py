@@ -67,7 +67,7 @@ class Transcript:
     def read(self, line: str) -> dict[str, Any]:
         """The object for one line of text: `>` or `<`, then the bytes of one frame in hex, blanks as you like."""
         direction, digits = line.strip()[:1], line.strip()[1:]
-        if direction not in (TO_ROBOT, TO_HOST) or not direction:
+        if direction not in (TO_ROBOT, TO_HOST):
             return {"error": "a line starts with > (to the robot) or < (from it), then hex"}
         try:
             data = bytes.fromhex(digits)

@@ -6,6 +6,7 @@ import argparse
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import EntryPoint, version
 from pathlib import Path
 
@@ -38,9 +39,7 @@ def _commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def replace_run(monkeypatch: pytest.MonkeyPatch, run: Callable[[argparse.Namespace], int]) -> None:
-    import nomad_test_fine
-
-    monkeypatch.setattr(nomad_test_fine, "run", run)
+    monkeypatch.setattr(import_module("nomad_test_fine"), "run", run)
 
 
 @pytest.mark.parametrize("number", [0, 3])
@@ -87,6 +86,13 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 def test_no_arguments_given_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["nomad", "fine", "4"])
     assert cli.main() == 4
+
+
+@pytest.mark.parametrize("argument", ["--", "--fast"])
+def test_options_alone_are_no_command(argument: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main([argument])
+    assert "nomad: error: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "told"), [
