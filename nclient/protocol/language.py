@@ -148,6 +148,8 @@ def _call(row: Command, packet_type: int | None, data: bytes, *, line: bool) -> 
 
 
 def _parsed(row: Command, data: bytes, line: bool) -> Call:
+    if not data and not row.arguments:
+        return Call(row.name)
     try:
         return Call(row.name, tuple((row.line_request if line else row.tcp_request).parse(data)))
     except (ConstructError, WireError) as error:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any
 
-from construct import Array, ConstructError, Container, GreedyRange, Int8ub
+from construct import Array, ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
 from nclient.protocol.fields import (
@@ -60,6 +60,14 @@ class Reply:
     values: tuple[int, ...] = ()
 
 
+class _Agreed:
+    """What construct hands to each member as its context: the terms, where a Struct would have them."""
+
+    def __init__(self, terms: Terms) -> None:
+        self.terms = terms
+        self._params = self
+
+
 class ReplyShape:
     """A layout of a reply: `kind`, and the named constructs that make its bytes, in order.
 
@@ -76,7 +84,7 @@ class ReplyShape:
         slots: dict[int, int] = {}
         stamps: dict[str, Stamp] = {}
         found: dict[str, Any] = {"slots": slots, "stamps": stamps}
-        stream, context = BytesIO(data), Container(_params=Container(terms=terms))
+        stream, context = BytesIO(data), _Agreed(terms)
         try:
             for name, part, subcon in self._members:
                 value = subcon._parsereport(stream, context, name)
@@ -104,7 +112,7 @@ class ReplyShape:
             "volt_cpu": cpu,
             "volt_motor": motor,
         }
-        stream, context = BytesIO(), Container(_params=Container(terms=terms))
+        stream, context = BytesIO(), _Agreed(terms)
         try:
             for name, part, subcon in self._members:
                 subcon._build(parts[name if part == "volt" else part], stream, context, name)

@@ -25,6 +25,7 @@ from nserver_emu.server.state_reply import (
     pose_tenths,
     sonar_stamps,
     state_reply,
+    state_slots,
     velocity_tenths,
 )
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -45,16 +46,20 @@ class Emulator:
         self.port = port
         self.speed_tenths = speed_tenths
         self._drivers: dict[int, Visit] = {}
+        self._looked: dict[int, tuple[float, list[int]]] = {}
 
     def answer(self, call: Call, visit: Visit) -> Reply | Later:
         """The reply to a call, or a promise of it; ERROR 4 where there is nothing that could answer."""
         if visit.robot_id is not None:
             self.robot_of(visit).feed()
+        if call.name not in QUESTIONS:
+            self._looked.clear()
         handler = HANDLERS.get(call.name)
         return handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
 
     def leave(self, visit: Visit) -> None:
         """A connection is gone: the robot that obeyed its last motion command stops."""
+        self._looked.clear()
         for robot_id, driver in list(self._drivers.items()):
             if driver is visit:
                 del self._drivers[robot_id]
@@ -72,8 +77,17 @@ class Emulator:
         return self.robot_of(visit)
 
     def state(self, visit: Visit) -> Reply:
-        """The state reply that most commands answer with."""
-        return state_reply(self.robot_of(visit), visit, self.simulation.time_s, self.speed_tenths)
+        """The state reply that most commands answer with.
+
+        Between two steps a robot changes by commands only, so many who ask cost one look at it.
+        """
+        assert visit.robot_id is not None
+        robot, now_s = self.simulation.robots[visit.robot_id], self.simulation.time_s
+        looked_s, slots = self._looked.get(visit.robot_id, (None, []))
+        if looked_s != now_s:
+            slots = state_slots(robot, self.speed_tenths)
+            self._looked[visit.robot_id] = (now_s, slots)
+        return state_reply(robot, visit, now_s, slots)
 
     @property
     def clock_ms(self) -> int:
@@ -262,6 +276,9 @@ def sim_truth(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     )
     return Reply("truth", values=values)
 
+
+QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_bp", "sim_truth"})
+"""Commands that change nothing about a robot."""
 
 HANDLERS: dict[str, Handler] = {
     handler.__name__: handler

@@ -56,10 +56,10 @@ def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
     )
 
 
-def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, speed: int) -> Reply:
-    """The whole state of a robot, on the terms of this connection."""
+def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
+    """State[0..44] as it is now, all sensors in."""
     moving = robot.moving
-    slots = [
+    return [
         speed,
         *[INFRARED_NOTHING] * 16,
         *robot.sonar.readings_in,
@@ -71,6 +71,10 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, speed: int) 
         0,
         0,
     ]
+
+
+def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[int]) -> Reply:
+    """The whole state of a robot, `slots` as of now, on the terms of this connection."""
     mask = visit.terms.mask
     if not mask.whole:
         kept = visit.kept

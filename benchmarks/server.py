@@ -1,0 +1,66 @@
+"""How fast the daemon answers: `gs` round trips a second, against a bare asyncio echo of the same sizes.
+
+    python benchmarks/server.py [--rounds N] [--calls N] [--json]
+
+Asked: a ratio of at least 0.5, and a 99th percentile under 1 ms. The client sends prepared bytes and reads nothing
+into them, so what is measured is the daemon; both servers are processes of their own, and take turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from echo import Pinger, compare, start_echo, started
+
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+
+ASKED_RATIO, ASKED_P99_MS = 0.5, 1.0
+REPLY_SIZE = 4 + 4 * 49
+CONNECT_REPLY_SIZE = 8
+
+
+def measure(rounds: int, calls: int) -> dict[str, float]:
+    """Rates, 99th percentiles and their ratio."""
+    gs = language.tcp_request(Call("gs"))
+    connect = language.tcp_request(Call("connect_robot", (1, 1)))
+    daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
+        sides = {
+            "nserver": Pinger(int(line.rpartition(":")[2]), gs, REPLY_SIZE, connect, CONNECT_REPLY_SIZE),
+            "echo": Pinger(echo_port, gs, REPLY_SIZE),
+        }
+        paces = compare(dict(sides), rounds, calls)
+        for pinger in sides.values():
+            pinger.close()
+    return {
+        "gs_per_second": paces["nserver"].per_second,
+        "echo_per_second": paces["echo"].per_second,
+        "ratio": paces["nserver"].per_second / paces["echo"].per_second,
+        "ratio_asked": ASKED_RATIO,
+        "p99_ms": paces["nserver"].p99_ms,
+        "echo_p99_ms": paces["echo"].p99_ms,
+        "p99_ms_asked": ASKED_P99_MS,
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7, help="rounds that count (default %(default)s)")
+    parser.add_argument("--calls", type=int, default=3000, help="round trips a round (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    options = parser.parse_args()
+    result = measure(options.rounds, options.calls)
+    if options.json:
+        print(json.dumps(result))
+        return
+    print(f"gs {result['gs_per_second']:.0f}/s, echo {result['echo_per_second']:.0f}/s: "
+          f"ratio {result['ratio']:.2f} (asked {ASKED_RATIO})")
+    print(f"99 % within {result['p99_ms']:.2f} ms (asked {ASKED_P99_MS}), echo {result['echo_p99_ms']:.2f} ms")
+
+
+if __name__ == "__main__":
+    main()
