@@ -81,7 +81,7 @@ def test_each_echo_is_told_once_with_what_became_of_it() -> None:
     instants = [echo.instant_s for echo in echoes]
     assert instants == sorted(set(instants))
     assert instants[-1] > 5.8
-    assert [echo.sonar for echo in echoes[:16]] == list(DEFAULT_ORDER[1:]) + [0]
+    assert [echo.sonar for echo in echoes[:16]] == [*DEFAULT_ORDER[1:], 0]
     assert {echo.refusal for echo in echoes} >= {Refusal.NONE}
     assert all(echo.innovation_in == 0 for echo in echoes if echo.refusal is not Refusal.NONE)
 

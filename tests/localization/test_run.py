@@ -52,7 +52,8 @@ def test_the_summary_counts_echoes_by_what_became_of_them() -> None:
 def test_without_a_truth_nothing_is_made_up() -> None:
     done = run(with_truth=False)
     summary = done.summary()
-    assert [summary[key] for key in ("truth", "end_error_in", "rmse_position_in", "odometry_end_error_in")] == [None] * 4
+    unknown = ("truth", "end_error_in", "rmse_position_in", "odometry_end_error_in")
+    assert [summary[key] for key in unknown] == [None] * 4
     assert "truth" not in done.line()
     assert "off at the end" not in done.verdict()
 
