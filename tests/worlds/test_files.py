@@ -280,8 +280,8 @@ def test_values_that_cannot_be_used(text: str, message: str) -> None:
             "path[0].start: expected a whole number from 0 to 0, found 1",
         ),
         (
-            "figure = '1'\nstart = true\npoints_in = [[0, 0], [5, 5]]",
-            "path[0].start: expected a whole number from 0 to 0, found true",
+            "figure = '1'\nstart = false\npoints_in = [[0, 0], [5, 5]]",
+            "path[0].start: expected a whole number from 0 to 0, found false",
         ),
         (
             "figure = '1'\nstart = 0\npoints_cm = [[2.54, 0], [5, 5]]",

@@ -217,6 +217,18 @@ def test_an_end_a_hair_beside_the_ray_is_grazed_and_no_more_than_a_hair(cast: Ca
 
 
 @both_ways
+@pytest.mark.parametrize(("grazed", "other"), [(5.0, 9.0), (9.0, 5.0)])
+def test_a_wall_that_all_but_lies_in_the_ray_is_met_within_its_ends(cast: Cast, grazed: float, other: float) -> None:
+    wall = [(grazed, 0.9 * ON_LINE_IN, other, 1.1 * ON_LINE_IN)]  # its line meets the ray 18 in beyond the grazed end
+    assert cast((0.0, 0.0), EAST, wall) == (grazed, 0)
+
+
+def test_the_tolerances_are_far_below_what_a_robot_tells_apart_and_far_above_rounding() -> None:
+    assert 1e5 * np.finfo(float).eps * 10 < min(ON_LINE_IN, ON_WALL_IN)
+    assert max(ON_LINE_IN, ON_WALL_IN) < 1e-6 * 1e-2
+
+
+@both_ways
 def test_a_parallel_wall_is_not_met_and_divides_nothing_by_zero(cast: Cast) -> None:
     assert cast((0.0, 0.0), EAST, [(1.0, 3.0, 9.0, 3.0), (1.0, -3.0, 9.0, -3.0)]) == (inf, NO_WALL)
 

@@ -152,11 +152,16 @@ def test_whatever_a_refusal_proposes_is_free(x: float, y: float, radius: float) 
     assert WORLD.clearance(float(fits[1]), float(fits[2])) > radius
 
 
-def test_the_proposal_is_near_by_where_that_is_easy() -> None:
-    fits = FITS.search(refusal(WORLD, 5.0, 60.0, 9.72))
+@pytest.mark.parametrize(
+    ("x", "y", "near_x", "near_y"),
+    [(5.0, 60.0, 9.72 + MARGIN_IN, 60.0), (9.5, 60.0, 9.72 + MARGIN_IN, 60.0), (2.0, 79.0, 9.82, 80.0 - 9.82)],
+    ids=["off a wall", "off it by little", "out of a corner"],
+)
+def test_the_proposal_is_near_by_where_that_is_easy(x: float, y: float, near_x: float, near_y: float) -> None:
+    fits = FITS.search(refusal(WORLD, x, y, 9.72))
     assert fits is not None
-    assert float(fits[1]) == pytest.approx(9.72 + MARGIN_IN)
-    assert float(fits[2]) == 60.0
+    assert float(fits[1]) == pytest.approx(near_x)
+    assert float(fits[2]) == pytest.approx(near_y)
 
 
 def test_a_start_of_the_world_is_proposed_where_pushing_off_does_not_help() -> None:
