@@ -1,0 +1,43 @@
+"""The client: `from nclient import connect`, then `with connect("nserver://localhost:7019/1") as robot:`.
+
+What a program needs stands here; the C names are in nclient.capi, the wire in nclient.protocol.
+"""
+
+from __future__ import annotations
+
+from nclient.async_robot import AsyncRobot
+from nclient.connect import connect, connect_async
+from nclient.errors import (
+    AddressError,
+    ConnectionLost,
+    NomadError,
+    ReplyTimeout,
+    RobotRefused,
+    StartError,
+    WireError,
+    WorldFileError,
+)
+from nclient.quantities import AxisCommand, AxisMode
+from nclient.robot import Robot
+from nclient.robot_state import Battery, Pose, RobotState, Truth
+
+__all__ = [
+    "AddressError",
+    "AsyncRobot",
+    "AxisCommand",
+    "AxisMode",
+    "Battery",
+    "ConnectionLost",
+    "NomadError",
+    "Pose",
+    "ReplyTimeout",
+    "Robot",
+    "RobotRefused",
+    "RobotState",
+    "StartError",
+    "Truth",
+    "WireError",
+    "WorldFileError",
+    "connect",
+    "connect_async",
+]

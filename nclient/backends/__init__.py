@@ -1,0 +1,1 @@
+"""Who answers a call: one file for each language a robot speaks."""

@@ -1,0 +1,1 @@
+"""How bytes move, and nothing of what they mean."""
