@@ -3,7 +3,8 @@
     tenths_of(translation_in_s=2.5)  25        tenths_of(steering_rad=math.pi)  1800
     tenths_of(x_in=None, x_m=0.3)    118       two units of one quantity at once are a TypeError
 
-Rules: a keyword's ending is its unit; pure numbers, no robot. The nearest tenth is taken; a number that is none (nan, inf) is a ValueError.
+Rules: a keyword's ending is its unit; pure numbers, no robot. The nearest tenth is taken; a number that is none (nan,
+inf) is a ValueError.
 """
 
 from __future__ import annotations

@@ -1,0 +1,65 @@
+"""How fast the client is: `robot.refresh()` over TCP, against a bare asyncio echo of the same sizes.
+
+    python benchmarks/client.py [--rounds N] [--calls N] [--json]
+
+Asked: a ratio of at least 0.3. The client's side is whole: a request built, a reply parsed, a RobotState made, with our
+daemon at the other end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from echo import Pinger, compare, start_echo, started
+
+from nclient import Robot, connect
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+
+ASKED_RATIO = 0.3
+REPLY_SIZE = 4 + 4 * 49
+
+
+def measure(rounds: int, calls: int) -> dict[str, float]:
+    """Rates, 99th percentiles and their ratio."""
+    gs = language.tcp_request(Call("gs"))
+    daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
+        echo = Pinger(echo_port, gs, REPLY_SIZE)
+        with connect(f"nserver://{line.removeprefix('listening nserver ')}/1") as robot:
+            paces = compare({"client": lambda: _refresh(robot), "echo": echo}, rounds, calls)
+        echo.close()
+    return {
+        "refresh_per_second": paces["client"].per_second,
+        "echo_per_second": paces["echo"].per_second,
+        "ratio": paces["client"].per_second / paces["echo"].per_second,
+        "ratio_asked": ASKED_RATIO,
+        "p99_ms": paces["client"].p99_ms,
+        "echo_p99_ms": paces["echo"].p99_ms,
+    }
+
+
+def _refresh(robot: Robot) -> None:
+    robot.refresh()
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7, help="rounds that count (default %(default)s)")
+    parser.add_argument("--calls", type=int, default=3000, help="round trips a round (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    options = parser.parse_args()
+    result = measure(options.rounds, options.calls)
+    if options.json:
+        print(json.dumps(result))
+        return
+    print(f"refresh {result['refresh_per_second']:.0f}/s, echo {result['echo_per_second']:.0f}/s: "
+          f"ratio {result['ratio']:.2f} (asked {ASKED_RATIO})")
+    print(f"99 % within {result['p99_ms']:.2f} ms, echo {result['echo_p99_ms']:.2f} ms")
+
+
+if __name__ == "__main__":
+    main()
