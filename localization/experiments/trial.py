@@ -116,14 +116,16 @@ def _advance(course: Course, moment: Moment, motion_error: Floats, sonar_error: 
 
 def _look(course: Course, truth: Floats, belief: Belief, sonar_error: Floats) -> tuple[Belief, Floats, Indices, Floats]:
     """Readings made at the truth, beliefs corrected by them: the beliefs, NIS, beams used, and what a perfect filter
-    could have gained from all beams (n, 3, 3)."""
+    could have gained (n, 3, 3) from all beams that meet a wall."""
     aimed = rays(truth[:, None, :], course.beams)
-    lines = course.walls.lines[meet(aimed, course.walls)]
+    met = meet(aimed, course.walls)
+    lines = course.walls.lines[met]
     seen = sight(aimed, lines)
     variance = course.sonar.variance(seen.ranges_in)
     readings = seen.ranges_in + np.sqrt(variance) * sonar_error
     observation = observe(belief, course.beams, readings, course.walls, course.sonar)
     corrected = ekf.correct(belief, observation)
     nis = ekf.innovation_squared(belief, corrected, observation)
-    gained = information(range_jacobian(seen, lines), variance)
+    telling = np.where((met >= 0)[..., None], range_jacobian(seen, lines), 0.0)
+    gained = information(telling, np.where(met >= 0, variance, 1.0))
     return corrected, nis, observation.used.sum(axis=-1), gained

@@ -1,0 +1,89 @@
+"""The pictures: what is in them, and that they are files a viewer can read."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure as Picture
+
+from localization.belief import Floats
+from localization.experiments import figures
+from localization.experiments.results import Track
+from localization.experiments.settings import FIGURES, course_of
+from nclient.errors import NomadError
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def made_up_track(seed: int = 0) -> Track:
+    steps = np.linspace(0.0, 1.0, 40)
+    truth = np.column_stack([60 * steps, 40 * steps, 0.6 + 0 * steps])
+    mean = truth + np.column_stack([0.1 * np.sin(9 * steps), 0 * steps, 0.01 * np.cos(9 * steps + seed)])
+    return Track(seed, truth, mean, np.tile(np.diag([0.01, 0.04, 1e-4]), (40, 1, 1)))
+
+
+def lines(picture: Picture, row: int = 0) -> dict[str, Floats]:
+    """The labelled lines of one panel, (k, 2) each."""
+    return {str(line.get_label()): np.asarray(line.get_xydata()) for line in picture.axes[row].get_lines()}
+
+
+def test_the_trajectory_shows_world_way_points_truth_and_estimate() -> None:
+    figure, track = FIGURES["5.8"], made_up_track()
+    course = course_of(figure)
+    picture = figures.trajectory(figure, course, track)
+    (axes,) = picture.axes
+    drawn = lines(picture)
+    assert axes.get_aspect() == 1.0
+    assert drawn["truth"][1:] == pytest.approx(track.truth[:, :2])
+    assert drawn["estimate"] == pytest.approx(track.mean[:, :2])
+    assert drawn["way-points"] == pytest.approx(course.goals_in)
+    ends = [tuple(np.asarray(line.get_xydata()).ravel()) for line in axes.get_lines()]
+    assert all(tuple(wall) in ends for wall in course.walls.segments)
+    assert "0.0" in axes.get_title()
+
+
+def test_without_the_filter_the_estimate_is_odometry_and_its_doubt_is_drawn() -> None:
+    figure = FIGURES["5.2"]
+    drawn = lines(figures.trajectory(figure, course_of(figure), made_up_track()))
+    assert "odometry" in drawn
+    assert "3 sigma" in drawn
+
+
+def test_the_errors_are_estimate_less_truth_in_inches_and_degrees() -> None:
+    track = made_up_track()
+    picture = figures.errors(FIGURES["5.4"], [track, made_up_track(1)], track)
+    assert [axes.get_ylabel() for axes in picture.axes] == ["x (in)", "y (in)", "heading (deg)"]
+    for row, scale in enumerate((1.0, 1.0, np.degrees(1.0))):
+        expected = scale * (track.mean - track.truth)[:, row]
+        assert lines(picture, row)["this run"][:, 1] == pytest.approx(expected)
+    assert picture.axes[0].get_title().startswith("Figure 5.5")
+
+
+def test_an_ellipse_lies_its_sigmas_away() -> None:
+    cov = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    outline = figures.ellipse(np.array([5.0, 6.0, 0.0]), cov, 3.0) - (5.0, 6.0)
+    distances = (outline @ np.linalg.inv(cov[:2, :2]) * outline).sum(axis=-1)
+    assert distances == pytest.approx(np.full(len(outline), 9.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [("5.2", {"figure_5.2.png", "figure_5.3.png"}), ("5.9", {"figure_5.9.png", "figure_5.9_errors.png"})],
+)
+def test_two_files_are_written_for_a_figure(name: str, files: set[str], tmp_path: Path) -> None:
+    figure = FIGURES[name]
+    written = figures.draw(figure, course_of(figure), [made_up_track()], tmp_path / "new" / "folder")
+    assert {path.name for path in written} == files
+    assert all(path.read_bytes().startswith(PNG) for path in written)
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures.require_matplotlib()
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(figures.PlotExtraMissing, match=r"nomad-nserver\[plot\]") as caught:
+        figures.require_matplotlib()
+    assert isinstance(caught.value, NomadError)
+    assert isinstance(caught.value, ImportError)

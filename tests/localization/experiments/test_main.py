@@ -1,0 +1,97 @@
+"""The command: what it prints where, and how it refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from localization.experiments import __main__ as command
+from localization.experiments.results import Summary
+
+QUICK = ["--seeds", "2", "--jobs", "1"]
+
+
+def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert command.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    printed, told = capsys.readouterr()
+    summary = json.loads(printed)
+    assert list(summary) == list(Summary.__annotations__)
+    assert (summary["figure"], summary["seeds"], summary["steps_thesis"]) == ("5.6", 2, 150)
+    assert json.loads((tmp_path / "figure_5.6.json").read_text(encoding="utf-8")) == summary
+    assert "figure 5.6: 100%" in told
+    assert "figure_5.6.json" in told
+
+
+def test_people_get_a_table_and_pictures(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert command.main(["5.6", *QUICK, "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "Figure 5.6: Badly chosen limits" in printed
+    assert "150 in the text" in printed
+    assert {path.name for path in tmp_path.iterdir()} == {"figure_5.6.json", "figure_5.6.png", "figure_5.7.png"}
+    assert all(path.name in printed for path in tmp_path.iterdir())
+
+
+def test_several_figures_give_an_object_a_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert command.main(["5.6", "5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert json.loads(first) == json.loads(second)
+
+
+def test_without_tqdm_there_is_no_bar_and_the_same_numbers(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    assert command.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    printed, told = capsys.readouterr()
+    assert json.loads(printed)["seeds"] == 2
+    assert "%" not in told
+
+
+def test_without_matplotlib_it_refuses_before_it_drives(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert command.main(["5.6", "--out", str(tmp_path / "out")]) == 2
+    printed, told = capsys.readouterr()
+    assert printed == ""
+    assert "nomad-nserver[plot]" in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    assert command.main(["5.6", *QUICK, "--no-pictures", "--out", str(tmp_path / "file")]) == 2
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_an_interruption_ends_it_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "drive", interrupted)
+    assert command.main(["5.6", "--no-pictures"]) == 130
+
+
+@pytest.mark.parametrize("arguments", [["5.5"], [], ["5.4", "--seeds", "0"], ["5.4", "--jobs", "none"]])
+def test_what_cannot_be_meant_is_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        command.main(arguments)
+    assert caught.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_the_number_of_cores_is_known_without_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("os.sched_getaffinity", raising=False)
+    monkeypatch.setattr("os.cpu_count", lambda: None)
+    assert command._parser().parse_args(["5.4"]).jobs == 1
+
+
+def test_help_names_every_figure() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "localization.experiments", "--help"], capture_output=True, text=True, check=True
+    )
+    assert all(name in answer.stdout for name in ("5.2", "5.4", "5.6", "5.8", "5.9", "--seeds", "--no-pictures"))

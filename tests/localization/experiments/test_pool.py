@@ -1,0 +1,37 @@
+"""Work shared out: the same numbers to the bit, whoever does it."""
+
+from __future__ import annotations
+
+import pytest
+
+from localization.experiments.pool import drive, drive_part, parts_of
+from localization.experiments.settings import FIGURES
+
+
+@pytest.mark.parametrize(("count", "jobs"), [(1, 1), (1, 8), (10, 3), (100, 2), (1000, 2), (1000, 3)])
+def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int) -> None:
+    parts = parts_of(range(count), jobs)
+    assert [seed for part in parts for seed in part] == list(range(count))
+    assert all(parts)
+    assert len(parts) >= min(count, jobs) - 1
+    assert max(map(len, parts)) <= 125
+
+
+def test_the_numbers_do_not_depend_on_the_processes() -> None:
+    figure = FIGURES["5.6"]
+    reports: list[int] = []
+    alone, shared = drive_part(figure, range(3)), drive(figure, range(3), jobs=2, report=reports.append)
+    assert alone.results == shared.results
+    assert [track.seed for track in shared.tracks] == [0, 1, 2]
+    for mine, theirs in zip(alone.tracks, shared.tracks, strict=True):
+        assert (mine.truth == theirs.truth).all()
+        assert (mine.cov == theirs.cov).all()
+    assert reports[-1] == sum(result.steps for result in alone.results)
+
+
+def test_one_job_stays_in_this_process_and_reports_every_step() -> None:
+    reports: list[int] = []
+    outcome = drive(FIGURES["5.6"], range(2), jobs=1, report=reports.append)
+    assert reports == sorted(reports)
+    assert len(reports) == max(result.steps for result in outcome.results)
+    assert reports[-1] == sum(result.steps for result in outcome.results)

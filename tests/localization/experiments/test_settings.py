@@ -1,0 +1,43 @@
+"""The settings that are fixed for all figures, and how long a figure's way is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from localization.experiments.settings import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
+from localization.measurement import IDEAL_SONAR
+
+
+def test_the_noise_is_the_one_the_experiments_were_fixed_with() -> None:
+    assert (NOISE.translation_std, NOISE.rotation_std, NOISE.drift_std) == (0.1, 0.1, 0.005)
+    assert START_STD == (0.1, 0.1, 0.01)
+    assert WAYPOINT_RADIUS_IN == 0.25
+    assert (IDEAL_SONAR.relative_std, IDEAL_SONAR.floor_std_in, IDEAL_SONAR.rounding_var_in2) == (0.01, 0.05, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "goals"),
+    [
+        ("5.2", [[60, 40]]),
+        ("5.4", [[60, 40]]),
+        ("5.6", [[60, 40]]),
+        ("5.8", [[35, 55], [90, 55]]),
+        ("5.9", [[60, 60], [70, 20]]),
+    ],
+)
+def test_each_figure_drives_from_its_start_through_its_goals(name: str, goals: list[list[float]]) -> None:
+    course = course_of(FIGURES[name])
+    assert course.goals_in.tolist() == goals
+    assert course.filtered == (name != "5.2")
+    gains = (0.5, 0.5, 0.08, 0.8) if name == "5.6" else (0.05, 0.05, 0.1, 0.1)
+    assert (course.gains.drho_max_in, course.gains.dtheta_max_rad) == gains[:2]
+    assert (course.gains.alpha_rho, course.gains.alpha_theta) == gains[2:]
+
+
+def test_the_text_cannot_have_covered_its_way_in_1199_steps() -> None:
+    course = course_of(FIGURES["5.4"])
+    assert course.length_in == pytest.approx(math.hypot(60, 40))
+    assert course.least_steps == 1442
+    assert course.most_steps > 3 * 1442

@@ -1,0 +1,38 @@
+"""The chance of a seed is its own: neither company nor length changes it."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+
+from localization.belief import Floats
+from localization.experiments.streams import start_errors, step_errors
+
+
+def first(seeds: list[int], count: int) -> tuple[Floats, Floats]:
+    """Motion (count, seeds, 2) and sonar (count, seeds, 16) errors."""
+    moves, sounds = zip(*islice(step_errors(seeds, 16), count), strict=True)
+    return np.stack(moves), np.stack(sounds)
+
+
+def test_a_seed_meets_the_same_noise_in_any_company() -> None:
+    moves, sounds = first([3, 7, 5], 300)
+    alone_moves, alone_sounds = first([7], 150)
+    assert moves[:150, 1].tolist() == alone_moves[:, 0].tolist()
+    assert sounds[:150, 1].tolist() == alone_sounds[:, 0].tolist()
+    assert start_errors([3, 7])[1].tolist() == start_errors([7])[0].tolist()
+
+
+def test_seeds_and_purposes_share_nothing() -> None:
+    moves, sounds = first(list(range(8)), 500)
+    starts = start_errors(range(8))
+    numbers = np.concatenate([moves.ravel(), sounds.ravel(), starts.ravel()])
+    assert len(np.unique(numbers)) == numbers.size
+
+
+def test_the_numbers_are_standard_normal() -> None:
+    moves, sounds = first(list(range(8)), 1000)
+    for numbers in (moves, sounds):
+        assert abs(numbers.mean()) < 4 / np.sqrt(numbers.size)
+        assert abs(numbers.var() - 1) < 4 * np.sqrt(2 / numbers.size)

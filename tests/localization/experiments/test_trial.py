@@ -1,0 +1,141 @@
+"""The thesis' runs: what they must show, and that a batch is nothing but its seeds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from localization.belief import difference
+from localization.control import Gains
+from localization.experiments.consistency import mean_band
+from localization.experiments.results import Summary, outcome_of, summarize
+from localization.experiments.settings import FIGURES, Course, course_of
+from localization.experiments.trial import Runs, run
+from localization.measurement import wall_map
+
+
+def short_course(filtered: bool = True) -> Course:
+    """The first inches of figure 5.4, at the speed of 5.6."""
+    course = course_of(FIGURES["5.4"])
+    return replace(course, goals_in=np.array([[8.0, 5.0], [3.0, 9.0]]), gains=FIGURES["5.6"].gains, filtered=filtered)
+
+
+def summary_of(name: str, seeds: int) -> Summary:
+    figure = FIGURES[name]
+    return summarize(figure, outcome_of(run(course_of(figure), range(seeds)), figure.filtered).results)
+
+
+@pytest.fixture(scope="module")
+def with_filter() -> Summary:
+    return summary_of("5.4", 100)
+
+
+def test_the_filter_is_nearly_as_good_as_any_could_be(with_filter: Summary) -> None:
+    assert with_filter["reached"] == 100
+    assert with_filter["pcrb_position_in"] is not None
+    assert 0.95 <= with_filter["rmse_position_in"] / with_filter["pcrb_position_in"] <= 1.15
+
+
+def test_the_filter_is_as_sure_as_it_may_be(with_filter: Summary) -> None:
+    assert with_filter["nees_mean"] is not None
+    assert 2.54 <= with_filter["nees_mean"] <= 3.50
+    assert with_filter["nis_mean"] == pytest.approx(1.0, abs=0.03)
+
+
+def test_without_the_filter_the_same_noise_leads_far_astray(with_filter: Summary) -> None:
+    without = summary_of("5.2", 100)
+    assert without["end_error_median_in"] >= 20 * with_filter["end_error_median_in"]
+
+
+@pytest.mark.parametrize("name", ["5.6", "5.8", "5.9"])
+def test_the_other_figures_arrive_and_stay_consistent(name: str) -> None:
+    """The guided paths at four times their speed, so that the test is four times as short."""
+    seeds = 30
+    figure = FIGURES[name]
+    course = course_of(figure)
+    if name != "5.6":
+        course = replace(course, gains=Gains(drho_max_in=0.2, dtheta_max_rad=0.2, alpha_rho=0.1, alpha_theta=0.1))
+    summary = summarize(figure, outcome_of(run(course, range(seeds)), filtered=True).results)
+    low, high = mean_band(3, seeds, probability=0.999)
+    assert summary["reached"] == seeds
+    assert summary["nees_mean"] is not None
+    assert low <= summary["nees_mean"] <= high
+    assert summary["pcrb_position_in"] is not None
+    assert summary["rmse_position_in"] <= 1.15 * summary["pcrb_position_in"]
+
+
+def test_a_batch_is_its_seeds_to_the_bit() -> None:
+    seeds = range(9)
+    whole = outcome_of(run(short_course(), seeds), filtered=True)
+    for cut in (1, 4):
+        parts = [
+            outcome_of(run(short_course(), seeds[first : first + cut]), filtered=True) for first in range(0, 9, cut)
+        ]
+        assert [result for part in parts for result in part.results] == list(whole.results)
+
+
+def at_end(runs: Runs, row: int) -> tuple[float, float]:
+    """Distances of estimate and truth from the last goal after a robot's last step."""
+    goal = short_course().goals_in[-1]
+    last = runs.steps[row] - 1
+    return math.dist(runs.mean[last, row, :2], goal), math.dist(runs.truth[last, row, :2], goal)
+
+
+def test_the_estimate_arrives_and_stops_there() -> None:
+    runs = run(short_course(), range(6))
+    assert runs.reached.all()
+    for row in range(6):
+        assert at_end(runs, row)[0] <= 0.25
+        assert math.dist(runs.mean[runs.steps[row] - 2, row, :2], short_course().goals_in[-1]) > 0.25
+        assert (runs.truth[runs.steps[row] - 1 :, row] == runs.truth[runs.steps[row] - 1, row]).all()
+    assert len(set(runs.steps.tolist())) > 1
+
+
+def test_without_the_filter_odometry_steers_and_nothing_is_looked_at() -> None:
+    runs = run(short_course(filtered=False), range(4))
+    assert (runs.mean[:, 0] == runs.mean[:, 3]).all()
+    assert (runs.truth[-1, 0] != runs.truth[-1, 3]).all()
+    assert (runs.used == 0).all()
+
+
+def test_both_ways_of_driving_meet_the_same_motion_noise() -> None:
+    """On the first step, where the commands differ only by the error of the first estimate."""
+    filtered, blind = (run(short_course(filtered), range(5)) for filtered in (True, False))
+    start = short_course().start
+    ratio = difference(filtered.truth[0], start)[:, 0] / difference(blind.truth[0], start)[:, 0]
+    assert ratio == pytest.approx(np.ones(5), abs=0.05)
+
+
+def test_where_nothing_is_to_be_seen_the_filter_is_odometry_from_a_start_it_was_not_told() -> None:
+    course = replace(short_course(), walls=wall_map(np.empty((0, 4))), start_std=(2.0, 3.0, 0.1))
+    runs = run(course, range(300))
+    first = difference(runs.mean[0], runs.truth[0])
+    assert first.std(axis=0) == pytest.approx([2.0, 3.0, 0.1], rel=0.15)
+    assert (runs.used == 0).all()
+    assert runs.cov[0, 0] == pytest.approx(runs.bound[0, 0], abs=0.1)
+    assert np.isfinite(runs.bound).all()
+
+
+def test_without_the_filter_the_start_is_known_exactly() -> None:
+    course = replace(short_course(filtered=False), start_std=(2.0, 3.0, 0.1))
+    runs = run(course, range(5))
+    assert np.abs(difference(runs.mean[0], runs.truth[0])).max() < 0.5
+
+
+def test_a_run_that_never_arrives_ends_and_is_not_counted() -> None:
+    circling = replace(short_course(), gains=Gains(0.5, 0.001, 0.08, 0.8), goals_in=np.array([[0.0, 5.0]]))
+    runs = run(circling, range(3))
+    assert not runs.reached.any()
+    assert runs.steps.tolist() == [circling.most_steps] * 3
+    assert len(runs.truth) == circling.most_steps
+
+
+def test_each_step_is_told_with_the_robots_that_took_it() -> None:
+    told: list[int] = []
+    runs = run(short_course(), range(4), told.append)
+    assert sum(told) == runs.steps.sum()
+    assert len(told) == runs.steps.max()
+    assert told == sorted(told, reverse=True)
