@@ -18,7 +18,7 @@ from localization.localizer import THESIS_ODOMETRY, Surroundings
 from localization.motion import OdometryNoise
 from localization.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
 from localization.run import Moment, Run
-from nclient import Robot, connect
+from nclient import Robot, WorldFileError, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world
 from worlds.world import World
@@ -107,7 +107,7 @@ def _moment(robot: Robot, progress: Progress, simulated: bool) -> Moment:
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:
     if name not in world.paths:
         there = ", ".join(world.paths) or "none"
-        raise argparse.ArgumentTypeError(f"the map {world.name} has no path {name!r}; it has {there}")
+        raise WorldFileError(f"the map {world.name} has no path {name!r}; it has {there}")
     return list(world.paths[name].points_in)
 
 

@@ -25,6 +25,8 @@ PERIOD_S = 0.1
 """The law's step (ROBOTS.md)."""
 STOP_RADIUS_IN = 1.0
 """A way-point of a live run counts as reached within this."""
+SHORTEST_WAIT_S = 0.001
+"""A robot's clock counts in milliseconds at the finest."""
 COMMAND_TIMEOUT_S = 2
 """The robot stops by itself when no command comes for so long."""
 
@@ -121,8 +123,8 @@ def follow(
 
 
 def _next_state(robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]) -> RobotState:
-    """The state a period after `before`."""
-    gone_s = (after.clock_s or 0.0) - (before.clock_s or 0.0)
-    if gone_s < PERIOD_S:
-        wait((PERIOD_S - gone_s) / max(after.speed_factor, 0.01))
+    """The state a period after `before`. A real robot shows no speed of time: its time is ours."""
+    left_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
+    if left_s >= SHORTEST_WAIT_S:
+        wait(left_s / (after.speed_factor or 1.0))
     return robot.refresh()

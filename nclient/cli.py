@@ -77,7 +77,12 @@ def _dispatch(arguments: list[str]) -> int:
         prog=f"nomad {name}", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     command.add_arguments(parser)
-    return command.run(parser.parse_args(rest))
+    return command.run(parser.parse_args([_as_value(word) for word in rest]))
+
+
+def _as_value(word: str) -> str:
+    """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
+    return f" {word}" if word.startswith("-") and "," in word else word
 
 
 def _top_parser(commands: dict[str, EntryPoint]) -> argparse.ArgumentParser:

@@ -25,7 +25,7 @@ SLOWEST, FASTEST = 0.1, 100.0
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM; the exit code."""
-    options = _parser().parse_args(_bind_values(sys.argv[1:] if argv is None else argv))
+    options = _parser().parse_args([_as_value(word) for word in (sys.argv[1:] if argv is None else argv)])
     logging.basicConfig(
         level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -83,15 +83,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _bind_values(argv: list[str]) -> list[str]:
-    """`--start -5,0,0,0` as `--start=-5,0,0,0`: argparse takes a value that begins with a minus for an option."""
-    bound: list[str] = []
-    for word in argv:
-        if bound and bound[-1] == "--start":
-            bound[-1] = f"--start={word}"
-        else:
-            bound.append(word)
-    return bound
+def _as_value(word: str) -> str:
+    """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
+    return f" {word}" if word.startswith("-") and "," in word else word
 
 
 def _speed(text: str) -> float | None:

@@ -1,0 +1,96 @@
+"""`nomad localize`, whole, against the emulator in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from nclient import cli
+
+NOISY = "sim:thesis_room?noisy=1&seed=1"
+TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
+
+
+def localize(*words: str) -> int:
+    return cli.main(["localize", *words])
+
+
+def test_it_prints_estimate_against_truth_and_draws_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "deep" / "run.png"
+    assert localize(NOISY, *TO_GOAL, "--picture", str(picture)) == 0
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    assert sum("estimate" in line and "truth" in line and "off" in line for line in lines) >= 10
+    assert "2 of 2 way-points reached" in out
+    assert "odometry alone is" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["rmse_position_in"] < 0.5
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+
+
+def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize("sim:centre_vertex?start=10,10", "--map", "centre_vertex", "--path", "5.9", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["reached"] == 3
+
+
+def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]) -> None:
+    address = "sim:thesis_room?start=20,30,90,45"
+    words = ["--map", "thesis_room", "--waypoints", "21,40", "--start", "20.2,29.9,91", "--start-std", "0.3,0.3,2"]
+    assert localize(address, *words, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["end_error_in"] < 0.5
+    assert 0 < result["odometry_end_error_in"] < 1.0
+
+
+def test_way_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize("sim:", "--map", "thesis_room", "--waypoints", "-1,0", "-2,-0.5", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["reached"] == 2
+
+
+def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--time-limit", "2") == 3
+    assert "1 of 2 way-points reached in 2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--waypoints", "0,0"],
+        ["--map", "thesis_room"],
+        ["--map", "thesis_room", "--waypoints", "0;0"],
+        ["--map", "thesis_room", "--waypoints", "0,inf"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--speed", "0"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--start-std", "0.1,0.1,-1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1"],
+    ],
+)
+def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        localize("sim:", *words)
+    assert stop.value.code == 2
+    assert "usage: nomad localize" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sim:", "--map", "thesis_rom", "--waypoints", "0,0"], "thesis_room"),
+        (["sim:", "--map", "several_walls", "--path", "5.7"], "it has 5.8"),
+        (["nserver://127.0.0.1:1/1", "--map", "thesis_room", "--waypoints", "0,0"], "127.0.0.1:1"),
+    ],
+)
+def test_what_cannot_be_done_says_why_and_exits_1(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert localize(*words) == 1
+    assert said in capsys.readouterr().err
