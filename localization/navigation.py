@@ -8,18 +8,18 @@ The law's limits are a step's; at a step every PERIOD_S they are speeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from nclient.robot import Robot
-from nclient.robot_state import RobotState
 
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
 from localization.echoes import DEFAULT_ORDER, DEFAULT_RATE, FiringSchedule
 from localization.localizer import Estimate, Localizer, Surroundings
+from nclient.robot import Robot
+from nclient.robot_state import RobotState
 
 PERIOD_S = 0.1
 """The law's step (ROBOTS.md)."""
@@ -102,7 +102,7 @@ def begin(robot: Robot, known: Surroundings, belief: Belief) -> Localizer:
 
 def follow(
     robot: Robot, localizer: Localizer, navigator: Navigator, wait: Callable[[float], None]
-) -> Iterator[Progress]:
+) -> Generator[Progress, None, None]:
     """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends.
 
     `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
