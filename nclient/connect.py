@@ -9,6 +9,7 @@ an address is said before anything is opened, with the nearest thing that would 
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import os
@@ -25,7 +26,8 @@ from nclient.errors import AddressError, ConnectionLost
 from nclient.protocol.models import N150, Model, model_named
 from nclient.robot import Robot
 from nclient.transports import memory
-from nclient.transports.tcp import CONNECT_TIMEOUT_S, TcpStream
+from nclient.transports.byte_stream import ByteStream
+from nclient.transports.tcp import CONNECT_TIMEOUT_S, TcpStream, names_of_this_machine
 
 DEFAULT_ADDRESS = "nserver://localhost:7019/1"
 DEFAULT_PORT = 7019
@@ -38,10 +40,11 @@ _MAX_ID = 0x7FFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What whoever connects says besides the address, where the address does not: time-out, and robot by number."""
+    """What whoever connects says besides the address: time-out (the address wins), robot by number, made if need be."""
 
     timeout_s: float = DEFAULT_TIMEOUT_S
     robot_id: int | None = None
+    create: bool = False
 
 
 def connect(address: str | None = None, *, timeout_s: float = DEFAULT_TIMEOUT_S) -> Robot:
@@ -92,18 +95,20 @@ def open_backend(address: str | None, wanted: Wanted) -> Backend:
     return _in_process(text, scheme, wanted)
 
 
-def open_nserver(host: str, port: int, wanted: Wanted, model: Model = N150) -> Backend:
-    """An Nserver at host and port, connected."""
-    stream = TcpStream(host, port, max(wanted.timeout_s, CONNECT_TIMEOUT_S))
-    return NserverBackend(stream, robot_id=wanted.robot_id or 1, model=model, timeout_s=wanted.timeout_s)
+def open_machine(name: str, port: int, wanted: Wanted) -> Backend:
+    """What C programs name: a bare host, "" for this machine; or an address that is answered in this process."""
+    if _is_in_process(name):
+        return open_backend(name, wanted)
+    return _open_nserver(_find(name, port, wanted.timeout_s), wanted)
 
 
-def is_listening(host: str, port: int) -> bool:
-    """Whether somebody takes connections there."""
-    try:
-        TcpStream(host, port).close()
-    except ConnectionLost:
-        return False
+def is_listening(name: str, port: int) -> bool:
+    """Whether there is somebody to connect to, with names as `open_machine` takes them."""
+    if not _is_in_process(name):
+        try:
+            _find(name, port, CONNECT_TIMEOUT_S).close()
+        except ConnectionLost:
+            return False
     return True
 
 
@@ -125,17 +130,37 @@ def _nserver(text: str, wanted: Wanted) -> Backend:
     timeout_s = _timeout(text, options.get("timeout_s", str(wanted.timeout_s)))
     model = model_named(options.get("model", N150.name))
     robot_id = _robot_id(text, parts) if wanted.robot_id is None else wanted.robot_id
-    host = parts.hostname or "localhost"
-    return open_nserver(host, DEFAULT_PORT if port is None else port, Wanted(timeout_s, robot_id), model)
+    stream = _open_tcp(parts.hostname or "localhost", DEFAULT_PORT if port is None else port, timeout_s)
+    return _open_nserver(stream, Wanted(timeout_s, robot_id, wanted.create), model)
 
 
 def _in_process(text: str, scheme: str, wanted: Wanted) -> Backend:
     """scheme:anything; the opener reads it, but for the robot's model, which the client must know as well."""
     named = dict(parse_qsl(text.partition("?")[2])).get("robot", N150.name)
-    stream = memory.open_in_process(scheme, text)
-    return NserverBackend(
-        stream, robot_id=wanted.robot_id or 1, model=model_named(named), timeout_s=wanted.timeout_s
-    )
+    return _open_nserver(memory.open_in_process(scheme, text), wanted, model_named(named))
+
+
+def _open_nserver(stream: ByteStream, wanted: Wanted, model: Model = N150) -> Backend:
+    robot_id = 1 if wanted.robot_id is None else wanted.robot_id
+    return NserverBackend(stream, robot_id=robot_id, model=model, timeout_s=wanted.timeout_s, create=wanted.create)
+
+
+def _open_tcp(host: str, port: int, timeout_s: float) -> TcpStream:
+    return TcpStream(host, port, max(timeout_s, CONNECT_TIMEOUT_S))
+
+
+def _find(name: str, port: int, timeout_s: float) -> TcpStream:
+    """A stream to the host; where none is named, to the first name of this machine that answers."""
+    *others, last = (name,) if name else names_of_this_machine()
+    for host in others:
+        with contextlib.suppress(ConnectionLost):
+            return _open_tcp(host, port, timeout_s)
+    return _open_tcp(last, port, timeout_s)
+
+
+def _is_in_process(name: str) -> bool:
+    scheme, colon, _ = name.partition(":")
+    return bool(colon) and scheme in memory.schemes()
 
 
 _SCHEMES: dict[str, Callable[[str, Wanted], Backend]] = {"nserver": _nserver}

@@ -209,15 +209,14 @@ class RobotWorld(RobotLink):
 
         The C call's doubles are taken to be tenths of an inch, as all its lengths.
         """
-        args: tuple[int, ...]
+        args: tuple[float, ...]
         if arc is None:
             args = (MOTION_LINE, *[1000 * number for number in points_tenths(line_in, line_m)])
         else:
-            angles = (_thousandths(arc.from_rad), _thousandths(arc.to_rad))
-            lengths = [_thousandths(10 * inches) for inches in arc[:2] + arc[4:]]
-            args = (MOTION_ARC, *lengths[:2], *angles, *lengths[2:])
-        hit, x, y, normal = self._values("motion_check", *args, at_least=4)
-        return Collision(x / 1000, y / 1000, normal / 1e6) if hit else None
+            x, y, radius, *centre = [10000 * inches for inches in arc[:2] + arc[4:]]
+            args = (MOTION_ARC, x, y, 1000 * arc.from_rad, 1000 * arc.to_rad, radius, *centre)
+        hit, x_hit, y_hit, normal = self._values("motion_check", *args, at_least=4)
+        return Collision(x_hit / 1000, y_hit / 1000, normal / 1e6) if hit else None
 
     def draw_robot(self, pose: Pose, mode: int = 1) -> None:
         """Draw a robot in the server's window. C: draw_robot
@@ -341,10 +340,6 @@ def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
 def _polygon(corners_in: Points | None, corners_m: Points | None) -> tuple[int, ...]:
     numbers = points_tenths(corners_in, corners_m)
     return len(numbers) // 2, *numbers
-
-
-def _thousandths(value: float) -> int:
-    return round(1000 * value)
 
 
 def _halves(box: Iterable[float] | None) -> Points | None:

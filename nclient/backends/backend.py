@@ -29,6 +29,11 @@ class Backend(Protocol):
         ...
 
     @property
+    def port(self) -> int:
+        """What connecting was answered: the port that the other end takes connections on, 1 where it has none."""
+        ...
+
+    @property
     def closed(self) -> bool:
         """Whether the conversation is over; every call then raises ConnectionLost."""
         ...

@@ -38,7 +38,7 @@ _request = lru_cache(maxsize=256)(language.tcp_request)
 
 
 class NserverBackend:
-    """A conversation with an Nserver about one robot; connects at once.
+    """A conversation with an Nserver about one robot; connects at once (`create`: to a robot that it then makes).
 
     `timeout_s`: how long it may take to answer (zr 120 s, ws its own time-out more, special packets 30 s). Raises
     ConnectionLost, ReplyTimeout, or RobotRefused where there is no robot of that number; the stream is then closed.
@@ -51,6 +51,7 @@ class NserverBackend:
         robot_id: int = 1,
         model: Model = N150,
         timeout_s: float = DEFAULT_TIMEOUT_S,
+        create: bool = False,
         pid: int | None = None,
     ) -> None:
         self.timeout_s = timeout_s
@@ -62,10 +63,9 @@ class NserverBackend:
         self._owed = 0
         self._slowness = 1.0
         self._over: str | None = None
-        self.port = 0
-        """What the server answered: the port it takes connections on."""
         try:
-            self.port = self.execute(Call("connect_robot", (robot_id, self._pid))).values[0]
+            joining = Call("create_robot" if create else "connect_robot", (robot_id, self._pid))
+            self._port = self.execute(joining).values[0]
             self._greeting = self.execute(Call("ct", EVERYTHING.smask))
         except BaseException:
             self._finish("connecting failed")
@@ -80,6 +80,11 @@ class NserverBackend:
     def greeting(self) -> Reply:
         """The state that came with connecting."""
         return self._greeting
+
+    @property
+    def port(self) -> int:
+        """The port that the server takes connections on, as it said when connecting."""
+        return self._port
 
     @property
     def closed(self) -> bool:

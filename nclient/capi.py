@@ -1,0 +1,634 @@
+"""Nclient.h in Python: the same names and argument orders, State, Smask, Laser, TRUE and FALSE.
+
+    from nclient import capi               # strcpy(SERVER_MACHINE_NAME, "lab"); SERV_TCP_PORT = 7654;
+    from nclient.capi import *
+    capi.SERVER_MACHINE_NAME = "lab"
+    capi.SERV_TCP_PORT = 7654
+    if connect_robot(1):
+        sp(200, 450, 450)
+        vm(100, 0, 0)
+        while State[17] > 20:              # while (State[STATE_SONAR_0] > 20)
+            gs()
+        st()
+        print("stopped at", State[34], State[35], "tenths of an inch")
+        disconnect_robot(1)
+
+Rules: as the C library does it. Nothing is raised, nothing printed: a call gives TRUE, or FALSE where it was refused
+or the link is lost (`last_error` says why); the code of a refusal stands in State[44]. Numbers are in wire units, cut
+off to integers as by C. A list stands for a C array or pointer and is filled in place. One program, one thread, one
+robot. The settings in capitals are this module's: assign them by `capi.`, since an import with * only copies names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableSequence, Sequence
+from typing import Any
+
+from nclient.backends.backend import Backend
+from nclient.connect import Wanted, is_listening, open_machine
+from nclient.errors import ConnectionLost, NomadError, RobotRefused
+from nclient.protocol.commands import Call
+from nclient.protocol.fields import MAX_LASER_READINGS
+from nclient.protocol.mask import EVERYTHING, SLOTS, Position
+from nclient.protocol.replies import Reply
+from nclient.protocol.requests import MOTION_LINE
+from nclient.protocol.stamps import INFRARED_KEYS, NO_STAMP, SONAR_KEYS
+from nclient.protocol.state import STATE_SIZE, HeldState
+from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
+from nclient.robot_state import WHEEL_IN_PER_DEG
+
+__all__ = [
+    "FALSE", "LEFT", "RIGHT", "ROTATION_CONSTANT", "TRUE", "Laser", "Smask", "State", "ac", "add_obstacle",
+    "arm_mv", "arm_ws", "arm_zr", "conf_cp", "conf_ir", "conf_ls", "conf_ser", "conf_sg", "conf_sn",
+    "conf_tm", "connect_robot", "create_robot", "ct", "da", "delete_obstacle", "disconnect_robot", "dp",
+    "draw_arc", "draw_line", "draw_robot", "get_bp", "get_cp", "get_ir", "get_ls", "get_ra", "get_rc",
+    "get_robot_conf", "get_rpx", "get_rv", "get_sg", "get_sn", "gs", "last_error", "lp", "motion_check",
+    "move_obstacle", "mv", "new_world", "pa", "place_robot", "posBumperGet", "posCompassGet", "posDataCheck",
+    "posDataRequest", "posInfraredGet", "posInfraredRingGet", "posLaserGet", "posSonarGet", "posSonarRingGet",
+    "posTimeGet", "pr", "predict_sensors", "quit_server", "real_robot", "refresh_actual_trace", "refresh_all",
+    "refresh_all_sensors", "refresh_all_traces", "refresh_bumper_sensor", "refresh_client_graphics",
+    "refresh_encoder_trace", "refresh_infrared_sensor", "refresh_laser_sensor", "refresh_sonar_sensor",
+    "scout_pr", "scout_vm", "server_is_running", "sim_control", "sim_truth", "simulated_robot", "sp",
+    "special_request", "st", "tk", "vm", "voltCpuGet", "voltMotorGet", "ws", "zr",
+]  # fmt: skip
+
+TRUE, FALSE = 1, 0
+ROTATION_CONSTANT = WHEEL_IN_PER_DEG
+"""Inches that a Scout's wheel travels for each degree of turn."""
+
+SERVER_MACHINE_NAME = ""
+"""Host of the server, this machine when empty; or an address that is answered in this process: sim:thesis_room."""
+SERV_TCP_PORT = 7019
+"""Port of the server."""
+ANSWER_TIMEOUT_S = 5.0
+"""How long the server may take to answer, in seconds."""
+
+State: list[int] = [0] * STATE_SIZE
+Smask: list[int] = list(EVERYTHING.smask)
+"""The mask that ct sends; 44 numbers. connect_robot sets all on and position data off."""
+Laser: list[int] = [0] * (1 + 2 * MAX_LASER_READINGS)
+
+Ints = Sequence[int]
+Out = MutableSequence[Any]
+_PACKET_HEAD = 4
+_NO_SUCH_MODES = frozenset({6, 7, 8})
+
+_backend: Backend | None = None
+_held = HeldState()
+_error: NomadError | None = None
+
+
+def last_error() -> NomadError | None:
+    """Why the last call that failed did; the C library has nothing like it."""
+    return _error
+
+
+# connecting
+
+
+def connect_robot(robot_id: int) -> int:
+    """Connect to a robot of the server, anew where one is connected: the server's port, or FALSE."""
+    return _connect(robot_id, create=False)
+
+
+def create_robot(robot_id: int) -> int:
+    """Make a robot of that number and connect to it: the server's port, or FALSE."""
+    return _connect(robot_id, create=True)
+
+
+def disconnect_robot(robot_id: int) -> int:
+    """End the connection."""
+    global _backend
+    del robot_id
+    open_backend, _backend = _backend, None
+    if open_backend is None or open_backend.closed:
+        return FALSE
+    open_backend.close()
+    return TRUE
+
+
+def server_is_running() -> int:
+    """Whether somebody takes connections at SERVER_MACHINE_NAME and SERV_TCP_PORT."""
+    return int(is_listening(SERVER_MACHINE_NAME, int(SERV_TCP_PORT)))
+
+
+def quit_server() -> int:
+    """End the server, if its setup allows it."""
+    return _send("quit_server")
+
+
+def real_robot() -> int:
+    """Pass the commands to the real robot."""
+    return _send("real_robot")
+
+
+def simulated_robot() -> int:
+    """Pass the commands to the simulation."""
+    return _send("simulated_robot")
+
+
+# motion
+
+
+def ac(t_ac: int, s_ac: int, r_ac: int) -> int:
+    """Accelerations of translation, steering, turret."""
+    return _send("ac", t_ac, s_ac, r_ac)
+
+
+def sp(t_sp: int, s_sp: int, r_sp: int) -> int:
+    """Speeds that pr uses."""
+    return _send("sp", t_sp, s_sp, r_sp)
+
+
+def pr(t_pr: int, s_pr: int, r_pr: int) -> int:
+    """Move each axis by a distance."""
+    return _send("pr", t_pr, s_pr, r_pr)
+
+
+def pa(t_pa: int, s_pa: int, r_pa: int) -> int:
+    """Absolute positions: refused by the client itself, without a word to the server."""
+    del t_pa, s_pa, r_pa
+    return _refuse("pa", "clients of an Nserver do not send it")
+
+
+def vm(t_vm: int, s_vm: int, r_vm: int) -> int:
+    """Drive each axis at a velocity."""
+    return _send("vm", t_vm, s_vm, r_vm)
+
+
+def mv(t_mode: int, t_mv: int, s_mode: int, s_mv: int, r_mode: int, r_mv: int) -> int:
+    """Each axis in a mode of its own: 0 leave, 1 velocity, 2 relative, 3 limp, 4 acceleration, 5 speed.
+
+    Modes 6, 7 and 8 are refused by the client itself, without a word to the server.
+    """
+    if not _NO_SUCH_MODES.isdisjoint((int(t_mode), int(s_mode), int(r_mode))):
+        return _refuse("mv", "clients of an Nserver do not send modes 6, 7 and 8")
+    return _send("mv", t_mode, t_mv, s_mode, s_mv, r_mode, r_mv)
+
+
+def RIGHT(trans: int, steer: int) -> int:
+    """Velocity of a Scout's right wheel (1/10 in/s) for a translation and a steering (1/10 deg/s)."""
+    return trans + int(steer * ROTATION_CONSTANT)
+
+
+def LEFT(trans: int, steer: int) -> int:
+    """Velocity of a Scout's left wheel (1/10 in/s) for a translation and a steering (1/10 deg/s)."""
+    return trans - int(steer * ROTATION_CONSTANT)
+
+
+def scout_vm(trans: int, steer: int) -> int:
+    """vm for a Scout, by translation and steering."""
+    return vm(RIGHT(trans, steer), LEFT(trans, steer), 0)
+
+
+def scout_pr(trans: int, steer: int) -> int:
+    """pr for a Scout, by translation and steering."""
+    return pr(RIGHT(trans, steer), LEFT(trans, steer), 0)
+
+
+def st() -> int:
+    """Stop and hold."""
+    return _send("st")
+
+
+def lp() -> int:
+    """Let the motors go limp."""
+    return _send("lp")
+
+
+def zr() -> int:
+    """Turn to the bumper's zero."""
+    return _send("zr")
+
+
+def ws(t_ws: int, s_ws: int, r_ws: int, timeout: int) -> int:
+    """Wait until the axes with a flag are still, or so many seconds."""
+    return _send("ws", t_ws, s_ws, r_ws, timeout)
+
+
+def dp(x: int, y: int) -> int:
+    """Set what the encoders say of the position."""
+    return _send("dp", x, y)
+
+
+def da(th: int, tu: int) -> int:
+    """Set what the encoders say of steering and turret."""
+    return _send("da", th, tu)
+
+
+def place_robot(x: int, y: int, th: int, tu: int) -> int:
+    """Put the robot, and what its encoders say, somewhere."""
+    return _send("place_robot", x, y, th, tu)
+
+
+# configuration
+
+
+def ct() -> int:
+    """Send Smask: which sensors and numbers State holds from now on."""
+    return _send("ct", Smask[0], *[int(bool(wanted)) for wanted in Smask[1:SLOTS]])
+
+
+def conf_ir(history: int, order: Ints) -> int:
+    """History and firing order (int[16]) of the infrareds."""
+    return _send("conf_ir", history, *order[:16])
+
+
+def conf_sn(rate: int, order: Ints) -> int:
+    """Firing rate (4 ms steps) and order (int[16], 255 ends it) of the sonars."""
+    return _send("conf_sn", rate, *order[:16])
+
+
+def conf_cp(mode: int) -> int:
+    """Compass off, on, or calibrating."""
+    return _send("conf_cp", mode)
+
+
+def conf_ls(mode: int, threshold: int, width: int, num_data: int, processing: int) -> int:
+    """Mode and numbers of the laser."""
+    return _send("conf_ls", mode, threshold, width, num_data, processing)
+
+
+def conf_tm(timeout: int) -> int:
+    """Stop the motion when no command comes for so many seconds."""
+    return _send("conf_tm", timeout)
+
+
+def conf_sg(threshold: int, min_points: int, gap: int) -> int:
+    """How laser points become line segments."""
+    return _send("conf_sg", threshold, min_points, gap)
+
+
+def conf_ser(port: int, baud: int) -> int:
+    """Speed of another serial port: exists on the robot's own line only."""
+    return _send("conf_ser", port, baud)
+
+
+# questions
+
+
+def gs() -> int:
+    """The whole State."""
+    return _send("gs")
+
+
+def get_ir() -> int:
+    """Infrareds: State[1] to State[16]."""
+    return _send("get_ir")
+
+
+def get_sn() -> int:
+    """Sonars: State[17] to State[32]."""
+    return _send("get_sn")
+
+
+def get_rc() -> int:
+    """Position and angles: State[34] to State[37]."""
+    return _send("get_rc")
+
+
+def get_rv() -> int:
+    """Velocities: State[38] to State[40]."""
+    return _send("get_rv")
+
+
+def get_ra() -> int:
+    """Accelerations, in the place of the velocities: State[38] to State[40]."""
+    return _send("get_ra")
+
+
+def get_cp() -> int:
+    """Compass: State[43]."""
+    return _send("get_cp")
+
+
+def get_ls() -> int:
+    """Laser."""
+    return _send("get_ls")
+
+
+def get_sg() -> int:
+    """Line segments of the laser, in Laser."""
+    return _send("get_sg")
+
+
+def get_bp() -> int:
+    """Bumpers: State[33]."""
+    return _send("get_bp")
+
+
+def get_rpx(robot_pos: Out) -> int:
+    """Where all robots are: filled with n and n times x, y, heading."""
+    return _fill(robot_pos, _values("get_rpx"))
+
+
+def get_robot_conf(conf: Out) -> int:
+    """A pose clicked in the server's window: filled with x, y, steering, turret."""
+    return _fill(conf, _values("get_robot_conf"))
+
+
+# position data, clock, battery
+
+
+def posDataRequest(posRequest: int) -> int:
+    """Ask for position data: the sum of 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass. FALSE for other bits."""
+    if int(posRequest) not in range(sum(Position) + 1):
+        return _refuse("posDataRequest", f"{posRequest} is no sum of 1, 2, 4, 8, 16")
+    Smask[0] = int(posRequest)
+    return ct()
+
+
+def posDataCheck() -> int:
+    """The position data that is asked for."""
+    return Smask[0]
+
+
+def posInfraredRingGet(posData: Out) -> int:
+    """Filled with the position data of the sixteen infrareds, each a list of nine numbers.
+
+    The nine, here and below: x, y, steer, turret, v_trans, v_steer, v_turret, time of the pose, time of the reading.
+    """
+    return _fill(posData, [_stamp(key) for key in INFRARED_KEYS])
+
+
+def posInfraredGet(posData: Out, infraredNumber: int) -> int:
+    """Filled with the nine numbers of one infrared."""
+    return _fill(posData, _stamp(f"ir_{infraredNumber}") if infraredNumber in range(16) else None)
+
+
+def posSonarRingGet(posData: Out) -> int:
+    """Filled with the position data of the sixteen sonars, each a list of nine numbers."""
+    return _fill(posData, [_stamp(key) for key in SONAR_KEYS])
+
+
+def posSonarGet(posData: Out, sonarNumber: int) -> int:
+    """Filled with the nine numbers of one sonar."""
+    return _fill(posData, _stamp(f"sonar_{sonarNumber}") if sonarNumber in range(16) else None)
+
+
+def posBumperGet(posData: Out) -> int:
+    """Filled with the nine numbers of the bumpers."""
+    return _fill(posData, _stamp("bumper"))
+
+
+def posLaserGet(posData: Out) -> int:
+    """Filled with the nine numbers of the laser."""
+    return _fill(posData, _stamp("laser"))
+
+
+def posCompassGet(posData: Out) -> int:
+    """Filled with the nine numbers of the compass."""
+    return _fill(posData, _stamp("compass"))
+
+
+def posTimeGet() -> int:
+    """The robot's clock in milliseconds when it last told it."""
+    return _held.clock or 0
+
+
+def voltCpuGet() -> float:
+    """Volts of the computer's battery when the robot last told them."""
+    return volts(_held.volts[0], CPU_RANGE_V) if _held.volts else 0.0
+
+
+def voltMotorGet() -> float:
+    """Volts of the motors' battery when the robot last told them."""
+    return volts(_held.volts[1], MOTOR_RANGE_V) if _held.volts else 0.0
+
+
+# speech, special packets, the arm
+
+
+def tk(talk: str) -> int:
+    """Say a text."""
+    return int(_reply("tk", talk) is not None)
+
+
+def special_request(user_send_buffer: Ints, user_receive_buffer: Out) -> int:
+    """Send a user packet, whole (length low, length high, serial, type, bytes); filled with the one that answers."""
+    if len(user_send_buffer) < _PACKET_HEAD:
+        return _refuse("special_request", "a packet starts with its length (two bytes), serial and type")
+    length = user_send_buffer[0] | user_send_buffer[1] << 8
+    return _fill(user_receive_buffer, _values("special_request", *user_send_buffer[3:length]))
+
+
+def arm_zr(override: int) -> int:
+    """Zero the arm: its result, or FALSE."""
+    return _arm("arm_zr", override)[0]
+
+
+def arm_ws(lift: int, grip: int, timeout: int, time_remain: Out) -> int:
+    """Wait until the arm is still: its result, or FALSE; time_remain[0] is what is left of the timeout."""
+    result, remaining = _arm("arm_ws", lift, grip, timeout)
+    _fill(time_remain, [remaining])
+    return result
+
+
+def arm_mv(l_mode: int, l_v: int, g_mode: int, g_v: int) -> int:
+    """Move lift and grip of the arm: its result, or FALSE."""
+    return _arm("arm_mv", l_mode, l_v, g_mode, g_v)[0]
+
+
+# the world and its windows
+
+
+def add_obstacle(obs: Ints) -> int:
+    """Add a polygon: n, x1, y1 .. xn, yn."""
+    return _send("add_obstacle", *_polygon(obs))
+
+
+def delete_obstacle(obs: Ints) -> int:
+    """Take a polygon away: n, x1, y1 .. xn, yn."""
+    return _send("delete_obstacle", *_polygon(obs))
+
+
+def move_obstacle(obs: Out, dx: int, dy: int) -> int:
+    """Shift a polygon; obs is filled with where it is then."""
+    return _fill(obs, _values("move_obstacle", *_polygon(obs), dx, dy))
+
+
+def new_world() -> int:
+    """Take all obstacles away."""
+    return _send("new_world")
+
+
+def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) -> int:
+    """What the sensors would read elsewhere: state[1] to state[32] and the laser vector are filled."""
+    reply = _reply("predict_sensors", x, y, th, tu)
+    if reply is None:
+        return FALSE
+    state[1:33] = reply.values[1:33]
+    return _fill(laser, reply.laser or (0,))
+
+
+def motion_check(
+    type: int, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float, a7: float, collide: Out
+) -> int:
+    """Whether a line (type 0: x1 y1 x2 y2) or an arc (type 1: x1 y1 angle1 angle2 radius xc yc) hits something.
+
+    1 when it does, and collide is filled with x, y and the inward normal in radians; 0 when not, or on error.
+    """
+    numbers = (a1, a2, a3, a4) if type == MOTION_LINE else (a1, a2, a3, a4, a5, a6, a7)
+    reply = _reply("motion_check", type, *[1000 * number for number in numbers])
+    if reply is None:
+        return FALSE
+    hit, x, y, normal = reply.values
+    _fill(collide, [x / 100, y / 100, normal / 1e6])
+    return hit
+
+
+def draw_robot(x: int, y: int, th: int, tu: int, mode: int) -> int:
+    """Draw a robot."""
+    return _send("draw_robot", x, y, th, tu, mode)
+
+
+def draw_line(x_1: int, y_1: int, x_2: int, y_2: int, mode: int) -> int:
+    """Draw a line."""
+    return _send("draw_line", x_1, y_1, x_2, y_2, mode)
+
+
+def draw_arc(x_0: int, y_0: int, w: int, h: int, th1: int, th2: int, mode: int) -> int:
+    """Draw an arc of the ellipse in a box."""
+    return _send("draw_arc", x_0, y_0, w, h, th1, th2, mode)
+
+
+def refresh_all() -> int:
+    """Redraw everything."""
+    return _send("refresh_all")
+
+
+def refresh_all_traces() -> int:
+    """Redraw both traces."""
+    return _send("refresh_all_traces")
+
+
+def refresh_actual_trace() -> int:
+    """Redraw the trace of the actual robot."""
+    return _send("refresh_actual_trace")
+
+
+def refresh_encoder_trace() -> int:
+    """Redraw the trace of the encoder robot."""
+    return _send("refresh_encoder_trace")
+
+
+def refresh_all_sensors() -> int:
+    """Redraw all sensors."""
+    return _send("refresh_all_sensors")
+
+
+def refresh_bumper_sensor() -> int:
+    """Redraw the bumpers."""
+    return _send("refresh_bumper_sensor")
+
+
+def refresh_infrared_sensor() -> int:
+    """Redraw the infrareds."""
+    return _send("refresh_infrared_sensor")
+
+
+def refresh_sonar_sensor() -> int:
+    """Redraw the sonars."""
+    return _send("refresh_sonar_sensor")
+
+
+def refresh_laser_sensor() -> int:
+    """Redraw the laser."""
+    return _send("refresh_laser_sensor")
+
+
+def refresh_client_graphics() -> int:
+    """Redraw what clients have drawn."""
+    return _send("refresh_client_graphics")
+
+
+# our own simulation; Nclient.h has none of these
+
+
+def sim_truth(truth: Out) -> int:
+    """Filled with the eight numbers of sim_truth: 1, ms, x, y (1/1000 in), heading, turret (1/1000 deg), seed, id."""
+    return _fill(truth, _values("sim_truth"))
+
+
+def sim_control(verb: int, value: int) -> int:
+    """Simulated time: 1 pause, 2 resume, 3 speed x 10, 4 step by ms."""
+    return _send("sim_control", verb, value)
+
+
+def _connect(robot_id: int, *, create: bool) -> int:
+    global _backend, _error, _held
+    if _backend is not None:
+        disconnect_robot(robot_id)
+    try:
+        wanted = Wanted(ANSWER_TIMEOUT_S, int(robot_id), create)
+        _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), wanted)
+    except NomadError as error:
+        _error = error
+        return FALSE
+    Smask[:] = EVERYTHING.smask
+    _held = HeldState()
+    if _backend.greeting is not None:
+        _hold(_backend.greeting)
+    return _backend.port
+
+
+def _reply(name: str, *args: Any) -> Reply | None:
+    """The answer to a call; None, and the reason kept, where there is none."""
+    global _error
+    if _backend is None:
+        _error = ConnectionLost(f"{name}: connect_robot first")
+        return None
+    try:
+        reply = _backend.execute(Call(name, args))
+    except NomadError as error:
+        _error = error
+        if isinstance(error, RobotRefused) and error.code is not None:
+            _hold(Reply("error", values=(error.code,)))
+        return None
+    _hold(reply)
+    return reply
+
+
+def _send(name: str, *args: float) -> int:
+    """A call of integers: TRUE, or FALSE."""
+    return int(_reply(name, *[int(number) for number in args]) is not None)
+
+
+def _values(name: str, *args: float) -> Sequence[int] | None:
+    reply = _reply(name, *[int(number) for number in args])
+    return None if reply is None else reply.values
+
+
+def _arm(name: str, *args: int) -> tuple[int, int]:
+    """Result and rest of the time out of the arm's packet."""
+    data = bytes(value & 255 for value in _values(name, *args) or ())[_PACKET_HEAD:]
+    return int.from_bytes(data[:4], "little", signed=True), int.from_bytes(data[4:8], "little")
+
+
+def _hold(reply: Reply) -> None:
+    _held.absorb(reply)
+    State[:] = [value or 0 for value in _held.slots]
+    if _held.laser is not None:
+        Laser[: len(_held.laser)] = _held.laser
+
+
+def _fill(target: Out, values: Sequence[Any] | None) -> int:
+    """Put the numbers where the C pointer points: what lies behind them stays. FALSE where there are none."""
+    if values is None:
+        return FALSE
+    target[: len(values)] = values
+    return TRUE
+
+
+def _stamp(key: str) -> list[int]:
+    return list(_held.stamps.get(key, NO_STAMP))
+
+
+def _polygon(obs: Ints) -> Ints:
+    return obs[: 1 + 2 * obs[0]] if obs else obs
+
+
+def _refuse(name: str, reason: str) -> int:
+    global _error
+    _error = RobotRefused(name, None, reason)
+    return FALSE
