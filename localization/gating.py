@@ -111,7 +111,7 @@ def _same_wall_around(
     sideways = np.empty((*met.shape, 3))
     sideways[..., :2] = left_of(aimed.directions)
     sideways[..., 2] = (aimed.directions * seen.points_in).sum(axis=-1)
-    np.copyto(sideways, 0.0, where=(met < 0)[..., None])
+    np.copyto(sideways, 0.0, where=(met < 0)[..., None])  # the ray caster wants finite poses
     pull = sideways @ belief.cov
     way = np.sqrt((pull * sideways).sum(axis=-1, keepdims=True))
     np.copyto(way, 1.0, where=~(way > 0.0))

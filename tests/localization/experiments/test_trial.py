@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from localization.belief import difference
-from localization.control import Gains
+from localization.control import Gains, next_step
 from localization.experiments.consistency import mean_band
 from localization.experiments.results import Summary, outcome_of, summarize
 from localization.experiments.settings import FIGURES, Course, course_of
+from localization.experiments.streams import start_errors
 from localization.experiments.trial import Runs, run
-from localization.measurement import wall_map
+from localization.measurement import meet, range_jacobian, rays, sight, wall_map
+from localization.motion import transition
 
 
 def short_course(filtered: bool = True) -> Course:
@@ -107,6 +109,22 @@ def test_both_ways_of_driving_meet_the_same_motion_noise() -> None:
     start = short_course().start
     ratio = difference(filtered.truth[0], start)[:, 0] / difference(blind.truth[0], start)[:, 0]
     assert ratio == pytest.approx(np.ones(5), abs=0.05)
+
+
+def test_the_bound_is_taken_at_the_truth_whatever_the_filter_believes() -> None:
+    """One step by hand, in the form of information, from a start the filter is far wrong about."""
+    course = replace(short_course(), start_std=(1.0, 1.0, 0.5))
+    runs = run(course, [3])
+    believed = course.start + course.start_std * start_errors([3])[0]
+    command = next_step(believed, course.goals_in[0], course.gains)
+    _, by_pose, process_cov = transition(course.start, command, course.noise)
+    prior = by_pose @ np.diag(np.square(course.start_std)) @ by_pose.T + process_cov
+    aimed = rays(runs.truth[0, 0, None], course.beams)
+    lines = course.walls.lines[meet(aimed, course.walls)]
+    seen = sight(aimed, lines)
+    jacobian = range_jacobian(seen, lines)
+    told = jacobian.T @ np.diag(1 / course.sonar.variance(seen.ranges_in)) @ jacobian
+    assert runs.bound[0, 0] == pytest.approx(np.linalg.inv(np.linalg.inv(prior) + told), rel=1e-6)
 
 
 def test_where_nothing_is_to_be_seen_the_filter_is_odometry_from_a_start_it_was_not_told() -> None:
