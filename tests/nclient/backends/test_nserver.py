@@ -1,0 +1,334 @@
+"""The Nserver backend: an answer belongs to its call, or the conversation is over and says why."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+from answering import ScriptedServer, by_script, error, on_socket, simple
+
+from nclient.backends.nserver import NserverBackend
+from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N150, SCOUT
+from nclient.protocol.replies import Reply
+from nclient.transports.byte_stream import Deadline
+from nclient.transports.memory import MemoryStream
+from nclient.transports.tcp import TcpStream
+
+GS = Call("gs")
+VM = Call("vm", (100, -50, 0))
+
+
+def connected(server: ScriptedServer, timeout_s: float = 5.0) -> NserverBackend:
+    return NserverBackend(MemoryStream(server), robot_id=3, timeout_s=timeout_s, pid=42)
+
+
+def test_connecting_is_what_old_clients_do() -> None:
+    server = ScriptedServer()
+    server.slots = {0: 10, 17: 99}
+    backend = connected(server)
+    assert server.calls == [Call("connect_robot", (3, 42)), Call("ct", EVERYTHING.smask)]
+    assert backend.port == 7019
+    assert backend.greeting.slots[17] == 99
+    assert backend.terms.model is N150
+    assert not backend.closed
+
+
+def test_a_robot_can_be_made_by_connecting() -> None:
+    server = ScriptedServer()
+    NserverBackend(MemoryStream(server), robot_id=2, create=True, model=SCOUT, pid=42)
+    assert server.calls[0] == Call("create_robot", (2, 42))
+
+
+def test_no_robot_of_that_number_is_a_refusal_and_nothing_more_is_sent() -> None:
+    server = ScriptedServer({"connect_robot": simple(0)})
+    with pytest.raises(RobotRefused, match="no robot number 3"):
+        connected(server)
+    assert [call.name for call in server.calls] == ["connect_robot"]
+    assert server.closed == 1
+
+
+def test_calls_are_answered_in_order() -> None:
+    server = ScriptedServer()
+    backend = connected(server)
+    server.slots = {17: 5}
+    assert backend.execute(VM).slots[17] == 5
+    server.slots = {17: 6}
+    assert backend.execute(GS).slots[17] == 6
+    assert server.calls[2:] == [VM, GS]
+
+
+def test_a_refusal_names_command_and_code_and_the_conversation_goes_on() -> None:
+    server = ScriptedServer({"vm": error(5)})
+    backend = connected(server)
+    with pytest.raises(RobotRefused) as refusal:
+        backend.execute(VM)
+    assert (refusal.value.command, refusal.value.code) == ("vm", 5)
+    assert backend.execute(GS).kind == "state"
+
+
+def test_what_cannot_be_sent_is_not_sent_and_nothing_is_lost() -> None:
+    server = ScriptedServer()
+    backend = connected(server)
+    with pytest.raises(WireError):
+        backend.execute(Call("vm", (1 << 40, 0, 0)))
+    with pytest.raises(WireError):
+        backend.execute(Call("nonsense"))
+    with pytest.raises(RobotRefused, match="robot's own line"):
+        backend.execute(Call("conf_ser", (1, 9600)))
+    assert backend.execute(GS).kind == "state"
+    assert server.names() == ["gs"]
+
+
+def test_silence_closes_so_that_a_late_answer_is_nobodys() -> None:
+    server = ScriptedServer({"vm": None})
+    backend = connected(server, timeout_s=0.05)
+    with pytest.raises(ReplyTimeout, match=r"vm, with 0\.05 s to answer"):
+        backend.execute(VM)
+    assert backend.closed
+    assert server.closed == 1
+    with pytest.raises(ConnectionLost, match=r"gs: vm was not answered.*connect again"):
+        backend.execute(GS)
+    assert server.names() == ["vm"]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        pytest.param(language.tcp_reply(language.row_named("get_rc"), Reply("configuration", {34: 1}),
+                                        ScriptedServer().terms), id="another call's answer"),
+        pytest.param(bytes.fromhex("04d2 0001 00000000"), id="an unknown type"),
+        pytest.param(bytes.fromhex("0050 ffff"), id="a count that no state has"),
+        pytest.param(bytes.fromhex("0052 0001 00000000") * 2, id="two answers"),
+        pytest.param(bytes.fromhex("0052 0001 00000000 00"), id="an answer and a bit"),
+    ],
+)  # fmt: skip
+def test_an_answer_that_does_not_fit_closes_with_the_reason(answer: bytes) -> None:
+    backend = connected(ScriptedServer({"gs": answer}))
+    with pytest.raises(ConnectionLost, match=r"(?s)gs: .*the connection was closed") as lost:
+        backend.execute(GS)
+    assert isinstance(lost.value.__cause__, WireError)
+    assert backend.closed
+    with pytest.raises(ConnectionLost, match="gs was answered by what"):
+        backend.execute(GS)
+
+
+def test_a_reply_in_crumbs_is_one_reply() -> None:
+    server = ScriptedServer()
+
+    class Crumbs(MemoryStream):
+        def receive(self, deadline: Deadline) -> bytes:
+            if not crumbs:
+                crumbs.extend(bytes([byte]) for byte in super().receive(deadline))
+            return crumbs.pop(0)
+
+    crumbs: list[bytes] = []
+    backend = NserverBackend(Crumbs(server))
+    assert backend.execute(GS).slots[0] == 10
+
+
+class Interrupted(MemoryStream):
+    """A stream during which somebody presses Ctrl-C."""
+
+    at: str = ""
+
+    def send(self, data: bytes) -> None:
+        if self.at == "before sending":
+            raise KeyboardInterrupt
+        super().send(data)
+
+    def receive(self, deadline: Deadline) -> bytes:
+        if self.at == "waiting":
+            raise KeyboardInterrupt
+        return super().receive(deadline)
+
+
+def test_after_an_interrupted_wait_the_owed_answer_is_dropped_and_the_robot_can_be_stopped() -> None:
+    server = ScriptedServer()
+    stream = Interrupted(server)
+    backend = NserverBackend(stream)
+    stream.at = "waiting"
+    server.slots = {17: 1}
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            backend.execute(VM)
+    stream.at = ""
+    server.slots = {17: 2}
+    assert backend.execute(Call("st")).slots[17] == 2
+    assert backend.execute(GS).slots[17] == 2
+    assert server.names() == ["vm", "vm", "st", "gs"]
+
+
+def test_a_request_that_was_cut_off_closes() -> None:
+    server = ScriptedServer()
+    stream = Interrupted(server)
+    backend = NserverBackend(stream)
+    stream.at = "before sending"
+    with pytest.raises(KeyboardInterrupt):
+        backend.execute(VM)
+    assert backend.closed
+    with pytest.raises(ConnectionLost, match="cut off"):
+        backend.execute(GS)
+
+
+def test_closing_says_goodbye_once() -> None:
+    server = ScriptedServer()
+    backend = connected(server)
+    backend.close()
+    backend.close()
+    assert server.names() == ["disconnect_robot"]
+    assert server.last() == Call("disconnect_robot", (3, 42))
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+
+
+def test_closing_with_an_answer_outstanding_just_leaves() -> None:
+    server = ScriptedServer()
+    stream = Interrupted(server)
+    backend = NserverBackend(stream)
+    stream.at = "waiting"
+    with pytest.raises(KeyboardInterrupt):
+        backend.execute(GS)
+    backend.close()
+    assert server.names() == ["gs"]
+    assert backend.closed
+
+
+def test_disconnecting_gives_an_empty_reply_even_when_the_other_end_is_gone() -> None:
+    server = ScriptedServer()
+    stream = MemoryStream(server)
+    backend = NserverBackend(stream)
+    stream.close()
+    assert backend.execute(Call("disconnect_robot", (1, 1))).values == ()
+    assert backend.closed
+
+
+class Patience(MemoryStream):
+    """Notes how long each answer may take."""
+
+    def receive(self, deadline: Deadline) -> bytes:
+        seen.append(deadline.remaining())
+        return super().receive(deadline)
+
+
+seen: list[float] = []
+
+
+@pytest.mark.parametrize(
+    ("call", "speed", "patience_s"),
+    [
+        (GS, 10, 2.0),
+        (GS, 1, 2.0),
+        (Call("zr"), 10, 120.0),
+        (Call("zr"), 1, 1200.0),
+        (Call("ws", (1, 1, 1, 20)), 10, 22.0),
+        (Call("ws", (1, 1, 1, 20)), 5, 42.0),
+        (Call("ws", (1, 1, 1, 20)), 50, 22.0),
+        (Call("ws", (1, 1, 1, 20)), 0, 22.0),
+        (Call("ws", (1, 1, 1, -1)), 10, 2.0),
+        (Call("arm_zr", (0,)), 10, 30.0),
+        (Call("get_robot_conf"), 10, 120.0),
+    ],
+)
+def test_how_long_an_answer_may_take(
+    monkeypatch: pytest.MonkeyPatch, call: Call, speed: int, patience_s: float
+) -> None:
+    monkeypatch.setattr("time.monotonic", lambda: 1000.0)
+    server = ScriptedServer()
+    server.slots = {0: speed}
+    backend = NserverBackend(Patience(server), timeout_s=2.0)
+    backend.execute(call)
+    assert seen[-1] == patience_s
+
+
+def test_a_server_back_at_full_speed_is_waited_for_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.monotonic", lambda: 1000.0)
+    server = ScriptedServer()
+    server.slots = {0: 1}
+    backend = NserverBackend(Patience(server), timeout_s=2.0)
+    server.slots = {0: 20}
+    backend.execute(GS)
+    backend.execute(Call("ws", (1, 0, 0, 20)))
+    assert seen[-1] == 22.0
+
+
+# over real sockets
+
+
+def over_tcp(port: int, timeout_s: float = 5.0) -> NserverBackend:
+    return NserverBackend(TcpStream("127.0.0.1", port), timeout_s=timeout_s)
+
+
+def test_a_server_that_hangs_up_is_noticed_by_the_call_under_way() -> None:
+    def talk(connection: socket.socket) -> None:
+        by_script(ScriptedServer(), calls=2)(connection)
+        connection.recv(65536)
+
+    with on_socket(talk) as port:
+        backend = over_tcp(port)
+        with pytest.raises(ConnectionLost, match=f"vm: 127.0.0.1:{port} is gone"):
+            backend.execute(VM)
+    assert backend.closed
+
+
+def test_a_server_that_has_died_is_noticed_by_the_next_call() -> None:
+    with on_socket(by_script(ScriptedServer(), calls=2)) as port:
+        backend = over_tcp(port)
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    assert backend.closed
+
+
+def test_half_a_reply_and_a_hang_up_is_a_lost_connection() -> None:
+    server = ScriptedServer()
+
+    def talk(connection: socket.socket) -> None:
+        by_script(server, calls=2)(connection)
+        server.send(connection.recv(65536))
+        connection.sendall(server.receive()[:50])
+
+    with on_socket(talk) as port:
+        backend = over_tcp(port)
+        with pytest.raises(ConnectionLost, match="gs: "):
+            backend.execute(GS)
+    assert backend.closed
+
+
+def test_half_a_reply_and_silence_is_a_time_out() -> None:
+    server = ScriptedServer()
+
+    def talk(connection: socket.socket) -> None:
+        by_script(server, calls=2)(connection)
+        server.send(connection.recv(65536))
+        connection.sendall(server.receive()[:50])
+        assert connection.recv(1) == b""
+
+    with on_socket(talk) as port:
+        backend = over_tcp(port)
+        backend.timeout_s = 0.05
+        with pytest.raises(ReplyTimeout):
+            backend.execute(GS)
+    assert backend.closed
+
+
+def test_a_server_that_never_answers_the_connect() -> None:
+    with on_socket(_swallow) as port, pytest.raises(ReplyTimeout):
+        over_tcp(port, timeout_s=0.05)
+
+
+def test_an_error_over_a_socket_leaves_it_usable() -> None:
+    server = ScriptedServer({"dp": error(2)})
+    with on_socket(by_script(server, calls=4)) as port:
+        backend = over_tcp(port)
+        with pytest.raises(RobotRefused):
+            backend.execute(Call("dp", (1, 2)))
+        assert backend.execute(GS).kind == "state"
+        backend.close()
+
+
+def _swallow(connection: socket.socket) -> None:
+    while connection.recv(1024):
+        pass

@@ -1,0 +1,18 @@
+"""Deadlines count down on the clock they are given, and never below nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.transports.byte_stream import Deadline
+
+
+def test_a_deadline_counts_down_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    deadline = Deadline.after(2.5)
+    assert deadline.remaining() == 2.5
+    now[0] = 102.0
+    assert deadline.remaining() == 0.5
+    now[0] = 103.0
+    assert deadline.remaining() == 0.0

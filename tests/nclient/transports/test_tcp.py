@@ -1,0 +1,146 @@
+"""Real sockets on loopback: what arrives, what does not, and who is named when it fails."""
+
+from __future__ import annotations
+
+import socket
+import threading
+
+import pytest
+from answering import on_socket
+
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.transports.byte_stream import Deadline
+from nclient.transports.tcp import TcpStream, names_of_this_machine
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port: int = listener.getsockname()[1]
+    return port
+
+
+def until_closed(connection: socket.socket) -> None:
+    while connection.recv(1024):
+        pass
+
+
+def echo(connection: socket.socket) -> None:
+    while data := connection.recv(1024):
+        connection.sendall(data)
+
+
+def test_bytes_go_there_and_back() -> None:
+    with on_socket(echo) as port:
+        stream = TcpStream("127.0.0.1", port)
+        stream.send(b"hello")
+        got = stream.receive(Deadline.after(5))
+        while len(got) < 5:
+            got += stream.receive(Deadline.after(5))
+        assert got == b"hello"
+        stream.close()
+
+
+def test_small_messages_are_not_held_back() -> None:
+    with on_socket(until_closed) as port:
+        stream = TcpStream("127.0.0.1", port)
+        assert stream._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        stream.close()
+
+
+def test_silence_is_a_reply_timeout_and_the_stream_goes_on() -> None:
+    with on_socket(echo) as port:
+        stream = TcpStream("127.0.0.1", port)
+        with pytest.raises(ReplyTimeout, match=f"127.0.0.1:{port}"):
+            stream.receive(Deadline.after(0.02))
+        with pytest.raises(ReplyTimeout):
+            stream.receive(Deadline.after(0))
+        stream.send(b"x")
+        assert stream.receive(Deadline.after(5)) == b"x"
+        stream.close()
+
+
+def test_a_past_deadline_still_gives_what_has_come() -> None:
+    with on_socket(lambda connection: connection.sendall(b"early")) as port:
+        stream = TcpStream("127.0.0.1", port)
+        stream._socket.settimeout(5)
+        assert stream._socket.recv(5, socket.MSG_PEEK) == b"early"
+        assert stream.receive(Deadline.after(-1)) == b"early"
+        stream.close()
+
+
+def test_a_peer_that_hangs_up_is_a_lost_connection_by_name() -> None:
+    with on_socket(socket.socket.close) as port:
+        stream = TcpStream("127.0.0.1", port)
+        with pytest.raises(ConnectionLost, match=f"127.0.0.1:{port} is gone: it closed the connection"):
+            stream.receive(Deadline.after(5))
+        stream.close()
+
+
+def test_a_connection_that_is_reset_is_lost() -> None:
+    def reset(connection: socket.socket) -> None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+
+    with on_socket(reset) as port:
+        stream = TcpStream("127.0.0.1", port)
+        with pytest.raises(ConnectionLost, match="reset"):
+            stream.receive(Deadline.after(5))
+        stream.close()
+
+
+def test_a_closed_stream_neither_sends_nor_receives() -> None:
+    with on_socket(until_closed) as port:
+        stream = TcpStream("127.0.0.1", port)
+        stream.close()
+        stream.close()
+        with pytest.raises(ConnectionLost):
+            stream.send(b"x")
+        with pytest.raises(ConnectionLost):
+            stream.receive(Deadline.after(5))
+
+
+def test_closing_wakes_a_receiver_on_another_thread() -> None:
+    outcome: list[BaseException] = []
+    waiting = threading.Event()
+
+    class Announced(Deadline):
+        def remaining(self) -> float:
+            waiting.set()
+            return super().remaining()
+
+    def receive() -> None:
+        try:
+            stream.receive(Announced.after(30))
+        except ConnectionLost as error:
+            outcome.append(error)
+
+    with on_socket(until_closed) as port:
+        stream = TcpStream("127.0.0.1", port)
+        receiver = threading.Thread(target=receive)
+        receiver.start()
+        assert waiting.wait(5)
+        stream.close()
+        receiver.join(10)
+    assert not receiver.is_alive()
+    assert len(outcome) == 1
+
+
+def test_nobody_there_names_host_port_and_remedy() -> None:
+    port = free_port()
+    with pytest.raises(ConnectionLost, match=rf"nobody answers at 127\.0\.0\.1:{port} .*`nserver --port {port}`"):
+        TcpStream("127.0.0.1", port)
+
+
+@pytest.mark.parametrize(("host", "port"), [("x" * 80 + ".example", 7019), ("127.0.0.1", 70000)])
+def test_what_no_socket_takes_is_a_lost_connection_too(host: str, port: int) -> None:
+    with pytest.raises(ConnectionLost, match=f"{host}:{port}"):
+        TcpStream(host, port)
+
+
+def test_an_ipv6_host_is_named_in_brackets() -> None:
+    port = free_port()
+    with pytest.raises(ConnectionLost, match=rf"at \[::1\]:{port}"):
+        TcpStream("::1", port)
+
+
+def test_this_machine_is_loopback_first_and_then_its_own_name() -> None:
+    assert names_of_this_machine() == ("localhost", socket.gethostname())
