@@ -7,7 +7,6 @@ pyplot, so no backend is chosen and no state is shared). matplotlib is the extra
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -46,7 +45,8 @@ def require_matplotlib() -> None:
     try:
         import matplotlib.figure  # noqa: F401  # the import is the question
     except ImportError as error:
-        raise PlotExtraMissing("pictures need matplotlib: pip install 'nomad-nserver[plot]'") from error
+        message = "pictures need matplotlib: pip install 'nomad-nserver[plot]', or ask for none"
+        raise PlotExtraMissing(message) from error
 
 
 def blank(width_in: float, height_in: float) -> Picture:
@@ -68,7 +68,7 @@ def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:
         axes.plot([x1, x2], [y1, y2], color=WALL, linewidth=3, solid_capstyle="round")
 
 
-def draw_points(axes: Axes, start: Sequence[float], goals: npt.ArrayLike) -> None:
+def draw_points(axes: Axes, start: Floats, goals: npt.ArrayLike) -> None:
     """The start and the way-points (k, 2)."""
     axes.plot(start[0], start[1], marker="o", color=GOAL, markersize=7, linestyle="", label="start")
     axes.plot(*np.asarray(goals).T, marker="X", color=GOAL, markersize=10, linestyle="", label="way-points")
@@ -81,6 +81,13 @@ def draw_ellipses(axes: Axes, means: Floats, covs: Floats, sigmas: float = 3.0) 
         outline = ellipse(means[row], covs[row], sigmas)
         label = f"{sigmas:g} sigma" if k == 0 else None
         axes.plot(*outline.T, color=ESTIMATE, linewidth=0.8, alpha=0.8, label=label)
+
+
+def draw_body(axes: Axes, pose: Floats, body: Body, color: str) -> None:
+    """The outline of a robot at a pose (3,), and where it heads."""
+    axes.plot(*(pose[:2] + body.radius_in * circle()).T, color=color, linewidth=1, alpha=0.7)
+    nose = pose[:2] + body.radius_in * np.array([math.cos(pose[2]), math.sin(pose[2])])
+    axes.plot([pose[0], nose[0]], [pose[1], nose[1]], color=color, linewidth=1, alpha=0.7)
 
 
 def ellipse(mean: Floats, cov: Floats, sigmas: float) -> Floats:
@@ -120,13 +127,10 @@ def _draw_way(axes: Axes, world: World, done: Run, body: Body) -> None:
         axes.plot(*truth[:, :2].T, color=TRUTH, linewidth=1.8, label="truth")
     axes.plot(*means[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label="estimate")
     draw_ellipses(axes, means, np.array([belief.cov for belief in beliefs]))
-    end = (truth if len(truth) else means)[-1]
-    axes.plot(*(end[:2] + body.radius_in * circle()).T, color=TRUTH, linewidth=1, alpha=0.7)
-    nose = end[:2] + body.radius_in * np.array([math.cos(end[2]), math.sin(end[2])])
-    axes.plot([end[0], nose[0]], [end[1], nose[1]], color=TRUTH, linewidth=1, alpha=0.7)
+    draw_body(axes, (truth if len(truth) else means)[-1], body, TRUTH)
     axes.set(xlabel="x (in)", ylabel="y (in)")
     axes.set_title(f"{world.title or world.name}: {done.reached} of {len(done.waypoints)} way-points reached")
-    axes.legend(loc="upper left", framealpha=0.95)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)
 
 
 def _draw_errors(axes: Axes, done: Run) -> None:
@@ -139,4 +143,4 @@ def _draw_errors(axes: Axes, done: Run) -> None:
     axes.set(xlabel="robot's clock (s)", ylabel="distance from the truth (in)", ylim=(0, None))
     axes.margins(x=0.0)
     axes.set_title(f"{done.errors_in()[-1]:.2f} in off at the end")
-    axes.legend(loc="upper left", framealpha=0.95)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from localization.drawing import require_matplotlib
 from localization.experiments import figures
 from localization.experiments.pool import Report, drive
 from localization.experiments.report import table
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if options.pictures:
-            figures.require_matplotlib()
+            require_matplotlib()
         for name in options.figures:
             _drive_figure(FIGURES[name], options)
     except (NomadError, OSError) as error:

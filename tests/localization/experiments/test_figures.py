@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from localization.belief import Floats
 from localization.experiments import figures
 from localization.experiments.results import Track
 from localization.experiments.settings import FIGURES, course_of
-from nclient.errors import NomadError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -62,13 +60,6 @@ def test_the_errors_are_estimate_less_truth_in_inches_and_degrees() -> None:
     assert picture.axes[0].get_title().startswith("Figure 5.5")
 
 
-def test_an_ellipse_lies_its_sigmas_away() -> None:
-    cov = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    outline = figures.ellipse(np.array([5.0, 6.0, 0.0]), cov, 3.0) - (5.0, 6.0)
-    distances = (outline @ np.linalg.inv(cov[:2, :2]) * outline).sum(axis=-1)
-    assert distances == pytest.approx(np.full(len(outline), 9.0))
-
-
 @pytest.mark.parametrize(
     ("name", "files"),
     [("5.2", {"figure_5.2.png", "figure_5.3.png"}), ("5.9", {"figure_5.9.png", "figure_5.9_errors.png"})],
@@ -78,12 +69,3 @@ def test_two_files_are_written_for_a_figure(name: str, files: set[str], tmp_path
     written = figures.draw(figure, course_of(figure), [made_up_track()], tmp_path / "new" / "folder")
     assert {path.name for path in written} == files
     assert all(path.read_bytes().startswith(PNG) for path in written)
-
-
-def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures.require_matplotlib()
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(figures.PlotExtraMissing, match=r"nomad-nserver\[plot\]") as caught:
-        figures.require_matplotlib()
-    assert isinstance(caught.value, NomadError)
-    assert isinstance(caught.value, ImportError)

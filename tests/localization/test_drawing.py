@@ -1,0 +1,27 @@
+"""What all pictures share. The picture of a live run is looked at where the command that draws it is tested."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from localization import drawing
+from nclient.errors import NomadError
+
+
+def test_an_ellipse_lies_its_sigmas_away() -> None:
+    cov = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    outline = drawing.ellipse(np.array([5.0, 6.0, 0.0]), cov, 3.0) - (5.0, 6.0)
+    distances = (outline @ np.linalg.inv(cov[:2, :2]) * outline).sum(axis=-1)
+    assert distances == pytest.approx(np.full(len(outline), 9.0))
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawing.require_matplotlib()
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(drawing.PlotExtraMissing, match=r"nomad-nserver\[plot\]") as caught:
+        drawing.require_matplotlib()
+    assert isinstance(caught.value, NomadError)
+    assert isinstance(caught.value, ImportError)
