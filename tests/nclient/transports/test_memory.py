@@ -47,11 +47,15 @@ def test_the_emulator_of_this_project_is_found() -> None:
 def test_an_opener_is_given_the_whole_address(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[str] = []
 
+    def open_toy(address: str) -> ScriptedServer:
+        given.append(address)
+        return ScriptedServer()
+
     class Point:
-        name, value = "toy", "toys:open"
+        name, value = "toy", "toys:open_toy"
 
         def load(self) -> object:
-            return lambda address: given.append(address) or ScriptedServer()
+            return open_toy
 
     monkeypatch.setattr(memory, "entry_points", lambda group: [Point()] if group == "nomad.openers" else [])
     assert schemes() == ("toy",)
