@@ -146,7 +146,7 @@ def test_what_is_held_is_shown_and_stays() -> None:
     assert seen.battery.motor_v == pytest.approx(2 * 12.85 / 5)
     (taken,) = seen.stamps.values()
     assert taken.pose == Pose(1, 2, math.pi, math.pi / 2)
-    assert taken[1:] == (5, pytest.approx(-math.pi / 4), pytest.approx(math.pi / 4), 16.4, 16.464)
+    assert taken[1:] == pytest.approx((5, -math.pi / 4, math.pi / 4, 16.4, 16.464))
 
 
 def test_a_state_is_a_value() -> None:

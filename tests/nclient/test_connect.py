@@ -1,0 +1,211 @@
+"""Addresses: what they mean, what is wrong with them, and that the wrong ones are told before anything is opened."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import socket
+
+import pytest
+from answering import ScriptedServer, by_script, on_socket
+
+from nclient import (
+    AddressError,
+    AsyncRobot,
+    ConnectionLost,
+    Robot,
+    RobotRefused,
+    WorldFileError,
+    connect,
+    connect_async,
+)
+from nclient.connect import Wanted, is_listening, known_schemes, open_machine
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N150, N200, SCOUT
+from nclient.transports import memory
+from nclient.transports.memory import MemoryStream
+
+connecting = importlib.import_module("nclient.connect")
+"""The module; the package's own name `connect` is the function."""
+
+
+@pytest.fixture
+def dialled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Where TCP connections would have gone; a script answers them."""
+    calls: list[tuple[str, int]] = []
+    servers.clear()
+
+    def dial(host: str, port: int, timeout_s: float) -> MemoryStream:
+        assert timeout_s >= 5
+        calls.append((host, port))
+        servers.append(ScriptedServer())
+        return MemoryStream(servers[-1])
+
+    monkeypatch.setattr(connecting, "TcpStream", dial)
+    monkeypatch.delenv("NOMAD_ROBOT", raising=False)
+    return calls
+
+
+servers: list[ScriptedServer] = []
+
+
+@pytest.mark.parametrize(
+    ("address", "host", "port", "robot_id"),
+    [
+        ("nserver://lab:7654/3", "lab", 7654, 3),
+        ("nserver://lab/2", "lab", 7019, 2),
+        ("nserver://lab", "lab", 7019, 1),
+        ("nserver://lab/", "lab", 7019, 1),
+        ("nserver:///4", "localhost", 7019, 4),
+        ("NSERVER://[::1]:7000/1", "::1", 7000, 1),
+        ("  nserver://127.0.0.1:1/1 ", "127.0.0.1", 1, 1),
+    ],
+)
+def test_an_nservers_address(
+    dialled: list[tuple[str, int]], address: str, host: str, port: int, robot_id: int
+) -> None:
+    robot = connect(address)
+    assert isinstance(robot, Robot)
+    assert dialled == [(host, port)]
+    assert servers[0].calls[0].args[0] == robot_id
+    assert servers[0].calls[1].args == EVERYTHING.smask
+
+
+def test_the_environment_names_the_default(dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch) -> None:
+    connect()
+    monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234/2")
+    connect()
+    connect("nserver://other/1")
+    monkeypatch.setenv("NOMAD_ROBOT", "")
+    connect()
+    assert dialled == [("localhost", 7019), ("lab", 1234), ("other", 7019), ("localhost", 7019)]
+
+
+def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
+    robot = connect("nserver://lab/1?timeout_s=0.5&model=scout", timeout_s=9)
+    assert dialled
+    assert robot.model is SCOUT
+    assert robot._backend.timeout_s == 0.5  # type: ignore[attr-defined]
+    assert connect("nserver://lab/1", timeout_s=9)._backend.timeout_s == 9  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("address", "told"),
+    [
+        ("nserver:lab", r"nserver://host\[:port\]/id"),
+        ("nserver://lab:port/1", "an address is nserver://"),
+        ("nserver://lab:99999/1", "an address is nserver://"),
+        ("nserver://lab/one", "the robot's number, 1 or more, not '/one'"),
+        ("nserver://lab/0", "the robot's number"),
+        ("nserver://lab/1/2", "the robot's number"),
+        ("nserver://lab/99999999999", "the robot's number"),
+        ("nserver://lab/1#2", "the robot's number"),
+        ("nserver://lab/1?timeout=3", "no option 'timeout'; did you mean timeout_s?"),
+        ("nserver://lab/1?colour=3", "no option 'colour' There are timeout_s, model"),
+        ("nserver://lab/1?timeout_s=soon", "timeout_s is a number of seconds above 0, not 'soon'"),
+        ("nserver://lab/1?timeout_s=0", "above 0"),
+        ("nserver://lab/1?timeout_s=inf", "above 0"),
+        ("nserver://lab/1?model=n300", "no robot model 'n300'"),
+        ("nsever://lab/1", "did you mean nserver:"),
+        ("localhost:7019", "There are nserver:, sim:"),
+        ("thesis_room", "such as nserver://localhost:7019/1 or sim:thesis_room"),
+        ("serial:///dev/ttyUSB0", "There are nserver:, sim:"),
+    ],
+)
+def test_a_wrong_address_is_told_with_its_remedy(dialled: list[tuple[str, int]], address: str, told: str) -> None:
+    with pytest.raises(AddressError, match=told):
+        connect(address)
+    assert dialled == []
+
+
+def test_the_simulation_answers_in_this_process() -> None:
+    with connect("sim:thesis_room?seed=4&noisy=1&start=10,20,0,0") as robot:
+        assert robot.model is N150
+        truth = robot.truth()
+        assert (truth.x_in, truth.y_in, truth.seed) == (10, 20, 4)
+        first = robot.refresh().clock_s
+        assert first is not None
+        assert robot.refresh().clock_s == pytest.approx(first + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("address", "kind"), [("sim:no_such_world", WorldFileError), ("sim:thesis_room?sed=1", AddressError)]
+)
+def test_what_the_simulation_has_against_an_address_passes_through(address: str, kind: type[Exception]) -> None:
+    with pytest.raises(kind):
+        connect(address)
+
+
+def test_the_model_of_a_simulation_is_in_its_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "open_in_process", lambda *_: MemoryStream(ScriptedServer()))
+    assert connect("sim:thesis_room?robot=n200").model is N200
+
+
+def test_the_schemes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert known_schemes() == ("nserver", "sim")
+    monkeypatch.setattr(memory, "entry_points", lambda **_: [])
+    assert known_schemes() == ("nserver",)
+
+
+def test_nobody_there() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises(ConnectionLost, match="is nserver running"):
+        connect(f"nserver://127.0.0.1:{port}/1")
+
+
+def test_a_whole_conversation_over_tcp() -> None:
+    server = ScriptedServer()
+    with on_socket(by_script(server, calls=5)) as port, connect(f"nserver://127.0.0.1:{port}/1") as robot:
+        assert robot.refresh().speed_factor == 1.0
+    assert server.names() == ["gs", "st", "disconnect_robot"]
+
+
+# what C programs name
+
+
+def test_a_bare_host(dialled: list[tuple[str, int]]) -> None:
+    open_machine("lab", 7654, Wanted(robot_id=2))
+    assert dialled == [("lab", 7654)]
+    assert servers[0].calls[0].args[0] == 2
+
+
+def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[str] = []
+
+    def dial(host: str, port: int, timeout_s: float) -> MemoryStream:
+        tried.append(host)
+        if host != "own_name":
+            raise ConnectionLost(f"{host}:{port} within {timeout_s}")
+        return MemoryStream(ScriptedServer())
+
+    monkeypatch.setattr(connecting, "TcpStream", dial)
+    monkeypatch.setattr(connecting, "names_of_this_machine", lambda: ("localhost", "own_name"))
+    assert open_machine("", 7019, Wanted()).port == 7019
+    assert is_listening("", 7019)
+    assert tried == ["localhost", "own_name"] * 2
+    with pytest.raises(ConnectionLost, match="lab"):
+        open_machine("lab", 7019, Wanted())
+    assert not is_listening("lab", 7019)
+
+
+def test_an_address_in_this_process_is_a_machine_too() -> None:
+    assert is_listening("sim:thesis_room", 7019)
+    assert open_machine("sim:thesis_room", 7019, Wanted(robot_id=1)).port > 0
+    with pytest.raises(RobotRefused, match="no robot number 2"):
+        open_machine("sim:thesis_room", 7019, Wanted(robot_id=2))
+
+
+# for asyncio
+
+
+def test_connecting_can_be_awaited_or_entered() -> None:
+    async def both() -> None:
+        robot = await connect_async("sim:thesis_room")
+        assert isinstance(robot, AsyncRobot)
+        await robot.disconnect()
+        async with connect_async("sim:thesis_room") as entered:
+            assert isinstance(entered, AsyncRobot)
+        assert entered.closed
+
+    asyncio.run(both())
