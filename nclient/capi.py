@@ -607,7 +607,7 @@ def _arm(name: str, *args: int) -> tuple[int, int]:
 
 def _hold(reply: Reply) -> None:
     _held.absorb(reply)
-    State[:] = [value or 0 for value in _held.slots]
+    State[:] = [old if value is None else value for old, value in zip(State, _held.slots, strict=True)]
     if _held.laser is not None:
         Laser[: len(_held.laser)] = _held.laser
 

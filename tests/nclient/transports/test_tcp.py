@@ -78,10 +78,12 @@ def test_a_peer_that_hangs_up_is_a_lost_connection_by_name() -> None:
 
 def test_a_connection_that_is_reset_is_lost() -> None:
     def reset(connection: socket.socket) -> None:
+        connection.recv(1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
 
     with on_socket(reset) as port:
         stream = TcpStream("127.0.0.1", port)
+        stream.send(b"x")
         with pytest.raises(ConnectionLost, match="reset"):
             stream.receive(Deadline.after(5))
         stream.close()
