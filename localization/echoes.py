@@ -13,11 +13,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-RATE_STEP_S = 0.004
-"""Unit of conf_sn's rate."""
-DEFAULT_RATE = 15
-DEFAULT_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
-"""What a ring does before anybody configures it (PROTOCOL.md, section 3)."""
+from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
+
 CLOCK_STEP_S = 0.0164
 _TINY = 1e-9
 
@@ -34,13 +31,13 @@ class FiringSchedule:
     """A ring restarted at `start_s` of the robot's clock. `order`: sonar numbers, each at most once."""
 
     start_s: float
-    rate: int = DEFAULT_RATE
-    order: tuple[int, ...] = DEFAULT_ORDER
+    rate: int = DEFAULT_SONAR_RATE
+    order: tuple[int, ...] = DEFAULT_SONAR_ORDER
 
     @property
     def interval_s(self) -> float:
         """Seconds from one sonar to the next."""
-        return self.rate * RATE_STEP_S
+        return self.rate * SONAR_RATE_STEP_S
 
     @property
     def round_s(self) -> float:

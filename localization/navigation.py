@@ -16,8 +16,9 @@ import numpy as np
 
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
-from localization.echoes import DEFAULT_ORDER, DEFAULT_RATE, FiringSchedule
+from localization.echoes import FiringSchedule
 from localization.localizer import Estimate, Localizer, Surroundings
+from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
 
@@ -93,7 +94,7 @@ class Progress(NamedTuple):
 
 def begin(robot: Robot, known: Surroundings, belief: Belief) -> Localizer:
     """Restart the robot's ring, so that its firing instants are known, and start a filter on it."""
-    state = robot.configure_sonars(rate=DEFAULT_RATE, order=DEFAULT_ORDER)
+    state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
     localizer = Localizer(known, belief, FiringSchedule(state.clock_s))
     localizer.update(state)

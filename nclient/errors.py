@@ -45,18 +45,20 @@ class RobotRefused(NomadError):
     """The other end answered, and the answer is no.
 
     `command` is the C name of the call; `code` the number of the ERROR reply, None for a NAK on the
-    robot's own line and for a call that this side refuses because the model cannot do it.
+    robot's own line and for a call that this side refuses because the model cannot do it; `reason` says more where
+    the code does not.
     """
 
     def __init__(self, command: str, code: int | None, reason: str = "") -> None:
         self.command = command
         self.code = code
+        self.reason = reason
         if not reason:
             reason = "NAK" if code is None else REFUSALS.get(code, "a code nobody documents")
         super().__init__(f"{command} was refused: {reason}" + ("" if code is None else f" (error {code})"))
 
-    def __reduce__(self) -> tuple[type[RobotRefused], tuple[str, int | None]]:
-        return type(self), (self.command, self.code)
+    def __reduce__(self) -> tuple[type[RobotRefused], tuple[str, int | None, str]]:
+        return type(self), (self.command, self.code, self.reason)
 
 
 class WireError(NomadError, ValueError):

@@ -19,16 +19,12 @@ from typing import NamedTuple, Self
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import Mask, Position
+from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from nclient.quantities import AxisCommand, firing_order, tenths_of
 from nclient.robot_state import WHEEL_IN_PER_DEG, RobotState
 from nclient.robot_world import RobotWorld
 
 RING = range(16)
-DEFAULT_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
-"""The ring's firing order before anybody sets another."""
-DEFAULT_RATE = 15
-SONAR_STEP_S = 0.004
-"""The unit of the sonars' firing rate."""
 _HEAD = 4
 _LEAVE = AxisCommand()
 
@@ -278,7 +274,7 @@ class Robot(RobotWorld):
         return self._ask("ct", *self._backend.terms.mask.with_position(bits).smask)
 
     def configure_sonars(
-        self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_ORDER
+        self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_SONAR_ORDER
     ) -> RobotState:
         """Set the sonars' firing and restart the ring: its first sensor fires at the clock of the answer. C: conf_sn
 
@@ -288,10 +284,10 @@ class Robot(RobotWorld):
         if rate is not None and interval_s is not None:
             raise TypeError("rate or interval_s, not both")
         if interval_s is not None:
-            rate = round(interval_s / SONAR_STEP_S)
-        return self._ask("conf_sn", DEFAULT_RATE if rate is None else rate, *firing_order(order))
+            rate = round(interval_s / SONAR_RATE_STEP_S)
+        return self._ask("conf_sn", DEFAULT_SONAR_RATE if rate is None else rate, *firing_order(order))
 
-    def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = DEFAULT_ORDER) -> RobotState:
+    def configure_infrareds(self, *, history: int = 1, order: Iterable[int] = DEFAULT_SONAR_ORDER) -> RobotState:
         """Set how many readings an infrared averages (10 at most) and the firing order. C: conf_ir"""
         return self._ask("conf_ir", history, *firing_order(order))
 

@@ -28,7 +28,7 @@ from nclient.protocol.commands import (
     on_line,
 )
 from nclient.protocol.mask import Mask
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import Reply, one_line
 from nclient.protocol.serial_frame import SerialFrame
 from nclient.protocol.tcp_frame import TcpFrame
 from nclient.protocol.terms import LINES, POINTS, TCP_LINE_MODES, Terms
@@ -135,7 +135,7 @@ def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:
     try:
         return bytes(layout.build(args))
     except (ConstructError, TypeError, OverflowError, ValueError) as error:
-        raise WireError(f"{row.name}{args}: {error}") from None
+        raise WireError(f"{row.name}{args}: {one_line(error)}") from None
 
 
 def _call(row: Command, packet_type: int | None, data: bytes, *, line: bool) -> Call:
@@ -153,4 +153,4 @@ def _parsed(row: Command, data: bytes, line: bool) -> Call:
     try:
         return Call(row.name, tuple((row.line_request if line else row.tcp_request).parse(data)))
     except (ConstructError, WireError) as error:
-        raise WireError(f"{row.name}: {error}") from None
+        raise WireError(f"{row.name}: {one_line(error)}") from None

@@ -42,3 +42,11 @@ def model_named(name: str) -> Model:
         return MODELS[name.lower()]
     except KeyError:
         raise AddressError(f"no robot model {name!r}; there are {', '.join(MODELS)}") from None
+
+
+DEFAULT_SONAR_ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
+"""The ring's firing order before any conf_sn (PROTOCOL.md, section 3)."""
+DEFAULT_SONAR_RATE = 15
+"""Its rate: 60 ms from one sonar to the next."""
+SONAR_RATE_STEP_S = 0.004
+"""The unit of conf_sn's rate."""

@@ -3,7 +3,7 @@
     Reply       the value: State slots, laser vector, stamps, clock, battery bytes, or plain numbers
     ReplyShape  one layout: named constructs that parse bytes to a Reply and build them from it
 
-A member's name says which part of the Reply it is: slots*, stamps*, laser, clock, volt*, values.
+A member's name says which part of the Reply it is: slots*, stamps*, laser, clock, volts, values.
 Rules: shapes know no socket and no history; what a conversation has agreed comes in as Terms.
 """
 
@@ -23,7 +23,6 @@ from nclient.protocol.fields import (
     LINE_SIGNED,
     LINE_UNSIGNED,
     UNSIGNED_WORD,
-    WORD,
     BumperBytes,
     LineLaser,
     LineNibbles,
@@ -93,32 +92,35 @@ class ReplyShape:
                 else:
                     found[name] = value
         except ConstructError as error:
-            raise WireError(f"no {self.kind} reply of this shape: {error}") from None
+            raise WireError(f"no {self.kind} reply of this shape: {one_line(error)}") from None
         if stream.tell() != len(data):
             raise WireError(f"no {self.kind} reply of this shape: it ends after {stream.tell()} of {len(data)} bytes")
-        volts = (found["volt_cpu"], found["volt_motor"]) if "volt_cpu" in found else None
+        volts = tuple(found["volts"]) if "volts" in found else None
         values = tuple(found.get("values", ()))
         return Reply(self.kind, slots, found.get("laser"), stamps, found.get("clock"), volts, values)
 
     def build(self, reply: Reply, terms: Terms) -> bytes:
         """The bytes of a reply. Raises WireError when it holds what this shape cannot carry."""
-        cpu, motor = reply.volts or (0, 0)
         parts = {
             "slots": reply.slots,
             "stamps": reply.stamps,
             "laser": reply.laser,
             "clock": reply.clock or 0,
             "values": reply.values,
-            "volt_cpu": cpu,
-            "volt_motor": motor,
+            "volts": reply.volts or (0, 0),
         }
         stream, context = BytesIO(), _Agreed(terms)
         try:
             for name, part, subcon in self._members:
-                subcon._build(parts[name if part == "volt" else part], stream, context, name)
+                subcon._build(parts[part], stream, context, name)
         except ConstructError as error:
-            raise WireError(f"a {self.kind} reply cannot carry this: {error}") from None
+            raise WireError(f"a {self.kind} reply cannot carry this: {one_line(error)}") from None
         return stream.getvalue()
+
+
+def one_line(error: Exception) -> str:
+    """What construct says, on one line."""
+    return " ".join(str(error).split())
 
 
 def _words(kind: str, count: int | None) -> ReplyShape:
@@ -132,8 +134,7 @@ STATE = ReplyShape(
     laser=WordLaser(lambda terms: terms.laser_width),
     stamps=WordStamps(),
     clock=UNSIGNED_WORD,
-    volt_cpu=WORD,
-    volt_motor=WORD,
+    volts=Words(2),
 )
 INFRARED = ReplyShape(
     "infrared", slots=WordSlots(1, 16), stamps=WordStamps(Position.INFRARED), clock=UNSIGNED_WORD
@@ -188,8 +189,7 @@ LINE_STATE = ReplyShape(
     stamps_laser=LineStamps(Position.LASER, (LASER_SLOT,)),
     slots_motors=LineSlots(MOTOR_SLOT, MOTOR_SLOT, LINE_BYTE, masked=False),
     clock=LINE_CLOCK,
-    volt_cpu=LINE_BYTE,
-    volt_motor=LINE_BYTE,
+    volts=Array(2, LINE_BYTE),
 )
 LINE_INFRARED = ReplyShape(
     "infrared",

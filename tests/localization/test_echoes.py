@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from localization.echoes import CLOCK_STEP_S, DEFAULT_ORDER, Firing, FiringSchedule
+from localization.echoes import CLOCK_STEP_S, Firing, FiringSchedule
+from nclient.protocol.models import DEFAULT_SONAR_ORDER
 
 
 def written_out(schedule: FiringSchedule, until_s: float) -> list[Firing]:
@@ -34,7 +35,7 @@ def test_an_echo_is_handed_out_once_and_only_a_clock_step_later() -> None:
 def test_an_echo_that_was_overwritten_is_not_handed_out() -> None:
     schedule = FiringSchedule(0.0)
     late = schedule.readable(-1.0, 5.0)
-    assert len(late) <= len(DEFAULT_ORDER)
+    assert len(late) <= len(DEFAULT_SONAR_ORDER)
     assert len({f.sonar for f in late}) == len(late)
     assert all(f.instant_s > 5.0 + CLOCK_STEP_S - schedule.round_s for f in late)
 

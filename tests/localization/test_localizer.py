@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from localization.belief import Belief, independent
-from localization.echoes import DEFAULT_ORDER, FiringSchedule
+from localization.echoes import FiringSchedule
 from localization.localizer import Localizer, Surroundings
 from localization.observation import Refusal
+from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
@@ -45,7 +46,7 @@ class Robot:
 
     def report(self, time_s: float) -> Report:
         while self.fired * 0.06 <= time_s + 1e-9:
-            self.fire(DEFAULT_ORDER[self.fired % 16], self.fired * 0.06)
+            self.fire(DEFAULT_SONAR_ORDER[self.fired % 16], self.fired * 0.06)
             self.fired += 1
         x, y = self.pose(time_s)
         return Report(time_s, x, y, self.heading % math.tau, self.turret % math.tau, tuple(self.sonars))
@@ -81,7 +82,7 @@ def test_each_echo_is_told_once_with_what_became_of_it() -> None:
     instants = [echo.instant_s for echo in echoes]
     assert instants == sorted(set(instants))
     assert instants[-1] > 5.8
-    assert [echo.sonar for echo in echoes[:16]] == [*DEFAULT_ORDER[1:], 0]
+    assert [echo.sonar for echo in echoes[:16]] == [*DEFAULT_SONAR_ORDER[1:], 0]
     assert {echo.refusal for echo in echoes} >= {Refusal.NONE}
     assert all(echo.innovation_in == 0 for echo in echoes if echo.refusal is not Refusal.NONE)
 

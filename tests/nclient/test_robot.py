@@ -12,11 +12,11 @@ from answering import ScriptedServer, error, robot_on, simple
 
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import COMMANDS, Call, Command
-from nclient.protocol.models import SCOUT
+from nclient.protocol.models import DEFAULT_SONAR_ORDER, SCOUT
 from nclient.protocol.replies import Reply
 from nclient.protocol.stamps import NO_STAMP
 from nclient.quantities import AxisCommand
-from nclient.robot import DEFAULT_ORDER, Robot
+from nclient.robot import Robot
 from nclient.robot_state import RobotState
 
 OWN_NAMES = {"sim_truth", "sim_control"}
@@ -53,7 +53,7 @@ SENT: list[tuple[Verb, str, tuple[Any, ...]]] = [
     (lambda r: r.set_angles(steering_deg=90, turret_rad=-math.pi), "da", (900, -1800)),
     (lambda r: r.set_timeout(5), "conf_tm", (5,)),
     (lambda r: r.set_timeout(0.2), "conf_tm", (1,)),
-    (lambda r: r.configure_sonars(), "conf_sn", (15, *DEFAULT_ORDER)),
+    (lambda r: r.configure_sonars(), "conf_sn", (15, *DEFAULT_SONAR_ORDER)),
     (lambda r: r.configure_sonars(rate=0, order=[1, 2, 3]), "conf_sn", (0, *ORDER)),
     (lambda r: r.configure_sonars(interval_s=0.06, order=()), "conf_sn", (15, *[255] * 16)),
     (lambda r: r.configure_infrareds(history=5, order=[1, 2, 3]), "conf_ir", (5, *ORDER)),
