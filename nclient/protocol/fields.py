@@ -167,7 +167,7 @@ class LineSlots(Construct):
         return [slot for slot in self.slots if mask.has(slot)] if self.masked else self.slots
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
-        return {slot: self.element._parsereport(stream, context, path) for slot in self._selected(context)}
+        return {slot: self.element._parse(stream, context, path) for slot in self._selected(context)}
 
     def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
         for slot in self._selected(context):
@@ -230,8 +230,8 @@ class LineStamps(Construct):
     def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
         return {
             key: Stamp(
-                *[LINE_LONG._parsereport(stream, context, path) for _ in range(7)],
-                *[LINE_CLOCK._parsereport(stream, context, path) for _ in range(2)],
+                *[LINE_LONG._parse(stream, context, path) for _ in range(7)],
+                *[LINE_CLOCK._parse(stream, context, path) for _ in range(2)],
             )
             for key in self._selected(_terms(context).mask)
         }
@@ -264,10 +264,10 @@ class LineLaser(Construct):
         terms = _terms(context)
         if self._absent(terms):
             return None
-        count = _readings(LINE_UNSIGNED._parsereport(stream, context, path), path)
+        count = _readings(LINE_UNSIGNED._parse(stream, context, path), path)
         width = self.width(terms)
         element = LINE_UNSIGNED if width == 1 else LINE_SIGNED
-        return (count, *(element._parsereport(stream, context, path) for _ in range(count * width)))
+        return (count, *(element._parse(stream, context, path) for _ in range(count * width)))
 
     def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
         terms = _terms(context)
@@ -288,7 +288,8 @@ def _terms(context: Any) -> Terms:
 
 
 def _take(stream: Any, count: int, path: str) -> bytes:
-    return _exactly(stream.read(count), count, path)
+    data: bytes = stream.read(count)
+    return data if len(data) == count else _exactly(data, count, path)
 
 
 def _exactly(data: bytes, count: int, path: str) -> bytes:

@@ -76,7 +76,9 @@ class ReplyShape:
 
     def __init__(self, kind: str, **members: Any) -> None:
         self.kind = kind
-        self._members = [(name, name.partition("_")[0], subcon) for name, subcon in members.items()]
+        self._members = [
+            (name, name.partition("_")[0], subcon._parse, subcon._build) for name, subcon in members.items()
+        ]
 
     def parse(self, data: bytes, terms: Terms) -> Reply:
         """The reply that these bytes are. Raises WireError when they are none of this shape."""
@@ -85,8 +87,8 @@ class ReplyShape:
         found: dict[str, Any] = {"slots": slots, "stamps": stamps}
         stream, context = BytesIO(data), _Agreed(terms)
         try:
-            for name, part, subcon in self._members:
-                value = subcon._parsereport(stream, context, name)
+            for name, part, parse, _ in self._members:
+                value = parse(stream, context, name)
                 if part in ("slots", "stamps"):
                     found[part].update(value)
                 else:
@@ -111,8 +113,8 @@ class ReplyShape:
         }
         stream, context = BytesIO(), _Agreed(terms)
         try:
-            for name, part, subcon in self._members:
-                subcon._build(parts[part], stream, context, name)
+            for name, part, _, build in self._members:
+                build(parts[part], stream, context, name)
         except ConstructError as error:
             raise WireError(f"a {self.kind} reply cannot carry this: {one_line(error)}") from None
         return stream.getvalue()

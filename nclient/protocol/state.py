@@ -49,8 +49,11 @@ class HeldState:
             self.slots[ERROR_SLOT] = reply.values[0]
         if reply.kind in ("error", "nak", "prediction"):
             return
-        for slot, value in reply.slots.items():
-            self.slots[slot] = value
+        if len(reply.slots) == STATE_SIZE:
+            self.slots[:] = map(reply.slots.__getitem__, range(STATE_SIZE))
+        else:
+            for slot, value in reply.slots.items():
+                self.slots[slot] = value
         if LAST_TCP_SLOT in reply.slots:
             self.slots[ERROR_SLOT] = 0
         self.stamps.update(reply.stamps)

@@ -103,7 +103,7 @@ class TcpFramer:
         """The frames and refusals that these bytes complete, in order."""
         self._buffer += data
         found: list[TcpFrame | Refused] = []
-        while self._skip() and len(self._buffer) >= _HEADER.size:
+        while (not self._to_skip or self._skip()) and len(self._buffer) >= _HEADER.size:
             message_type, count = _HEADER.unpack_from(self._buffer)
             bounds = self._bounds(message_type)
             if bounds is None or not bounds[0] <= count <= bounds[1]:
