@@ -39,7 +39,7 @@ class Connection(asyncio.Protocol):
     def __init__(self, daemon: Daemon) -> None:
         self._daemon = daemon
         self._loop = asyncio.get_running_loop()
-        self._blocked = False
+        self.blocked = False
         self._turn: asyncio.Handle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -60,11 +60,11 @@ class Connection(asyncio.Protocol):
         self._answer()
 
     def pause_writing(self) -> None:
-        self._blocked = True
+        self.blocked = True
         self._pace()
 
     def resume_writing(self) -> None:
-        self._blocked = False
+        self.blocked = False
         self._answer()
 
     def tick(self) -> None:
@@ -74,7 +74,7 @@ class Connection(asyncio.Protocol):
             self._answer()
 
     def _answer(self) -> None:
-        if not self._blocked and self._turn is None:
+        if not self.blocked and self._turn is None:
             self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
         self._pace()
 
@@ -92,12 +92,12 @@ class Connection(asyncio.Protocol):
 
     def _pace(self) -> None:
         """Read on only when what was read is answered; the rest of it gets its turn after the others'."""
-        ready = self.session.ready and not self._blocked
+        ready = self.session.ready and not self.blocked
         if ready and self._turn is None:
             self._turn = self._loop.call_soon(self._next_turn)
         if self._transport.is_closing():
             return
-        if ready or self._blocked or self.session.waiting:
+        if ready or self.blocked or self.session.waiting:
             self._transport.pause_reading()
         else:
             self._transport.resume_reading()
