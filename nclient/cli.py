@@ -15,6 +15,7 @@ import ast
 import difflib
 import importlib.util
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
@@ -82,7 +83,7 @@ def _dispatch(arguments: list[str]) -> int:
 
 def _as_value(word: str) -> str:
     """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
-    return f" {word}" if word.startswith("-") and "," in word else word
+    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 def _top_parser(commands: dict[str, EntryPoint]) -> argparse.ArgumentParser:

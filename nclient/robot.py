@@ -56,6 +56,9 @@ class Robot(RobotWorld):
         try:
             with contextlib.suppress(ConnectionLost, ReplyTimeout):
                 self.stop()
+        except RobotRefused:
+            if error is None:
+                raise
         finally:
             self.disconnect()
 

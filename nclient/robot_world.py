@@ -23,7 +23,7 @@ from nclient.protocol.models import Model
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
 from nclient.protocol.state import HeldState
-from nclient.protocol.units import rad_from_tenths, tenths_from_rad
+from nclient.protocol.units import rad_from_tenths, tenths_from_rad, unwrapped_word
 from nclient.quantities import Points, points_tenths, tenths_of
 from nclient.robot_state import Pose, RobotState, Truth, snapshot
 
@@ -140,7 +140,7 @@ class RobotWorld(RobotLink):
     def connect_robot(self, robot_id: int) -> RobotState:
         """Go over to another robot of the same server, on this connection. C: connect_robot
 
-        Raises RobotRefused when there is none of that number; the connection then has no robot.
+        Raises RobotRefused when there is none of that number; our Nserver then keeps the robot there was.
         """
         with self._lock:
             self.execute(Call("connect_robot", (robot_id, os.getpid())))
@@ -306,7 +306,7 @@ class RobotWorld(RobotLink):
         """
         _, time_ms, x, y, heading, turret, seed, robot_id = self._values("sim_truth", at_least=8)
         angles = (math.radians(heading / 1000), math.radians(turret / 1000))
-        return Truth(x / 1000, y / 1000, *angles, time_s=time_ms / 1000, seed=seed, robot_id=robot_id)
+        return Truth(x / 1000, y / 1000, *angles, time_s=unwrapped_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
 
     def is_simulated(self) -> bool:
         """Whether the other end is a simulation of ours, which knows the truth. Asks with sim_truth.

@@ -9,8 +9,11 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+import re
 import sys
+from collections.abc import Callable
 from importlib.metadata import version
+from typing import TypeVar
 
 from nclient.errors import NomadError
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
@@ -18,6 +21,7 @@ from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Setting, pose_from_text
 from worlds.files import load_world, world_names
 
+Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
 MAX_SPEED = "max"
 SLOWEST, FASTEST = 0.1, 100.0
@@ -50,7 +54,8 @@ async def _serve(options: argparse.Namespace) -> int:
     stop = asyncio.Event()
     stop_on_signals(stop)
     port = await daemon.listen(options.bind, options.port)
-    print(f"listening nserver {options.bind}:{port}", flush=True)
+    host = f"[{options.bind}]" if ":" in options.bind else options.bind
+    print(f"listening nserver {host}:{port}", flush=True)
     await daemon.serve(stop)
     return 0
 
@@ -69,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("world", nargs="?", default=DEFAULT_WORLD, metavar="WORLD",
                         help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds)")
     parser.add_argument("--port", type=_port, default=DEFAULT_PORT, help=f"default {DEFAULT_PORT}; 0 takes a free one")
-    parser.add_argument("--bind", default=LOOPBACK, metavar="HOST",
+    parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
                         help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
     parser.add_argument("--robot", default=READY_MODELS[0], choices=READY_MODELS, help="the robot's model")
     parser.add_argument("--start", metavar="X,Y,STEER,TURRET", help="start pose in inches and degrees")
@@ -85,27 +90,34 @@ def _parser() -> argparse.ArgumentParser:
 
 def _as_value(word: str) -> str:
     """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
-    return f" {word}" if word.startswith("-") and "," in word else word
+    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
 def _speed(text: str) -> float | None:
     if text == MAX_SPEED:
         return None
-    speed = float(text)
-    if not SLOWEST <= speed <= FASTEST:
-        raise argparse.ArgumentTypeError(f"speed is {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED}")
-    return speed
+    return _number(text, float, (SLOWEST, FASTEST), f"a speed is {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED}")
 
 
 def _port(text: str) -> int:
-    port = int(text)
-    if not 0 <= port <= 65535:
-        raise argparse.ArgumentTypeError("a port is 0 to 65535")
-    return port
+    return _number(text, int, (0, 65535), "a port is 0 to 65535")
 
 
 def _seed(text: str) -> int:
-    seed = int(text)
-    if not 0 <= seed < 2**31:
-        raise argparse.ArgumentTypeError("a seed is 0 to 2147483647")
-    return seed
+    return _number(text, int, (0, 2**31 - 1), "a seed is 0 to 2147483647")
+
+
+def _host(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError(f"an address or a host name, such as {LOOPBACK}, or 0.0.0.0 for all")
+    return text
+
+
+def _number(text: str, kind: Callable[[str], Number], bounds: tuple[float, float], wanted: str) -> Number:
+    try:
+        number = kind(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}") from None
+    if not bounds[0] <= number <= bounds[1]:
+        raise argparse.ArgumentTypeError(f"{wanted}, not {text}")
+    return number

@@ -62,16 +62,29 @@ def parse_world(text: str, file: str, name: str) -> World:
     if not any(values.get(key) for key in ("room", "wall", "obstacle")):
         top.fail("", "expected at least one [[room]], [[wall]] or [[obstacle]], found none")
     name = top.text("name", name)
-    starts = tuple(_start(table) for table in top.tables("start")) or (StartPose(0.0, 0.0),)
-    return World(
+    starts = tuple(_start(table) for table in top.tables("start"))
+    world = World(
         name=name,
         title=top.text("title", name),
         rooms=tuple(_polygon(table) for table in top.tables("room")),
         inner_walls=np.concatenate([np.empty((0, 4)), *(_wall(table) for table in top.tables("wall"))]),
         obstacles=tuple(_polygon(table) for table in top.tables("obstacle")),
-        starts=starts,
-        paths=_paths(top, starts),
+        starts=starts or (StartPose(0.0, 0.0),),
+        paths=_paths(top, starts or (StartPose(0.0, 0.0),)),
     )
+    for k, start in enumerate(starts):
+        _require_free(top, f"start[{k}]", world, (start.x_in, start.y_in))
+    for k, path in enumerate(world.paths.values()):
+        for point in path.points_in:
+            _require_free(top, f"path[{k}]", world, point)
+    return world
+
+
+def _require_free(top: Table, key: str, world: World, point: Point) -> None:
+    """A place where even the smallest robot touches something is a mistake of the file."""
+    x, y = point
+    if world.clearance(x, y) <= 0:
+        top.fail(key, f"expected a place inside the world and clear of its walls, found ({x:g}, {y:g}) in")
 
 
 def _find(name: str) -> FilePath:

@@ -165,9 +165,9 @@ class NserverBackend:
             self._slowness = max(1.0, REAL_TIME / reply.slots[SPEED_SLOT])
 
     def _connected(self, call: Call, port: int) -> None:
-        self.robot_id = call.args[0]
         if not port:
-            raise RobotRefused(call.name, None, f"the server has no robot number {self.robot_id}")
+            raise RobotRefused(call.name, None, f"the server has no robot number {call.args[0]}")
+        self.robot_id = call.args[0]
 
     def _patience_s(self, row: Command, call: Call) -> float:
         """How long to wait: motions are waited for in the server's time, which may run slower than ours."""

@@ -244,7 +244,9 @@ class ByteWords(Adapter):
 
 ARM_ZERO = ArmPacket(40, LINE_UNSIGNED)
 ARM_WAIT = ArmPacket(41, LINE_UNSIGNED, LINE_UNSIGNED, Int32ul)
-ARM_MOVE = ArmPacket(42, *[Int32sl] * 4)
+ARM_NUMBER = ExprAdapter(Int32sl, lambda obj, _: obj, lambda obj, _: obj - 2**32 if 2**31 <= obj < 2**32 else obj)
+"""A uint32 that old programs give as a signed number: both ways of writing it are taken, the signed one is read."""
+ARM_MOVE = ArmPacket(42, *[ARM_NUMBER] * 4)
 
 
 def _latin(text: Any, path: str) -> bytes:

@@ -81,10 +81,11 @@ class TcpFramer:
     """Requests or replies out of a stream. Give it bytes as they come; it gives back what is whole.
 
     `bounds` is request_bounds or reply_bounds. `wide` is None until a CONNECT tells a 32-bit client from a
-    64-bit one: robot ids are at least 1, so a first word of zero comes from the latter.
+    64-bit one: robot ids are at least 1, so a first word of zero comes from the latter. `gives_up`: what comes
+    after the frame was lost is not searched for more, but dropped.
     """
 
-    def __init__(self, bounds: Bounds, wide: bool | None = None) -> None:
+    def __init__(self, bounds: Bounds, wide: bool | None = None, gives_up: bool = False) -> None:
         self.wide = wide
         self.frames = 0
         self.skipped_bytes = 0
@@ -93,6 +94,7 @@ class TcpFramer:
         self._buffer = bytearray()
         self._to_skip = 0
         self._lost = False
+        self._gives_up = gives_up
 
     @property
     def pending(self) -> int:
@@ -101,6 +103,9 @@ class TcpFramer:
 
     def receive(self, data: bytes) -> list[TcpFrame | Refused]:
         """The frames and refusals that these bytes complete, in order."""
+        if self._lost and self._gives_up:
+            self.skipped_bytes += len(data)
+            return []
         self._buffer += data
         found: list[TcpFrame | Refused] = []
         while (not self._to_skip or self._skip()) and len(self._buffer) >= _HEADER.size:
@@ -108,6 +113,8 @@ class TcpFramer:
             bounds = self._bounds(message_type)
             if bounds is None or not bounds[0] <= count <= bounds[1]:
                 self._refuse(message_type, count, bounds, found)
+                if self._lost and self._gives_up:
+                    self._to_skip = len(self._buffer)
                 continue
             if not self._width_known(message_type):
                 break

@@ -11,6 +11,7 @@ M_PER_IN = 0.0254
 """Metres in an inch, exactly."""
 
 FULL_TURN_TENTHS = 3600
+WORD_LIMIT = 2**31
 CPU_RANGE_V = 12.0
 MOTOR_RANGE_V = 12.85
 
@@ -28,6 +29,21 @@ def tenths_from_rad(angle_rad: float) -> int:
 def heading_tenths(angle_rad: float) -> int:
     """A direction in radians to 0..3599 tenths of a degree, the form of State[36] and State[37]."""
     return tenths_from_rad(angle_rad) % FULL_TURN_TENTHS
+
+
+def clamped_word(value: int) -> int:
+    """The nearest number that a 32-bit word of the wire can hold."""
+    return max(-WORD_LIMIT, min(WORD_LIMIT - 1, value))
+
+
+def wrapped_word(value: int) -> int:
+    """A count that never ends, as a 32-bit word holds it: modulo 2^32, the upper half negative."""
+    return (value + WORD_LIMIT) % (2 * WORD_LIMIT) - WORD_LIMIT
+
+
+def unwrapped_word(word: int) -> int:
+    """A signed word read as a count: 0 to 2^32 - 1."""
+    return word % (2 * WORD_LIMIT)
 
 
 def rad_from_tenths(angle_tenths: float) -> float:

@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 import logging
 import signal
+import socket
 from collections.abc import Callable
 from typing import cast
 
@@ -28,35 +29,47 @@ LONGEST_CATCH_UP_S = 0.25
 """Real time that is made up for when the machine was busy or asleep; the rest is lost to the simulation."""
 FAST_STEP_S = 0.1
 REQUESTS_A_TURN = 20
+READ_SIZE = 4096
+"""Bytes of one client that are looked at before it is the others' turn."""
 LOOPBACK = "127.0.0.1"
+LOOPBACK_NAMES = (LOOPBACK, "localhost")
 HOST_NAME_LOOPBACK = "127.0.1.1"
 """Where Debian puts a machine's own host name, which old clients connect to when they are given no host."""
 
 
-class Connection(asyncio.Protocol):
+class Connection(asyncio.BufferedProtocol):
     """A client's socket."""
 
     def __init__(self, daemon: Daemon) -> None:
         self._daemon = daemon
         self._loop = asyncio.get_running_loop()
         self.blocked = False
+        self._inbox = bytearray(READ_SIZE)
         self._turn: asyncio.Handle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.session = Session(self._daemon.emulator.answer, f"{peer[0]}:{peer[1]}" if peer else "client")
         self._daemon.connections.add(self)
         log.info("%s: connected", self.session.name)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._daemon.connections.discard(self)
+        if exc or self.session.unfinished:
+            log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
+                        f": {exc}" if exc else "")
         self._daemon.emulator.leave(self.session.visit)
         self.session.closing = True
-        log.info("%s: gone after %d refusals%s", self.session.name, self.session.refused, f" ({exc})" if exc else "")
+        log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
 
-    def data_received(self, data: bytes) -> None:
-        self.session.receive(data)
+    def get_buffer(self, sizehint: int) -> bytearray:
+        del sizehint
+        return self._inbox
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.session.receive(bytes(self._inbox[:nbytes]))
         self._answer()
 
     def pause_writing(self) -> None:
@@ -91,13 +104,16 @@ class Connection(asyncio.Protocol):
             self._transport.close()
 
     def _pace(self) -> None:
-        """Read on only when what was read is answered; the rest of it gets its turn after the others'."""
+        """Read on when what was read is answered; the rest of it gets its turn after the others'.
+
+        While an answer takes its time the reading goes on, up to a crowd, so that a client's leaving is seen.
+        """
         ready = self.session.ready and not self.blocked
         if ready and self._turn is None:
             self._turn = self._loop.call_soon(self._next_turn)
         if self._transport.is_closing():
             return
-        if ready or self.blocked or self.session.waiting:
+        if ready or self.blocked or self.session.crowded:
             self._transport.pause_reading()
         else:
             self._transport.resume_reading()
@@ -133,7 +149,7 @@ class Daemon:
             ) from error
         self._servers.append(server)
         port = server.sockets[0].getsockname()[1]
-        if host == LOOPBACK:
+        if host in LOOPBACK_NAMES:
             with contextlib.suppress(OSError):  # not every machine has it, and no client needs it but by host name
                 self._servers.append(await loop.create_server(lambda: Connection(self), HOST_NAME_LOOPBACK, port))
         self.emulator.port = port

@@ -10,14 +10,14 @@ silence, never a wrong success. Values out of range are clamped by the robot, as
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from nclient.errors import StartError
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import BUMPER_SLOT, Position
 from nclient.protocol.replies import Reply
-from nclient.protocol.units import rad_from_tenths
+from nclient.protocol.units import clamped_word, rad_from_tenths, wrapped_word
 from nserver_emu.server.session import Later, Visit, error_reply
 from nserver_emu.server.state_reply import (
     bumper_stamp,
@@ -34,7 +34,10 @@ from nserver_emu.simulation.simulation import Simulation
 NOT_AVAILABLE, BAD_VALUES = 4, 2
 AS_FAST_AS_IT_CAN = 9999
 """What State[0] shows where the simulated time runs as fast as it can."""
+ALL_AXES = (0, 1, 2)
 _MV_LEAVE, _MV_HIGHEST = 0, 5
+_MV_MOTIONS = (1, 2, 3)
+"""The modes of mv that move an axis or let it go; 4 and 5 only set its limits."""
 _INT32_MAX = 0x7FFFFFFF
 
 
@@ -45,7 +48,7 @@ class Emulator:
         self.simulation = simulation
         self.port = port
         self.speed_tenths = speed_tenths
-        self._drivers: dict[int, Visit] = {}
+        self._drivers: dict[int, list[Visit | None]] = {}
         self._looked: dict[int, tuple[float, list[int]]] = {}
 
     def answer(self, call: Call, visit: Visit) -> Reply | Later:
@@ -58,22 +61,23 @@ class Emulator:
         return handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
 
     def leave(self, visit: Visit) -> None:
-        """A connection is gone: the robot that obeyed its last motion command stops."""
+        """A connection is gone: a robot with an axis that obeys its last motion command stops."""
         self._looked.clear()
-        for robot_id, driver in list(self._drivers.items()):
-            if driver is visit:
-                del self._drivers[robot_id]
-                self.simulation.robots[robot_id].stop()
+        for robot_id in [robot_id for robot_id, drivers in self._drivers.items() if visit in drivers]:
+            del self._drivers[robot_id]
+            self.simulation.robots[robot_id].stop()
 
     def robot_of(self, visit: Visit) -> SimulatedRobot:
         """The robot that this connection talks to."""
         assert visit.robot_id is not None
         return self.simulation.robots[visit.robot_id]
 
-    def drive(self, visit: Visit) -> SimulatedRobot:
-        """The robot, from now on obeying this connection."""
+    def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
+        """The robot, these axes of it from now on obeying this connection."""
         assert visit.robot_id is not None
-        self._drivers[visit.robot_id] = visit
+        drivers = self._drivers.setdefault(visit.robot_id, [None] * len(ALL_AXES))
+        for axis in axes:
+            drivers[axis] = visit
         return self.robot_of(visit)
 
     def state(self, visit: Visit) -> Reply:
@@ -99,10 +103,10 @@ Handler = Callable[[Emulator, Visit, tuple[Any, ...]], "Reply | Later"]
 
 
 def connect_robot(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """Tie the connection to a robot; port 0 where there is none of that number."""
+    """Tie the connection to a robot; port 0, and no change, where there is none of that number."""
     robot_id = args[0]
     known = robot_id in emulator.simulation.robots
-    visit.robot_id = robot_id if known else None
+    visit.robot_id = robot_id if known else visit.robot_id
     return Reply("simple", values=(emulator.port if known else 0,))
 
 
@@ -130,7 +134,7 @@ def mv(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     modes, values = args[::2], _axes(args[1::2])
     if any(not _MV_LEAVE <= mode <= _MV_HIGHEST for mode in modes):
         return error_reply(BAD_VALUES)
-    robot = emulator.drive(visit) if any(modes) else emulator.robot_of(visit)
+    robot = emulator.drive(visit, [axis for axis, mode in enumerate(modes) if mode in _MV_MOTIONS])
     for axis, (mode, value) in enumerate(zip(modes, values, strict=True)):
         robot.command_axis(axis, mode, value)
     return emulator.state(visit)
@@ -236,19 +240,24 @@ def get_sn(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     robot = emulator.robot_of(visit)
     slots = dict(enumerate(robot.sonar.readings_in, start=17))
     stamps = sonar_stamps(robot) if visit.terms.mask.position & Position.SONAR else {}
+    visit.keep(slots)
     return Reply("sonar", slots, stamps=stamps, clock=emulator.clock_ms)
 
 
 def get_rc(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     """Position and angles."""
     del args
-    return Reply("configuration", dict(enumerate(pose_tenths(emulator.robot_of(visit)), start=34)))
+    slots = dict(enumerate(pose_tenths(emulator.robot_of(visit)), start=34))
+    visit.keep(slots)
+    return Reply("configuration", slots)
 
 
 def get_rv(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     """The three velocities."""
     del args
-    return Reply("velocity", dict(enumerate(velocity_tenths(emulator.robot_of(visit)), start=38)))
+    slots = dict(enumerate(velocity_tenths(emulator.robot_of(visit)), start=38))
+    visit.keep(slots)
+    return Reply("velocity", slots)
 
 
 def get_bp(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
@@ -257,6 +266,7 @@ def get_bp(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     robot = emulator.robot_of(visit)
     asked = visit.terms.mask.position & Position.BUMPER
     stamps = {"bumper": bumper_stamp(robot, emulator.simulation.time_s)} if asked else {}
+    visit.keep({BUMPER_SLOT: robot.bumpers})
     return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=emulator.clock_ms)
 
 
@@ -266,9 +276,9 @@ def sim_truth(emulator: Emulator, visit: Visit, args: tuple[int, ...]) -> Reply:
     pose = emulator.robot_of(visit).actual
     values = (
         1,
-        emulator.clock_ms,
-        round(pose.x_in * 1000),
-        round(pose.y_in * 1000),
+        wrapped_word(emulator.clock_ms),
+        clamped_word(round(pose.x_in * 1000)),
+        clamped_word(round(pose.y_in * 1000)),
         round(math.degrees(pose.steering_rad) * 1000),
         round(math.degrees(pose.turret_rad) * 1000),
         emulator.simulation.seed & _INT32_MAX,

@@ -21,6 +21,8 @@ from nserver_emu.server.setting import DEFAULT_WORLD, Setting, pose_from_text
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1
+LOCKSTEP = 0
+"""What State[0] shows where time moves only when a client asks."""
 _TIMELESS = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
 _OPTIONS = ("robot", "seed", "noisy", "start", "step_s")
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
@@ -83,7 +85,8 @@ def open_address(address: str) -> InProcess:
         seed=_seed(address, options.get("seed", "0")),
         noisy=_flag(address, options.get("noisy", "0")),
     )
-    return InProcess(Emulator(setting.simulation()), _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
+    emulator = Emulator(setting.simulation(), speed_tenths=LOCKSTEP)
+    return InProcess(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
 
 
 def _seed(address: str, text: str) -> int:

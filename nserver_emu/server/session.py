@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from nclient.errors import WireError
@@ -27,6 +27,7 @@ from nclient.protocol.terms import Terms, tcp_terms
 log = logging.getLogger(__name__)
 
 BAD_VALUES, NOT_CONNECTED = 2, 3
+CROWD = 100
 _CONNECTS = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
 
 
@@ -37,6 +38,10 @@ class Visit:
     terms: Terms = field(default_factory=lambda: tcp_terms(N150))
     robot_id: int | None = None
     kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
+
+    def keep(self, slots: Mapping[int, int]) -> None:
+        """These were sent, too; the list itself may be another connection's as well, so it is not changed."""
+        self.kept = [slots.get(slot, value) for slot, value in enumerate(self.kept)]
 
 
 Later = Callable[[], Reply | None]
@@ -60,7 +65,7 @@ class Session:
         """Whether the connection is to be closed, once what was given back is sent."""
         self.refused = 0
         self._answer = answer
-        self._framer = TcpFramer(request_bounds)
+        self._framer = TcpFramer(request_bounds, gives_up=True)
         self._queue: deque[TcpFrame | Refused] = deque()
         self._later: tuple[str, Later] | None = None
 
@@ -68,6 +73,16 @@ class Session:
     def ready(self) -> bool:
         """Whether a request waits that could be answered now."""
         return bool(self._queue) and self._later is None and not self.closing
+
+    @property
+    def crowded(self) -> bool:
+        """Whether so many requests wait that no more should be read."""
+        return len(self._queue) >= CROWD
+
+    @property
+    def unfinished(self) -> int:
+        """Bytes of a request that is not whole yet."""
+        return self._framer.pending
 
     @property
     def waiting(self) -> bool:
@@ -101,6 +116,8 @@ class Session:
     def _answer_one(self, item: TcpFrame | Refused) -> bytes:
         if isinstance(item, Refused):
             self.closing = item.hopeless
+            if item.hopeless:
+                log.warning("%s: closed: %s", self.name, item.reason)
             return self._refuse(item.code, item.reason)
         try:
             call = language.tcp_call(item)

@@ -17,11 +17,14 @@ from nclient.protocol.stamps import SONAR_KEYS, Stamp
 from nclient.protocol.units import (
     CPU_RANGE_V,
     MOTOR_RANGE_V,
+    clamped_word,
     heading_tenths,
     raw_volts,
     tenths,
+    unwrapped_word,
 )
 from nserver_emu.server.session import Visit
+from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
 
 INFRARED_NOTHING = 15
@@ -31,19 +34,13 @@ _FULL = (raw_volts(FULL_BATTERY_V, CPU_RANGE_V), raw_volts(FULL_BATTERY_V, MOTOR
 
 
 def clock_ms(time_s: float) -> int:
-    """The robot's clock: milliseconds since power-on."""
-    return math.floor(time_s * 1000 + 1e-6)
+    """The robot's clock: milliseconds since power-on, modulo 2^32 as its word is."""
+    return unwrapped_word(math.floor(time_s * 1000 + 1e-6))
 
 
 def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
     """x, y, steering and turret as the encoders have them, in State's form."""
-    pose = robot.encoder
-    return (
-        tenths(pose.x_in),
-        tenths(pose.y_in),
-        heading_tenths(pose.steering_rad),
-        heading_tenths(pose.turret_rad),
-    )
+    return _pose_tenths(robot.encoder)
 
 
 def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
@@ -98,10 +95,7 @@ def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
     """Where the encoders were when each sonar took its last reading."""
     return {
         key: Stamp(
-            tenths(at.pose.x_in),
-            tenths(at.pose.y_in),
-            heading_tenths(at.pose.steering_rad),
-            heading_tenths(at.pose.turret_rad),
+            *_pose_tenths(at.pose),
             _away_from_zero(at.velocities[0] * 10),
             _away_from_zero(math.degrees(at.velocities[1]) * 10),
             _away_from_zero(math.degrees(at.velocities[2]) * 10),
@@ -115,6 +109,15 @@ def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
 def bumper_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
     """The bumpers are read when they are asked for: a stamp of now."""
     return Stamp(*pose_tenths(robot), *velocity_tenths(robot), clock_ms(time_s), clock_ms(time_s))
+
+
+def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
+    return (
+        clamped_word(tenths(pose.x_in)),
+        clamped_word(tenths(pose.y_in)),
+        heading_tenths(pose.steering_rad),
+        heading_tenths(pose.turret_rad),
+    )
 
 
 def _away_from_zero(value: float) -> int:

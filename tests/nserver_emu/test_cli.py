@@ -27,6 +27,7 @@ def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> No
     [
         (["--start", "-8,0,0,0"], "touches the outline"),
         (["--start", "500,0,0,0"], "outside"),
+        (["--start=500,0,0,0"], "outside"),
         (["thesis_rom"], "thesis_room"),
         (["--start", "x"], "a start is X,Y,STEER,TURRET"),
     ],
@@ -40,7 +41,7 @@ def test_what_cannot_start_says_why_and_exits_1(
 
 @pytest.mark.parametrize(
     "argv",
-    [["--speed", "0"], ["--speed", "fast"], ["--port", "70000"], ["--seed", "-1"], ["--robot", "r2d2"]],
+    [["--speed", "0"], ["--speed", "fast"], ["--port", "70000"], ["--seed", "-1"], ["--robot", "r2d2"], ["--bind", ""]],
 )
 def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
@@ -71,3 +72,11 @@ def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: sig
         out, err = program.communicate(timeout=20)
     assert (program.returncode, out) == (0, "")
     assert "connected" in err
+
+
+def test_usage_errors_say_what_is_wanted(capsys: pytest.CaptureFixture[str]) -> None:
+    wanted = ((["--speed", "MAX"], "a speed is 0.1 to 100, or max, not 'MAX'"), (["--port", "x"], "a port is 0 to"))
+    for argv, words in wanted:
+        with pytest.raises(SystemExit):
+            cli.main(argv)
+        assert words in capsys.readouterr().err

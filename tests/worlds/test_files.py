@@ -406,3 +406,16 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path: Path, monkeypatch: pytest
 def test_a_name_too_long_for_the_system_is_an_error_of_ours() -> None:
     with pytest.raises(WorldFileError):
         load_world("x" * 5000)
+
+
+@pytest.mark.parametrize(
+    ("lines", "place"),
+    [
+        ("[[start]]\nx_in = 1\ny_in = 1\n[[start]]\nx_in = 50\ny_in = 5\n", r"start\[1\]: .*found \(50, 5\) in"),
+        ('[[path]]\nname = "p"\npoints_in = [[0, 0], [90, 90]]\n', r"path\[0\]: .*found \(90, 90\) in"),
+    ],
+)
+def test_a_start_or_a_way_point_where_no_robot_can_be_is_a_mistake_of_the_file(lines: str, place: str) -> None:
+    room = "[[room]]\ncorners_in = [[-20, -20], [40, -20], [40, 40], [-20, 40]]\n"
+    with pytest.raises(WorldFileError, match=place):
+        parse_world(room + lines, "hall.toml", "hall")

@@ -208,3 +208,10 @@ def test_what_tcp_does_not_have() -> None:
         tcp("conf_ser", 1, 9600)
     with pytest.raises(WireError, match="no command 'fly'"):
         tcp("fly")
+
+
+def test_the_arms_numbers_are_taken_signed_and_unsigned() -> None:
+    as_unsigned = language.tcp_request(Call("arm_mv", (1, 4_000_000_000, 2, 5)))
+    assert as_unsigned == language.tcp_request(Call("arm_mv", (1, 4_000_000_000 - 2**32, 2, 5)))
+    with pytest.raises(WireError):
+        language.tcp_request(Call("arm_mv", (1, 2**32, 2, 5)))

@@ -163,3 +163,14 @@ def test_bounds_by_type() -> None:
     assert reply_bounds(80) == (1, 45 + 1 + 4 * 482 + 35 * 9 + 3)
     assert request_bounds(80) is None
     assert reply_bounds(12) is None
+
+
+@given(st.binary(max_size=200), st.integers(1, 50))
+@settings(deadline=None, max_examples=40)
+def test_one_that_gives_up_drops_all_that_comes_after_the_frame_was_lost(after: bytes, cut: int) -> None:
+    framer = TcpFramer(request_bounds, wide=False, gives_up=True)
+    lost = b"\x7f\x7f\x7f\x7f"
+    found = framer.receive(lost + after[:cut]) + framer.receive(after[cut:])
+    assert [item.hopeless for item in found if isinstance(item, Refused)] == [True]
+    assert len(found) == 1
+    assert (framer.skipped_bytes, framer.pending) == (len(lost + after), 0)

@@ -38,3 +38,12 @@ def test_volts_of_every_byte_and_back(full_range_v: float) -> None:
     assert [units.raw_volts(units.volts(raw, full_range_v), full_range_v) for raw in range(256)] == list(range(256))
     assert units.raw_volts(0.0, full_range_v) == 0
     assert units.raw_volts(99.0, full_range_v) == 255
+
+
+@given(st.integers(-(2**40), 2**40))
+def test_words_are_clamped_or_go_round(value: int) -> None:
+    clamped, wrapped = units.clamped_word(value), units.wrapped_word(value)
+    assert -(2**31) <= clamped < 2**31
+    assert clamped == value or abs(value) >= 2**31
+    assert int.from_bytes((value % 2**32).to_bytes(4, "big"), "big", signed=True) == wrapped
+    assert units.unwrapped_word(wrapped) == value % 2**32

@@ -7,6 +7,8 @@ import contextlib
 import logging
 import os
 import signal
+import socket
+import struct
 from collections.abc import Awaitable, Callable
 
 import pytest
@@ -182,6 +184,60 @@ def test_a_client_that_does_not_read_is_not_waited_for_and_loses_nothing() -> No
         assert not any(connection.blocked for connection in house.daemon.connections)
 
     with_daemon(visit)
+
+
+def test_a_client_that_vanishes_while_it_waits_leaves_a_robot_that_stands() -> None:
+    async def visit(house: House) -> None:
+        waiting, other = await house.call(), await house.call()
+        await waiting.ask("vm", 0, 0, 20)
+        waiting.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))))
+        while not any(connection.session.waiting for connection in house.daemon.connections):
+            await asyncio.sleep(0.001)
+        waiting.writer.close()
+        while (await other.ask("get_rv")).slots[40]:
+            await asyncio.sleep(0.005)
+
+    with_daemon(visit)
+
+
+def test_many_who_shout_garbage_do_not_stop_time_for_others() -> None:
+    async def visit(house: House) -> None:
+        polite = await house.call()
+        shouters = [await house.knock() for _ in range(30)]
+        for shouter in shouters:
+            shouter.writer.write(b"\x7f" * 200_000)
+        for _ in range(20):
+            before = house.daemon.emulator.clock_ms
+            async with asyncio.timeout(5):
+                await polite.ask("gs")
+            await asyncio.sleep(0.02)
+            assert house.daemon.emulator.clock_ms > before
+        for shouter in shouters:
+            with contextlib.suppress(ConnectionError):
+                await shouter.reader.read(-1)
+        assert len(house.daemon.connections) == 1
+
+    with_daemon(visit)
+
+
+def test_half_a_request_and_an_abrupt_end_leave_one_line_each(caplog: pytest.LogCaptureFixture) -> None:
+    async def visit(house: House) -> None:
+        half, abrupt, polite = await house.call(), await house.call(), await house.call()
+        half.writer.write(b"\x00\x0c\x00\x03\x00")
+        await half.writer.drain()
+        await asyncio.sleep(0.02)
+        half.writer.close()
+        linger = struct.pack("ii", 1, 0)
+        abrupt.writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+        abrupt.writer.close()
+        while len(house.daemon.connections) > 1:
+            assert (await polite.ask("gs")).kind == "state"
+
+    with caplog.at_level(logging.WARNING):
+        with_daemon(visit)
+    messages = [record.getMessage() for record in caplog.records]
+    assert len([message for message in messages if "vanished in mid-request" in message]) == 1
+    assert len([message for message in messages if "vanished:" in message]) == 1
 
 
 def test_a_fault_of_ours_costs_one_connection_only(caplog: pytest.LogCaptureFixture) -> None:

@@ -290,3 +290,55 @@ def test_the_truth_names_time_pose_seed_and_robot() -> None:
     odometry = client.ask("get_rc").slots
     assert (x / 1000, y / 1000) != (odometry[34] / 10, odometry[35] / 10)
     assert abs(x / 1000 - odometry[34] / 10) < 3
+
+
+def test_encoders_never_leave_their_words(emulator: Emulator, client: WireClient) -> None:
+    client.ask("dp", 2**31 - 1, -(2**31))
+    client.ask("vm", 200, 0, 0)
+    emulator.simulation.step(1.0)
+    assert client.ask("gs").slots[34] == 2**31 - 1
+    client.ask("da", 450, 450)
+    client.ask("dp", -(2**31), -(2**31))
+    client.ask("vm", -200, 0, 0)
+    emulator.simulation.step(1.0)
+    assert client.ask("get_rc").slots == {34: -(2**31), 35: -(2**31), 36: 450, 37: 450}
+
+
+@pytest.mark.parametrize("days", [24.9, 49.8, 400.0])
+def test_the_clock_goes_round_like_its_word(days: float, emulator: Emulator, client: WireClient) -> None:
+    emulator.simulation.robots.clear()
+    emulator.simulation.step(days * 86400)
+    emulator.simulation.add_robot(1)
+    assert client.ask("gs").clock == round(days * 86_400_000) % 2**32
+    assert client.ask("get_bp").clock == round(days * 86_400_000) % 2**32
+    assert client.ask("sim_truth").values[1] % 2**32 == round(days * 86_400_000) % 2**32
+
+
+def test_an_axis_whose_client_is_gone_stops_the_robot_and_limits_are_no_motion(emulator: Emulator) -> None:
+    driver, driver_session = meet(emulator)
+    helper, helper_session = meet(emulator)
+    driver.ask("vm", 50, 0, 20)
+    helper.ask("mv", 5, 100, 4, 300, 0, 0)
+    emulator.leave(helper_session.visit)
+    assert driver.ask("get_rv").slots == {38: 50, 39: 0, 40: 20}
+    steerer, _ = meet(emulator)
+    steerer.ask("mv", 0, 0, 1, 30, 0, 0)
+    emulator.leave(driver_session.visit)
+    assert steerer.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
+
+
+def test_the_answers_to_questions_count_as_sent_too(client: WireClient) -> None:
+    nothing = Mask((0,) * 44)
+    client.ask("ct", *nothing.smask)
+    client.ask("dp", 70, 80)
+    assert client.ask("gs").slots[34] == 0
+    sonars = client.ask("get_sn").slots
+    client.ask("get_rc")
+    slots = client.ask("gs").slots
+    assert {slot: slots[slot] for slot in sonars} == sonars
+    assert (slots[34], slots[35]) == (70, 80)
+
+
+def test_a_connection_keeps_its_robot_when_another_is_not_there(client: WireClient) -> None:
+    assert client.ask("connect_robot", 2, 1).values == (0,)
+    assert client.ask("gs").kind == "state"

@@ -30,6 +30,11 @@ def test_each_exchange_takes_its_step_of_simulated_time() -> None:
     assert client.ask("sim_truth").values[1] == 750
 
 
+def test_state_shows_that_time_moves_only_with_the_client() -> None:
+    client, _ = connected("sim:")
+    assert client.ask("gs").slots[0] == 0
+
+
 def test_a_later_answer_comes_in_the_same_exchange() -> None:
     client, _ = connected("sim:")
     client.ask("sp", 100, 450, 450)
