@@ -28,7 +28,7 @@ from localization.measurement import meet, rays, sight
 from localization.motion import transition
 from localization.observation import Observation
 
-ASKED_RATIO: Final = 5.0
+TARGET_RATIO: Final = 5.0
 """How many times faster than filterpy a step given h and H must be."""
 
 BLOCK: Final = 20
@@ -55,7 +55,7 @@ class Result(TypedDict):
     given_h_us: float
     filterpy_us: float
     given_h_ratio: float
-    asked_ratio: float
+    ratio_target: float
     with_rays_us: float
     with_rays_p99_us: float
     batch_seeds: int
@@ -153,7 +153,7 @@ def measure(rounds: int, seeds: int) -> Result:
         given_h_us=given_us,
         filterpy_us=peer_us,
         given_h_ratio=peer_us / given_us,
-        asked_ratio=ASKED_RATIO,
+        ratio_target=TARGET_RATIO,
         with_rays_us=full_us,
         with_rays_p99_us=float(np.quantile(samples[2], 0.99)),
         batch_seeds=seeds,
@@ -175,7 +175,7 @@ def table(result: Result) -> str:
         ("  of one seed", result["single_steps_per_s"], "steps/s", f"ratio {result['batch_ratio']:.1f}"),
     ]
     lines = [f"{name:44}{value:10.1f} {unit:8}{note}".rstrip() for name, value, unit, note in rows]
-    return "\n".join([*lines, f"asked: a ratio of {result['asked_ratio']:g} given h and H"])
+    return "\n".join([*lines, f"target: a ratio of {result['ratio_target']:g} given h and H"])
 
 
 def main() -> None:

@@ -23,7 +23,7 @@ from worlds.world import Polygon, World
 DT_S = 0.1
 HALF_IN = 240.0
 WALLS = 50
-WANTED_STEPS_PER_S = 3000
+TARGET_STEPS_PER_S = 3000
 
 
 def scene() -> World:
@@ -81,7 +81,7 @@ def measure(setup: str, steps: int, rounds: int) -> dict[str, float | int | str]
         "step_us": round(step_s * 1e6, 1),
         "yardstick_us": round(cast_s * 1e6, 1),
         "ratio": round(cast_s / step_s, 3),
-        "wanted_steps_per_s": WANTED_STEPS_PER_S,
+        "target_steps_per_s": TARGET_STEPS_PER_S,
     }
 
 
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     print(f"{result['steps_per_s']} steps/s ({result['step_us']} us each), {result['walls']} walls, {result['setup']}")
     print(f"yardstick: 16 rays x {result['walls']} walls in {result['yardstick_us']} us; ratio {result['ratio']}")
-    print(f"wanted: {result['wanted_steps_per_s']} steps/s")
+    print(f"target: {result['target_steps_per_s']} steps/s")
     return 0
 
 

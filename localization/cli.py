@@ -16,15 +16,17 @@ from pathlib import Path
 from localization.belief import independent
 from localization.localizer import THESIS_ODOMETRY, Surroundings
 from localization.motion import OdometryNoise
-from localization.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
-from localization.run import Moment, Run
-from nclient import Robot, WorldFileError, connect
+from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.run import Moment, Run, Sighting
+from nclient import ReplyTimeout, Robot, WorldFileError, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world
 from worlds.world import World
 
 START_STD = (0.1, 0.1, 0.01)
 """How well the robot is placed at the start: inches, inches, radians."""
+MOST_NOISE = 10
+"""More noise than this is a slip of the keyboard."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--radius", type=_positive, default=STOP_RADIUS_IN, metavar="IN",
                         help="a way-point is reached within this (default %(default)s in)")
     parser.add_argument("--odometry-noise", type=_noise, default=THESIS_ODOMETRY, metavar="A,B,C",
-                        help="what the encoders miss: inches in an inch, radians in a radian, radians in an inch "
+                        help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--time-limit", type=_positive, default=300.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
@@ -64,8 +66,9 @@ def run(options: argparse.Namespace) -> int:
         from localization.drawing import require_matplotlib
 
         require_matplotlib()
-    with connect(options.address) as robot:
-        done = _drive(robot, world, points, options)
+    robot, simulated = _open(options.address)
+    with robot:
+        done = _drive(robot, world, points, options, simulated)
     if options.picture:
         from localization.drawing import draw_run
 
@@ -74,7 +77,18 @@ def run(options: argparse.Namespace) -> int:
     return 0 if done.reached == len(points) else 3
 
 
-def _drive(robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace) -> Run:
+def _open(address: str | None) -> tuple[Robot, bool]:
+    """The robot, and whether it can be asked for the truth: an Nserver of old leaves unknown messages unanswered."""
+    robot = connect(address)
+    try:
+        return robot, robot.is_simulated()
+    except ReplyTimeout:
+        return connect(address), False
+
+
+def _drive(
+    robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace, simulated: bool
+) -> Run:
     state = robot.refresh()
     if options.start:
         x, y, heading = options.start
@@ -84,11 +98,17 @@ def _drive(robot: Robot, world: World, points: list[tuple[float, float]], option
     belief = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise)
     navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius)
-    simulated = robot.is_simulated()
+    seen = _sighting(robot) if simulated else None
     done, told_s = Run(points), -math.inf
     for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep):
-        done.add(_moment(robot, progress, simulated))
         clock_s = progress.estimate.clock_s
+        truth = None
+        if seen:
+            before, seen = seen, _sighting(robot)
+            truth = before.towards(seen, clock_s)
+        told = progress.state
+        odometry = (told.x_in, told.y_in, told.steering_rad)
+        done.add(Moment(progress.estimate, odometry, truth, progress.passed))
         if not options.json and clock_s >= told_s + 1.0:
             told_s = clock_s
             print(done.line(), flush=True)
@@ -97,11 +117,9 @@ def _drive(robot: Robot, world: World, points: list[tuple[float, float]], option
     return done
 
 
-def _moment(robot: Robot, progress: Progress, simulated: bool) -> Moment:
-    truth = robot.truth() if simulated else None
-    true_pose = (truth.x_in, truth.y_in, truth.steering_rad) if truth else None
-    state = progress.state
-    return Moment(progress.estimate, (state.x_in, state.y_in, state.steering_rad), true_pose, progress.passed)
+def _sighting(robot: Robot) -> Sighting:
+    truth = robot.truth()
+    return Sighting(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
 
 
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:
@@ -136,7 +154,10 @@ def _stds(text: str) -> tuple[float, float, float]:
 
 
 def _noise(text: str) -> OdometryNoise:
-    return OdometryNoise(*_numbers(text, 3))
+    numbers = _numbers(text, 3)
+    if not all(0 <= number <= MOST_NOISE for number in numbers):
+        raise argparse.ArgumentTypeError(f"three numbers from 0 to {MOST_NOISE}, not {text!r}")
+    return OdometryNoise(*numbers)
 
 
 def _positive(text: str) -> float:

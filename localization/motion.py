@@ -23,8 +23,8 @@ class OdometryNoise:
     """How the true step strays from the encoders', a random walk: variances grow with the distance.
 
     var(drho) = translation_std^2 |drho|, var(dtheta) = rotation_std^2 |dtheta| + drift_std^2 |drho|, so that
-    `translation_std` is the inches lost in one inch, `rotation_std` the radians in one radian, `drift_std` the
-    radians in one inch.
+    `translation_std` is the standard deviation in inches after one inch (in/sqrt(in)), `rotation_std` in radians after
+    one radian (rad/sqrt(rad)), `drift_std` in radians after one inch (rad/sqrt(in)).
     """
 
     translation_std: float = 0.1

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.belief import HEADING, Floats, wrap_angle
+from localization.belief import HEADING, Floats, add, difference, wrap_angle
 
 REMEMBERED_S = 2.0
 """Longer than a ring takes, so that every echo still readable has its pose."""
@@ -60,7 +60,6 @@ class PoseHistory:
 
 def _between(earlier: EncoderPose, later: EncoderPose, instant_s: float) -> EncoderPose:
     share = (instant_s - earlier.clock_s) / (later.clock_s - earlier.clock_s)
-    change = later.pose - earlier.pose
-    change[HEADING] = wrap_angle(change[HEADING])
     turned = float(wrap_angle(np.asarray(later.turret_rad - earlier.turret_rad)))
-    return EncoderPose(instant_s, earlier.pose + share * change, earlier.turret_rad + share * turned)
+    pose = add(earlier.pose, share * difference(later.pose, earlier.pose))
+    return EncoderPose(instant_s, pose, earlier.turret_rad + share * turned)

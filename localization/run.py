@@ -7,20 +7,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from localization.belief import Floats, difference
+from localization.belief import Floats, add, difference
 from localization.localizer import Estimate
 from localization.observation import Refusal
 
+LONGEST_GAP_S = 0.5
+"""Beyond this the way between two states is no single arc any more, and the estimate gets too sure of itself."""
 Pose = tuple[float, float, float]
 """x_in, y_in, heading of the steering in radians."""
 
 
+class Sighting(NamedTuple):
+    """The truth, and the clock it belongs to."""
+
+    clock_s: float
+    pose: Pose
+
+    def towards(self, later: Sighting, clock_s: float) -> Pose:
+        """The truth between this sighting and a later one, at a clock between theirs: evenly on the way.
+
+        The truth is asked for after the state, so that the robot has gone on by then; each estimate is to be
+        compared with the truth of its own instant.
+        """
+        way_s = later.clock_s - self.clock_s
+        share = min(1.0, max(0.0, (clock_s - self.clock_s) / way_s)) if way_s > 0 else 1.0
+        start = np.array(self.pose)
+        x, y, heading = add(start, share * difference(np.array(later.pose), start))
+        return float(x), float(y), float(heading)
+
+
 class Moment(NamedTuple):
-    """One period of a run: estimate, what the encoders say, the truth where it is known, way-points behind."""
+    """One period of a run: estimate, what the encoders say, the truth at that clock if known, way-points behind."""
 
     estimate: Estimate
     odometry: Pose
@@ -53,6 +75,12 @@ class Run:
     def duration_s(self) -> float:
         """Seconds of the robot's clock."""
         return self.moments[-1].estimate.clock_s - self.moments[0].estimate.clock_s if self.moments else 0.0
+
+    @property
+    def longest_gap_s(self) -> float:
+        """The longest time between two states; 0 before there are two."""
+        clocks = [moment.estimate.clock_s for moment in self.moments]
+        return max((after - before for before, after in pairwise(clocks)), default=0.0)
 
     def errors_in(self) -> Floats:
         """Distance between estimate and truth, (k,) inches, of the moments whose truth is known."""
@@ -115,5 +143,10 @@ class Run:
             lines.append(
                 f"the estimate is {result['end_error_in']:.2f} in off at the end (RMSE {result['rmse_position_in']:.2f}"
                 f" in); odometry alone is {result['odometry_end_error_in']:.2f} in off"
+            )
+        if self.longest_gap_s > LONGEST_GAP_S:
+            lines.append(
+                f"states came up to {self.longest_gap_s:.1f} s apart: the filter wants them within {LONGEST_GAP_S} s; "
+                "let the time run slower"
             )
         return "\n".join(lines)

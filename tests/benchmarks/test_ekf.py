@@ -19,7 +19,7 @@ def test_json_holds_each_ratio_beside_its_yardstick() -> None:
     result = json.loads(run("--json", "--rounds", "2", "--seeds", "2"))
     assert result["given_h_ratio"] == result["filterpy_us"] / result["given_h_us"]
     assert result["batch_ratio"] == result["batch_steps_per_s"] / result["single_steps_per_s"]
-    assert result["asked_ratio"] == 5.0
+    assert result["ratio_target"] == 5.0
     assert result["batch_seeds"] == 2
 
 

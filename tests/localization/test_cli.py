@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient import cli
+from nclient import ReplyTimeout, Robot, cli
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
 TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
@@ -53,7 +53,8 @@ def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]
 
 
 def test_way_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
-    assert localize("sim:", "--map", "thesis_room", "--waypoints", "-1,0", "-2,-0.5", "--json") == 0
+    words = ["--map", "thesis_room", "--waypoints", "-1,0", "-2,-0.5", "--start-std=0.1,0.1,1", "--json"]
+    assert localize("sim:", *words) == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 2
 
 
@@ -72,6 +73,8 @@ def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str])
         ["--map", "thesis_room", "--waypoints", "0,0", "--speed", "0"],
         ["--map", "thesis_room", "--waypoints", "0,0", "--start-std", "0.1,0.1,-1"],
         ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1,-1,0"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "1e300,0,0"],
     ],
 )
 def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,3 +97,20 @@ def test_what_cannot_be_done_says_why_and_exits_1(
 ) -> None:
     assert localize(*words) == 1
     assert said in capsys.readouterr().err
+
+
+def test_a_server_that_leaves_the_question_for_the_truth_unanswered_is_driven_without(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[Robot] = []
+
+    def silent(robot: Robot) -> bool:
+        asked.append(robot)
+        robot.disconnect()
+        raise ReplyTimeout("sim_truth, with 5 s to answer: silence; the connection was closed")
+
+    monkeypatch.setattr(Robot, "is_simulated", silent)
+    assert localize("sim:", "--map", "thesis_room", "--waypoints", "1,0", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["reached"], result["truth"], result["end_error_in"]) == (1, None, None)
+    assert len(asked) == 1

@@ -31,14 +31,14 @@ def test_angles_go_the_short_way_round() -> None:
     middle = history.at(0.5)
     assert middle.pose[2] % (2 * math.pi) == pytest.approx(0.0, abs=1e-12)
     assert middle.turret_rad % (2 * math.pi) == pytest.approx(0.0, abs=1e-12)
-    assert middle.turret_offset_rad == pytest.approx(-2 * math.pi)
+    assert middle.turret_offset_rad % (2 * math.pi) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_outside_of_what_was_polled_the_nearest_pose_stands() -> None:
     history = PoseHistory()
     history.add(pose(1.0, 3.0))
     history.add(pose(2.0, 4.0))
-    assert history.at(0.5) == history.at(0.5)._replace(clock_s=0.5)
+    assert history.at(0.5).clock_s == 0.5
     assert history.at(0.5).pose[0] == 3.0
     assert history.at(9.0).pose[0] == 4.0
 

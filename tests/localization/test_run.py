@@ -10,7 +10,7 @@ import pytest
 from localization.belief import independent
 from localization.localizer import Echo, Estimate
 from localization.observation import Refusal
-from localization.run import Moment, Run
+from localization.run import Moment, Run, Sighting
 
 ECHOES = (
     Echo(0, 0.1, 40, Refusal.NONE, 0.2),
@@ -76,3 +76,31 @@ def test_a_run_that_has_not_begun_has_reached_nothing() -> None:
     done = Run([(1.0, 1.0)])
     assert (done.reached, done.duration_s) == (0, 0.0)
     assert np.size(done.errors_in()) == 0
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])
+def test_a_truth_that_was_asked_late_is_compared_at_the_estimates_own_instant(late_s: float) -> None:
+    speed, turn = 5.0, 0.4
+
+    def true_pose(clock_s: float) -> tuple[float, float, float]:
+        return speed * clock_s, 3.0, (3.0 + turn * clock_s + math.pi) % math.tau - math.pi
+
+    before = Sighting(1.0 + late_s, true_pose(1.0 + late_s))
+    after = Sighting(1.3 + late_s, true_pose(1.3 + late_s))
+    x, y, heading = before.towards(after, 1.3)
+    assert (x, y) == pytest.approx(true_pose(1.3)[:2])
+    assert math.remainder(heading - true_pose(1.3)[2], math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_beyond_two_sightings_nothing_is_made_up() -> None:
+    first, second = Sighting(1.0, (0.0, 0.0, 0.0)), Sighting(2.0, (1.0, 1.0, 0.5))
+    assert first.towards(second, 0.5) == pytest.approx(first.pose)
+    assert first.towards(second, 3.0) == pytest.approx(second.pose)
+    assert first.towards(first, 1.0) == pytest.approx(first.pose)
+
+
+def test_states_that_come_too_rarely_are_told_of() -> None:
+    done = run(with_truth=True)
+    assert done.longest_gap_s == pytest.approx(1.0)
+    assert "let the time run slower" in done.verdict()
+    assert Run([]).longest_gap_s == 0.0
