@@ -16,7 +16,7 @@ from pathlib import Path
 
 from localization.drawing import require_matplotlib
 from localization.experiments import figures
-from localization.experiments.pool import Report, drive
+from localization.experiments.pool import Tally, drive
 from localization.experiments.report import table
 from localization.experiments.results import summarize
 from localization.experiments.settings import FIGURES, Course, Figure, course_of
@@ -56,7 +56,7 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _progress(figure: Figure, course: Course, seeds: int) -> Iterator[Report]:
+def _progress(figure: Figure, course: Course, seeds: int) -> Iterator[Tally]:
     """A bar over the steps of all seeds, of which each takes about `least_steps`; nothing where tqdm is missing."""
     try:
         from tqdm import tqdm

@@ -20,7 +20,7 @@ from localization.experiments.trial import run
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
 
-Report = Callable[[int], None]
+Tally = Callable[[int], None]
 """Told how many steps of all robots together are done so far."""
 
 _LARGEST_PART: Final = 125
@@ -36,17 +36,17 @@ class _Odometer:
 
 
 def parts_of(seeds: Sequence[int], jobs: int) -> list[Sequence[int]]:
-    """The seeds cut into runs of equal length, a few for each job."""
+    """The seeds cut into runs of equal length: one for each job, or more where that is beyond the largest part."""
     size = max(1, min(_LARGEST_PART, math.ceil(len(seeds) / jobs)))
     return [seeds[first : first + size] for first in range(0, len(seeds), size)]
 
 
-def drive_part(figure: Figure, seeds: Sequence[int], tick: Report = lambda _: None) -> Outcome:
+def drive_part(figure: Figure, seeds: Sequence[int], tick: Tally = lambda _: None) -> Outcome:
     """Drive a figure once with each seed and keep what the summary and the pictures need; `tick` per step."""
     return outcome_of(run(course_of(figure), seeds, tick), figure.filtered)
 
 
-def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Report = lambda _: None) -> Outcome:
+def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambda _: None) -> Outcome:
     """Drive a figure with all seeds, `jobs` processes at a time; one job stays in this process."""
     parts = parts_of(seeds, jobs)
     if len(parts) == 1 or jobs == 1:
@@ -63,7 +63,7 @@ def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Report = lamb
         return joined([future.result() for future in futures])
 
 
-def _counting(report: Report) -> Report:
+def _counting(report: Tally) -> Tally:
     """A tick that adds up and reports the sum."""
     done = 0
 

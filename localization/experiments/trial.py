@@ -43,8 +43,8 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """What a batch of n seeds did in at most T steps; row k is after step k + 1, rows after a robot's last step repeat
-    nothing of meaning.
+    """What a batch of n seeds did in at most T steps; row k is after step k + 1, and means nothing where k + 1 is more
+    than the steps of that robot.
 
     `steps` (n,), `reached` (n,) whether every goal was; `truth` and `mean` (T, n, 3); `cov` and `bound` (T, n, 3, 3);
     `nis` and `used` (T, n).
@@ -107,25 +107,30 @@ def _advance(course: Course, moment: Moment, motion_error: Floats, sonar_error: 
     belief = ekf.predict(moment.belief, step, course.noise)
     bound, nis, used = moment.bound, moment.nis, moment.used
     if course.filtered:
-        belief, nis, used, gained = _look(course, truth, belief, sonar_error)
+        readings, gain = _sound(course, truth, sonar_error)
+        belief, nis, used = _correct(course, belief, readings)
         _, by_pose, process_cov = transition(moment.truth, step, course.noise)
-        bound = bound_step(bound, by_pose, process_cov, gained)
+        bound = bound_step(bound, by_pose, process_cov, gain)
     arrived = driving & reached(belief.mean, goals, course.waypoint_radius_in)
     return Moment(truth, belief, bound, moment.leg + arrived, nis, used)
 
 
-def _look(course: Course, truth: Floats, belief: Belief, sonar_error: Floats) -> tuple[Belief, Floats, Indices, Floats]:
-    """Readings made at the truth, beliefs corrected by them: the beliefs, NIS, beams used, and what a perfect filter
-    could have gained (n, 3, 3) from all beams that meet a wall."""
+def _sound(course: Course, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:
+    """The readings (n, 16) the sonars make at the truth (n, 3), and what a perfect filter could gain from all beams
+    that meet a wall: information (n, 3, 3)."""
     aimed = rays(truth[:, None, :], course.beams)
     met = meet(aimed, course.walls)
     lines = course.walls.lines[met]
     seen = sight(aimed, lines)
     variance = course.sonar.variance(seen.ranges_in)
-    readings = seen.ranges_in + np.sqrt(variance) * sonar_error
-    observation = observe(belief, course.beams, readings, course.walls, course.sonar)
+    telling = np.where((met >= 0)[..., None], range_jacobian(seen, lines), 0.0)
+    gain = information(telling, np.where(met >= 0, variance, 1.0))
+    return seen.ranges_in + np.sqrt(variance) * sonar_error, gain
+
+
+def _correct(course: Course, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
+    """Beliefs corrected by readings (n, 16): the beliefs, the NIS (n,) of the correction and the beams used (n,)."""
+    observation = observe(belief, course.beams, readings_in, course.walls, course.sonar)
     corrected = ekf.correct(belief, observation)
     nis = ekf.innovation_squared(belief, corrected, observation)
-    telling = np.where((met >= 0)[..., None], range_jacobian(seen, lines), 0.0)
-    gained = information(telling, np.where(met >= 0, variance, 1.0))
-    return corrected, nis, observation.used.sum(axis=-1), gained
+    return corrected, nis, observation.used.sum(axis=-1)

@@ -8,13 +8,21 @@ from localization.experiments.pool import drive, drive_part, parts_of
 from localization.experiments.settings import FIGURES
 
 
-@pytest.mark.parametrize(("count", "jobs"), [(1, 1), (1, 8), (10, 3), (100, 2), (1000, 2), (1000, 3)])
-def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int) -> None:
+@pytest.mark.parametrize(
+    ("count", "jobs", "sizes"),
+    [
+        (1, 1, [1]),
+        (1, 8, [1]),
+        (10, 3, [4, 4, 2]),
+        (100, 2, [50, 50]),
+        (1000, 2, [125] * 8),
+        (1001, 3, [125] * 8 + [1]),
+    ],
+)
+def test_the_parts_are_all_the_seeds_in_order(count: int, jobs: int, sizes: list[int]) -> None:
     parts = parts_of(range(count), jobs)
     assert [seed for part in parts for seed in part] == list(range(count))
-    assert all(parts)
-    assert len(parts) >= min(count, jobs) - 1
-    assert max(map(len, parts)) <= 125
+    assert [len(part) for part in parts] == sizes
 
 
 def test_the_numbers_do_not_depend_on_the_processes() -> None:
