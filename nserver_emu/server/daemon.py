@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import cast
 
 from nclient.errors import ConnectionLost
-from nserver_emu.server.handlers import AS_FAST_AS_IT_CAN, Emulator
+from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Session
 
 log = logging.getLogger(__name__)
@@ -119,7 +119,7 @@ class Daemon:
         self.connections: set[Connection] = set()
         self._speed = speed
         self._servers: list[asyncio.Server] = []
-        emulator.speed_tenths = AS_FAST_AS_IT_CAN if speed is None else round(10 * speed)
+        emulator.pace.factor = speed
 
     async def listen(self, host: str, port: int) -> int:
         """Open the door; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""

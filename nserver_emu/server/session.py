@@ -26,7 +26,8 @@ from nclient.protocol.terms import Terms, tcp_terms
 
 log = logging.getLogger(__name__)
 
-BAD_VALUES, NOT_CONNECTED = 2, 3
+BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
+"""Codes of ERROR replies."""
 _CONNECTS = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
 
 

@@ -75,7 +75,6 @@ def test_closing_stops_the_robot() -> None:
         ("sim:?step_s=0", "step_s is 0.001 to 10"),
         ("sim:?step_s=long", "step_s is 0.001 to 10"),
         ("sim:?robot=r2d2", "no robot model 'r2d2'"),
-        ("sim:?robot=scout", "no simulation of a scout yet"),
         ("sim:?start=1", "a start is X,Y,STEER,TURRET"),
         ("sim:?start=a,b", "a start is X,Y,STEER,TURRET"),
         ("sim:?start=nan,0", "a start is X,Y,STEER,TURRET"),
