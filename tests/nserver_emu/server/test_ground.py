@@ -106,9 +106,7 @@ def test_a_robot_cannot_be_placed_where_an_obstacle_stands(client: WireClient) -
     assert client.ask("place_robot", 302, 0, 0, 0).values == (0,)
 
 
-def test_the_places_of_all_robots_are_the_true_ones_in_the_order_of_their_ids(
-    emulator: Emulator, client: WireClient
-) -> None:
+def test_the_places_of_all_robots_are_the_true_ones_in_the_order_of_their_ids(client: WireClient) -> None:
     client.ask("create_robot", 7, 1)
     client.ask("place_robot", 500, 600, 900, 450)
     client.ask("dp", 1, 2)
