@@ -21,6 +21,7 @@ from nclient.protocol.units import (
     raw_volts,
     tenths,
 )
+from nserver_emu.server.axis_units import axis_tenths
 from nserver_emu.server.session import Visit
 from nserver_emu.simulation.robot import SimulatedRobot
 
@@ -48,12 +49,7 @@ def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
 
 def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
     """The three velocities; an axis that moves never shows zero, one at rest always does."""
-    translation, steering, turret = robot.velocities
-    return (
-        _away_from_zero(translation * 10),
-        _away_from_zero(math.degrees(steering) * 10),
-        _away_from_zero(math.degrees(turret) * 10),
-    )
+    return axis_tenths(robot, robot.velocities)
 
 
 def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
@@ -102,9 +98,7 @@ def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
             tenths(at.pose.y_in),
             heading_tenths(at.pose.steering_rad),
             heading_tenths(at.pose.turret_rad),
-            _away_from_zero(at.velocities[0] * 10),
-            _away_from_zero(math.degrees(at.velocities[1]) * 10),
-            _away_from_zero(math.degrees(at.velocities[2]) * 10),
+            *axis_tenths(robot, at.velocities),
             clock_ms(at.pose_time_s),
             clock_ms(at.sensor_time_s),
         )
@@ -115,8 +109,3 @@ def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
 def bumper_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
     """The bumpers are read when they are asked for: a stamp of now."""
     return Stamp(*pose_tenths(robot), *velocity_tenths(robot), clock_ms(time_s), clock_ms(time_s))
-
-
-def _away_from_zero(value: float) -> int:
-    rounded = round(value)
-    return rounded if rounded or not value else (1 if value > 0 else -1)

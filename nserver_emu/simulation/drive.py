@@ -1,17 +1,29 @@
 """Drives: what the axes of a model do to the robot. Mechanical angles live here; places and encoders do not.
 
-    SynchroDrive    translation, steering, turret: three wheels steer and roll together, the body never turns
+    SynchroDrive         translation, steering, turret: three wheels steer and roll together, the body never turns
+    DifferentialDrive    right wheel, left wheel: the body turns with the heading, and what sits on it
 
 A drive answers the robot in the same words whatever its wheels: `stretch` for the path, `advance` to let time pass,
-three mechanical angles against the body's yaw. A differential drive fits in as a second class: its heading is its
-body's, so that its steering, turret and bumper frame are one angle. No noise, no contact, no clock.
+three mechanical angles against the body's yaw. No noise, no contact, no clock.
 """
 
 from __future__ import annotations
 
+from typing import Final
+
 from nserver_emu.simulation.angles import short_way
-from nserver_emu.simulation.axis import Axis, AxisLimits
+from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
 from nserver_emu.simulation.stretch import Stretch
+
+NO_AXIS: Final = AxisLimits(
+    top_speed=0.0,
+    top_acceleration=1.0,
+    least_acceleration=1.0,
+    speed=0.0,
+    acceleration=1.0,
+    resolution=0.0,
+)
+"""The limits of an axis that is not there: it takes every command and never moves."""
 
 
 class SynchroDrive:
@@ -19,9 +31,11 @@ class SynchroDrive:
 
     steering_rad, turret_rad    mechanical angles against the body, unwrapped; 0 is the bumpers' zero
     bumper_frame_rad            angle of the bumpers against the body's yaw: the body does not turn
+    rolls                       which axes count inches; the others count radians
     """
 
     bumper_frame_rad = 0.0
+    rolls = (True, False, False)
 
     def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool) -> None:
         self.translation, self.steering, self.turret = (Axis(limit, ramps) for limit in limits)
@@ -54,6 +68,10 @@ class SynchroDrive:
         """Something is in the way: the wheels no longer roll; steering and turret go on."""
         self.translation.halt()
 
+    def possible(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
+        """Steering and turret can stand at any two angles."""
+        return steering_rad, turret_rad
+
     def put(self, steering_rad: float, turret_rad: float) -> None:
         """Set the mechanical angles, as hands would; motions under way go on from there."""
         self.steering_rad = steering_rad
@@ -71,3 +89,88 @@ class SynchroDrive:
     def found_zero(self) -> None:
         """The search is over: what is left of both angles is rounding and whole turns."""
         self.put(0.0, 0.0)
+
+
+class DifferentialDrive:
+    """The drive of the Scout: two wheels side by side, their speeds v_r and v_l, `track_in` inches apart.
+
+        speed = (v_r + v_l) / 2        turn rate = (v_r - v_l) / track
+
+    heading_rad     mechanical heading, unwrapped; steering, turret and the frame of the bumpers are this one angle
+    rolls           which axes count inches; the third is not there
+    """
+
+    rolls = (True, True, False)
+
+    def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool, track_in: float) -> None:
+        self.right, self.left, self._none = (Axis(limit, ramps) for limit in limits)
+        self.track_in = track_in
+        self.heading_rad = 0.0
+
+    @property
+    def steering_rad(self) -> float:
+        """The heading."""
+        return self.heading_rad
+
+    @property
+    def turret_rad(self) -> float:
+        """The heading: there is no turret."""
+        return self.heading_rad
+
+    @property
+    def bumper_frame_rad(self) -> float:
+        """The heading: bumpers turn with the body."""
+        return self.heading_rad
+
+    @property
+    def axes(self) -> tuple[Axis, Axis, Axis]:
+        """In the order of the commands: right wheel, left wheel, and one that never moves."""
+        return self.right, self.left, self._none
+
+    def stretch(self, longest_s: float) -> Stretch:
+        """The path of the next `longest_s` seconds, or of less where a wheel changes its acceleration or the robot its
+        direction sooner."""
+        right, left = self.right, self.left
+        speed = 0.5 * (right.velocity + left.velocity)
+        acceleration = 0.5 * (right.phase_acceleration + left.phase_acceleration)
+        duration = min(longest_s, right.phase_left_s, left.phase_left_s)
+        if speed * acceleration < 0.0 and TIME_TOLERANCE_S < -speed / acceleration < duration:
+            duration = -speed / acceleration
+        return Stretch(
+            duration,
+            speed,
+            acceleration,
+            (right.velocity - left.velocity) / self.track_in,
+            (right.phase_acceleration - left.phase_acceleration) / self.track_in,
+        )
+
+    def advance(self, dt_s: float) -> None:
+        """Let dt_s seconds pass in both wheels."""
+        self.heading_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
+
+    def block(self) -> None:
+        """Something is in the way: no wheel rolls any more."""
+        self.right.halt()
+        self.left.halt()
+
+    def possible(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
+        """Steering and turret are one angle, that of the steering."""
+        del turret_rad
+        return steering_rad, steering_rad
+
+    def put(self, steering_rad: float, turret_rad: float) -> None:
+        """Set the heading, as hands would; motions under way go on from there."""
+        del turret_rad
+        self.heading_rad = steering_rad
+
+    def seek_zero(self) -> None:
+        """There is nothing that could turn to a zero: the wheels stop."""
+        self.right.stop()
+        self.left.stop()
+
+    def found_zero(self) -> None:
+        """The heading stays what it is."""
+
+
+Drive = SynchroDrive | DifferentialDrive
+"""Any of them."""

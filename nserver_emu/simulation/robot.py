@@ -25,7 +25,8 @@ from worlds.world import StartPose
 
 
 class SimulatedRobot:
-    """A robot in a world. Three numbers of a command go to the axes in their order: translation, steering, turret.
+    """A robot in a world. Three numbers of a command go to the axes in their order: translation, steering, turret
+    (Scout: right wheel, left wheel, none), in inches where `model.rolls`, else in radians.
 
     Every command feeds the time-out; whoever serves questions calls `feed` for them. Values out of range are clamped
     silently. A motion that is blocked is over: the wheels wait for the next command.
@@ -47,7 +48,7 @@ class SimulatedRobot:
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS
         self._zeroing = False
-        self._drive = model.drive(model.axes, setup.ramps)
+        self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
@@ -75,9 +76,15 @@ class SimulatedRobot:
 
     @property
     def velocities(self) -> Velocities:
-        """As the encoders show them: in/s, rad/s, rad/s; from the command to the end of a motion never 0."""
+        """As the encoders show them, by axis; from the command to the end of a motion never 0."""
         first, second, third = self._drive.axes
         return first.shown_velocity, second.shown_velocity, third.shown_velocity
+
+    @property
+    def accelerations(self) -> Velocities:
+        """How the axes change their velocities now, by axis and per second; 0 where they jump."""
+        first, second, third = self._drive.axes
+        return first.phase_acceleration, second.phase_acceleration, third.phase_acceleration
 
     @property
     def moving(self) -> tuple[bool, bool, bool]:
@@ -96,22 +103,22 @@ class SimulatedRobot:
         return self._zeroing
 
     def still(self, axes: Iterable[int]) -> bool:
-        """Whether none of these axes (0 translation, 1 steering, 2 turret) moves; True for none at all."""
+        """Whether none of these axes (0, 1, 2) moves; True for none at all."""
         moving = self.moving
         return not any(moving[axis] for axis in axes)
 
     # Commands: motion
 
-    def set_velocities(self, translation: float, steering: float, turret: float) -> None:
-        """Run at these velocities (in/s, rad/s, rad/s) until the next motion command or the time-out. C: vm."""
+    def set_velocities(self, first: float, second: float, third: float) -> None:
+        """Run at these velocities until the next motion command or the time-out. C: vm."""
         self._take_over()
-        for axis, velocity in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, velocity in zip(self._drive.axes, (first, second, third), strict=True):
             axis.move_at(velocity)
 
-    def move_relative(self, translation: float, steering: float, turret: float) -> None:
-        """Go these ways (in, rad, rad), each axis at its speed, all at once. C: pr."""
+    def move_relative(self, first: float, second: float, third: float) -> None:
+        """Go these ways, each axis at its speed, all at once. C: pr."""
         self._take_over()
-        for axis, way in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, way in zip(self._drive.axes, (first, second, third), strict=True):
             axis.move_by(way)
 
     def command_axis(self, axis: int, command: int, value: float) -> None:
@@ -147,16 +154,16 @@ class SimulatedRobot:
 
     # Commands: settings
 
-    def set_speeds(self, translation: float, steering: float, turret: float) -> None:
-        """Speeds of relative motions (in/s, rad/s, rad/s) from the next one on. C: sp."""
+    def set_speeds(self, first: float, second: float, third: float) -> None:
+        """Speeds of relative motions from the next one on. C: sp."""
         self.feed()
-        for axis, speed in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, speed in zip(self._drive.axes, (first, second, third), strict=True):
             axis.set_speed(speed)
 
-    def set_accelerations(self, translation: float, steering: float, turret: float) -> None:
-        """Accelerations (in/s2, rad/s2, rad/s2) from the next motion on; no effect where axes jump. C: ac."""
+    def set_accelerations(self, first: float, second: float, third: float) -> None:
+        """Accelerations from the next motion on; no effect where axes jump. C: ac."""
         self.feed()
-        for axis, acceleration in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, acceleration in zip(self._drive.axes, (first, second, third), strict=True):
             axis.set_acceleration(acceleration)
 
     def define_position(self, x_in: float, y_in: float) -> None:
@@ -167,7 +174,8 @@ class SimulatedRobot:
     def define_angles(self, steering_rad: float, turret_rad: float) -> None:
         """The encoders call these directions of steering and turret so; nothing turns. C: da."""
         self.feed()
-        self._encoders.define_angles(steering_rad - self._drive.steering_rad, turret_rad - self._drive.turret_rad)
+        steering, turret = self._drive.possible(steering_rad, turret_rad)
+        self._encoders.define_angles(steering - self._drive.steering_rad, turret - self._drive.turret_rad)
 
     def place(self, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
         """Set the robot down here, encoders and all, its body as at power-on: yaw 0. C: place_robot.
