@@ -19,20 +19,20 @@ WALLS = st.lists(WALL, min_size=1, max_size=6)
 FACING_WEST, FACING_UP = math.pi, math.pi / 2
 
 
-def exact_line_share(start: tuple[int, int], end: tuple[int, int], wall: tuple[int, ...]) -> Fraction | None:
-    """The least share 0..1 of the way at which it meets the wall, in fractions; None: it does not."""
+def exact_line_share(start: tuple[int, int], end: tuple[int, int], wall: tuple[int, ...]) -> list[Fraction]:
+    """The least share 0..1 of the way at which it meets the wall, in fractions; empty: it does not."""
     (x, y), (dx, dy) = start, (end[0] - start[0], end[1] - start[1])
     px, py, qx, qy = wall[0] - x, wall[1] - y, wall[2] - wall[0], wall[3] - wall[1]
     cross = dx * qy - dy * qx
     if cross:
         share, along = Fraction(px * qy - py * qx, cross), Fraction(px * dy - py * dx, cross)
-        return share if 0 <= share <= 1 and 0 <= along <= 1 else None
+        return [share] if 0 <= share <= 1 and 0 <= along <= 1 else []
     if dx * py - dy * px:
-        return None
+        return []
     square = dx * dx + dy * dy
     ends = sorted(Fraction(a * dx + b * dy, square) for a, b in ((px, py), (px + qx, py + qy)))
     first = max(ends[0], Fraction(0))
-    return first if first <= min(ends[1], 1) else None
+    return [first] if first <= min(ends[1], Fraction(1)) else []
 
 
 @given(st.tuples(GRID, GRID), st.tuples(GRID, GRID), WALLS)
@@ -42,13 +42,13 @@ def test_a_line_meets_what_fractions_say_it_meets(
 ) -> None:
     if start == end:
         return
-    shares = [share for wall in walls if (share := exact_line_share(start, end, wall)) is not None]
+    shares = [share for wall in walls for share in exact_line_share(start, end, wall)]
     hit = line_hit(start, end, np.array(walls, dtype=float))
     assert (hit is None) == (not shares)
     if hit is not None:
-        share = float(min(shares))
-        assert hit.x_in == pytest.approx(start[0] + share * (end[0] - start[0]), abs=1e-8)
-        assert hit.y_in == pytest.approx(start[1] + share * (end[1] - start[1]), abs=1e-8)
+        nearest = float(min(shares))
+        assert hit.x_in == pytest.approx(start[0] + nearest * (end[0] - start[0]), abs=1e-8)
+        assert hit.y_in == pytest.approx(start[1] + nearest * (end[1] - start[1]), abs=1e-8)
         assert math.cos(hit.normal_rad - math.atan2(end[1] - start[1], end[0] - start[0])) <= 1e-9
 
 

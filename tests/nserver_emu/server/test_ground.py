@@ -27,7 +27,8 @@ def client(emulator: Emulator) -> WireClient:
 def ahead(emulator: Emulator, client: WireClient) -> int:
     """What the front sonar reads after a whole ring."""
     emulator.simulation.step(1.0)
-    return client.ask("get_sn").slots[17]
+    reading: int = client.ask("get_sn").slots[17]
+    return reading
 
 
 def test_an_obstacle_is_met_by_sonar_and_wheels_and_gone_when_deleted(emulator: Emulator, client: WireClient) -> None:

@@ -28,7 +28,8 @@ def emulator() -> Emulator:
 
 @pytest.fixture
 def met(emulator: Emulator) -> tuple[WireClient, Session]:
-    return meet(emulator)
+    client, session = meet(emulator)
+    return client, session
 
 
 def answer(reply: Reply) -> tuple[int, ...]:
