@@ -160,8 +160,11 @@ class Daemon:
         if len(self.acquaintances) > MOST_ACQUAINTANCES:
             del self.acquaintances[next(iter(self.acquaintances))]
 
-    async def serve(self, stop: asyncio.Event) -> None:
-        """Let time pass until told to stop, or until a client that may ends it; then close everything."""
+    async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
+        """Let time pass until told to stop, or until a client that may ends it; then close everything.
+
+        `before_close` sees all as it was: no connection closed, no robot stopped for that.
+        """
         clock = asyncio.create_task(self._run_clock())
         stopped = asyncio.create_task(stop.wait())
         try:
@@ -169,7 +172,10 @@ class Daemon:
         finally:
             stopped.cancel()
             clock.cancel()
-            await self._close()
+            try:
+                before_close()
+            finally:
+                await self._close()
         if clock.done() and not clock.cancelled():
             clock.result()
 
