@@ -4,12 +4,13 @@
     DifferentialDrive    right wheel, left wheel: the body turns with the heading, and what sits on it
 
 A drive answers the robot in the same words whatever its wheels: `stretch` for the path, `advance` to let time pass,
-three mechanical angles against the body's yaw. No noise, no contact, no clock.
+three mechanical angles against the body's yaw; `wheels` and `path` translate between path and axes, for whoever makes
+the wheels err. No noise, no contact, no clock.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from nserver_emu.simulation.angles import short_way
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
@@ -24,6 +25,17 @@ NO_AXIS: Final = AxisLimits(
     resolution=0.0,
 )
 """The limits of an axis that is not there: it takes every command and never moves."""
+
+
+class Rate(NamedTuple):
+    """Velocity and acceleration of an axis."""
+
+    velocity: float
+    acceleration: float
+
+    def times(self, scale: float) -> Rate:
+        """So many times as fast."""
+        return Rate(self.velocity * scale, self.acceleration * scale)
 
 
 class SynchroDrive:
@@ -58,11 +70,21 @@ class SynchroDrive:
             steering.phase_acceleration,
         )
 
-    def advance(self, dt_s: float) -> None:
-        """Let dt_s seconds pass in all axes."""
+    def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
+        """What translation and steering do on a stretch."""
+        return Rate(stretch.speed, stretch.acceleration), Rate(stretch.turn_rate, stretch.turn_acceleration)
+
+    def path(self, duration_s: float, first: Rate, second: Rate) -> Stretch:
+        """The stretch that translation and steering make; the inverse of `wheels`."""
+        return Stretch(duration_s, *first, *second)
+
+    def advance(self, dt_s: float) -> float:
+        """Let dt_s seconds pass in all axes; returns how far the turret turned, radians."""
         self.translation.advance(dt_s)
         self.steering_rad += self.steering.advance(dt_s)
-        self.turret_rad += self.turret.advance(dt_s)
+        turned = self.turret.advance(dt_s)
+        self.turret_rad += turned
+        return turned
 
     def block(self) -> None:
         """Something is in the way: the wheels no longer roll; steering and turret go on."""
@@ -131,22 +153,40 @@ class DifferentialDrive:
         """The path of the next `longest_s` seconds, or of less where a wheel changes its acceleration or the robot its
         direction sooner."""
         right, left = self.right, self.left
-        speed = 0.5 * (right.velocity + left.velocity)
-        acceleration = 0.5 * (right.phase_acceleration + left.phase_acceleration)
-        duration = min(longest_s, right.phase_left_s, left.phase_left_s)
-        if speed * acceleration < 0.0 and TIME_TOLERANCE_S < -speed / acceleration < duration:
-            duration = -speed / acceleration
-        return Stretch(
-            duration,
-            speed,
-            acceleration,
-            (right.velocity - left.velocity) / self.track_in,
-            (right.phase_acceleration - left.phase_acceleration) / self.track_in,
+        stretch = self.path(
+            min(longest_s, right.phase_left_s, left.phase_left_s),
+            Rate(right.velocity, right.phase_acceleration),
+            Rate(left.velocity, left.phase_acceleration),
+        )
+        if stretch.speed * stretch.acceleration < 0.0:
+            turns_back_s = -stretch.speed / stretch.acceleration
+            if TIME_TOLERANCE_S < turns_back_s < stretch.duration_s:
+                return stretch._replace(duration_s=turns_back_s)
+        return stretch
+
+    def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
+        """What the right and the left wheel do on a stretch."""
+        half = 0.5 * self.track_in
+        faster, gaining = half * stretch.turn_rate, half * stretch.turn_acceleration
+        return (
+            Rate(stretch.speed + faster, stretch.acceleration + gaining),
+            Rate(stretch.speed - faster, stretch.acceleration - gaining),
         )
 
-    def advance(self, dt_s: float) -> None:
-        """Let dt_s seconds pass in both wheels."""
+    def path(self, duration_s: float, first: Rate, second: Rate) -> Stretch:
+        """The stretch that the right and the left wheel make; the inverse of `wheels`."""
+        return Stretch(
+            duration_s,
+            0.5 * (first.velocity + second.velocity),
+            0.5 * (first.acceleration + second.acceleration),
+            (first.velocity - second.velocity) / self.track_in,
+            (first.acceleration - second.acceleration) / self.track_in,
+        )
+
+    def advance(self, dt_s: float) -> float:
+        """Let dt_s seconds pass in both wheels; returns how far a turret turned: there is none, 0."""
         self.heading_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
+        return 0.0
 
     def block(self) -> None:
         """Something is in the way: no wheel rolls any more."""

@@ -8,6 +8,7 @@ the caller's steps; in each piece first motion, then contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import copysign
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
@@ -243,6 +244,7 @@ class SimulatedRobot:
         if self._zeroing and not any(self.moving):
             self._zeroing = False
             self._drive.found_zero()
+            self._chassis.found_zero()
             self._encoders.define_position(0.0, 0.0)
             self._encoders.define_angles(-self._drive.steering_rad, -self._drive.turret_rad)
 
@@ -262,30 +264,36 @@ class SimulatedRobot:
         while span_s > 0.0:
             stretch = self._drive.stretch(span_s)
             if stretch.at_rest:
-                self._drive.advance(span_s)
+                self._turn_turret(self._drive.advance(span_s))
                 return
             span_s -= self._glide(stretch)
 
     def _glide(self, stretch: Stretch) -> float:
         """Follow a stretch to its end or to where the robot is stopped; returns the seconds that took.
 
-        Only the commanded motion stops the wheels. Where noise alone pushes a robot into a wall it is held there for
-        the stretch, wheels turning.
+        Only the commanded motion stops the wheels. Where noise or a turn on the spot that goes astray pushes a robot
+        into a wall it is held there for the stretch, wheels turning.
         """
         drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
-        driven = self.setup.motion.disturbed(stretch, self._chance)
+        odometry, told_in = self.setup.odometry, stretch.distance_at(duration)
+        steady = odometry.driven(stretch, drive)
+        driven = self.setup.motion.disturbed(steady, self._chance)
         contact = chassis.first_contact(driven, drive.steering_rad)
         blocked = False
         free_s = duration
         if contact is not None:
             free_s = contact.time_s
             heading = chassis.heading(drive.steering_rad) + driven.turn_at(free_s)
-            blocked = driven is stretch or contact.pressed_by(heading, stretch.distance_at(duration))
+            blocked = told_in != 0.0 and (driven is steady or contact.pressed_by(heading, told_in))
         taken_s = free_s if blocked else duration
         chassis.follow(driven, free_s, drive.steering_rad)
         self._encoders.follow(stretch, taken_s, drive.steering_rad)
         chassis.turn(driven.turn_at(taken_s) - stretch.turn_at(taken_s))
-        drive.advance(taken_s)
+        self._turn_turret(drive.advance(taken_s))
         if blocked:
+            self._encoders.slip(copysign(odometry.slip_in, told_in), drive.steering_rad)
             drive.block()
         return taken_s
+
+    def _turn_turret(self, counted_rad: float) -> None:
+        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Final
 
 from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
+from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.sonar import SonarNoise
 
 
@@ -21,21 +22,23 @@ class RobotSetup:
 
     name      what users call it
     ramps     False: axes jump to their speed, as the original documents; True: trapezoids
-    motion    how the true motion strays from the commanded one
+    motion    how the true motion strays from the commanded one: alpha1 to alpha4
     sonar     how readings stray from the true range
+    odometry  what the wheels get wrong every time: scales, drifts, slip
     """
 
     name: str
     ramps: bool
     motion: MotionNoise
     sonar: SonarNoise
+    odometry: Odometry = EXACT
 
 
 IDEAL: Final = RobotSetup("ideal", ramps=False, motion=NO_NOISE, sonar=SonarNoise())
 NOISY: Final = RobotSetup(
     "noisy",
     ramps=True,
-    motion=MotionNoise(along=0.1, turn=0.1, drift=0.005),
+    motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
     sonar=SonarNoise(std_share=0.01, least_std_in=0.05),
 )
 

@@ -15,5 +15,5 @@ def test_ideal_has_neither_ramps_nor_noise() -> None:
 def test_noisy_has_the_settings_of_the_experiments() -> None:
     noisy = SETUPS["noisy"]
     assert (noisy.name, noisy.ramps) == ("noisy", True)
-    assert noisy.motion == MotionNoise(along=0.1, turn=0.1, drift=0.005)
+    assert noisy.motion == MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
     assert noisy.sonar == SonarNoise(std_share=0.01, least_std_in=0.05)
