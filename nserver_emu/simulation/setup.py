@@ -2,6 +2,7 @@
 
 ideal     axes jump to their speed, motion is exact, one exact ray a sonar
 noisy     axes ramp, motion strays like a random walk, sonars with 1 % noise: the settings of the experiments
+measured  as noisy, but the sonars hear like a Polaroid ring: cone, mirrors, second echoes, cross-talk
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Final
 
 from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
 from nserver_emu.simulation.odometry import EXACT, Odometry
-from nserver_emu.simulation.sonar import SonarNoise
+from nserver_emu.simulation.polaroid import Polaroid
+from nserver_emu.simulation.sonar import EchoModel, SonarNoise
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,14 +25,14 @@ class RobotSetup:
     name      what users call it
     ramps     False: axes jump to their speed, as the original documents; True: trapezoids
     motion    how the true motion strays from the commanded one: alpha1 to alpha4
-    sonar     how readings stray from the true range
+    sonar     what the sonars hear, and how readings stray from the true range
     odometry  what the wheels get wrong every time: scales, drifts, slip
     """
 
     name: str
     ramps: bool
     motion: MotionNoise
-    sonar: SonarNoise
+    sonar: EchoModel
     odometry: Odometry = EXACT
 
 
@@ -41,6 +43,7 @@ NOISY: Final = RobotSetup(
     motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
     sonar=SonarNoise(std_share=0.01, least_std_in=0.05),
 )
+MEASURED: Final = RobotSetup("measured", ramps=True, motion=NOISY.motion, sonar=Polaroid())
 
-SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType({setup.name: setup for setup in (IDEAL, NOISY)})
+SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType({setup.name: setup for setup in (IDEAL, NOISY, MEASURED)})
 """Every setup by its name."""
