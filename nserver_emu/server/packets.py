@@ -74,7 +74,7 @@ def arm_ws(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply | Later:
 
 
 def _has_arm(stage: Stage, visit: Visit) -> bool:
-    return stage.robot_of(visit).model.name in ARM_MODELS
+    return stage.robot_of(visit).model.family in ARM_MODELS
 
 
 def _arm(stage: Stage, visit: Visit) -> Arm:
