@@ -91,7 +91,7 @@ def place_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     """Put the robot somewhere; a place where it would touch a wall is refused."""
     robot, (x, y, steering, turret) = stage.robot_of(visit), args
     try:
-        stage.simulation.world.require_free(x / 10, y / 10, robot.model.body.radius_in)
+        stage.simulation.require_free(x / 10, y / 10, robot.model.body.radius_in, visit.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
     robot.place(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))

@@ -36,6 +36,11 @@ class Chassis:
         self._ground = ground
         self._room_in = 0.0
 
+    @property
+    def place(self) -> tuple[float, float]:
+        """(x, y) of the axis, inches."""
+        return self._x_in, self._y_in
+
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
         """The true pose at these mechanical angles."""
         yaw = self._yaw_rad

@@ -8,18 +8,22 @@ the caller's steps; in each piece first motion, then contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from math import copysign
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
+from nserver_emu.simulation.compass import Compass
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
+from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS, to_ps, to_s
+from nserver_emu.simulation.laser import LineFit, ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, Eye, SonarRing
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, SonarRing
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
@@ -41,6 +45,7 @@ class SimulatedRobot:
         model: RobotModel = N150,
         setup: RobotSetup = IDEAL,
         now_ps: int = 0,
+        others: tuple[FloatArray, int] = NOBODY,
     ) -> None:
         self.identity = identity
         self.model = model
@@ -49,6 +54,9 @@ class SimulatedRobot:
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS
         self._zeroing = False
+        self._walls = walls
+        self._beside_others = False
+        self._others = others
         self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
@@ -56,6 +64,14 @@ class SimulatedRobot:
         self._chance = identity.stream(Purpose.MOTION)
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
         self.sonar.fire_all(self._eye(), self._stamp())
+        self.infrared: InfraredRing | None = None
+        if model.sees:
+            light = identity.stream(Purpose.INFRARED)
+            self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, light)
+        self.line_fit = LineFit()
+        self.laser_columns = 0
+        turret_rad = self.actual.turret_rad
+        self.compass = Compass(setup.compass, turret_rad, now_ps, identity.stream(Purpose.COMPASS))
         self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
 
     # What can be seen
@@ -76,6 +92,11 @@ class SimulatedRobot:
         return self._chassis.pose(self._drive.steering_rad, self._drive.turret_rad)
 
     @property
+    def disc(self) -> tuple[float, float, float]:
+        """What the robot is to others: x, y, radius in inches."""
+        return (*self._chassis.place, self.model.body.radius_in)
+
+    @property
     def velocities(self) -> Velocities:
         """As the encoders show them, by axis; from the command to the end of a motion never 0."""
         first, second, third = self._drive.axes
@@ -86,6 +107,12 @@ class SimulatedRobot:
         """How the axes change their velocities now, by axis and per second; 0 where they jump."""
         first, second, third = self._drive.axes
         return first.phase_acceleration, second.phase_acceleration, third.phase_acceleration
+
+    @property
+    def counts(self) -> tuple[float, float, float]:
+        """How far each axis went since power-on or the last `zero`, the ways back taken off."""
+        first, second, third = self._drive.axes
+        return first.count, second.count, third.count
 
     @property
     def moving(self) -> tuple[bool, bool, bool]:
@@ -205,12 +232,26 @@ class SimulatedRobot:
         self.sonar.configure(rate, order, self._time_ps)
         self._fire_due()
 
+    def configure_infrareds(self, history: int, order: Sequence[int]) -> None:
+        """Take history (tenths) and sensors of the infrared ring; it flashes now. C: conf_ir."""
+        self.feed()
+        if self.infrared is not None:
+            self.infrared.configure(history, order, self._time_ps)
+            self._fire_due()
+
+    def look_with_laser(self) -> FloatArray:
+        """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing."""
+        return thinned(ranges(self._eye(), self._walls, self.model.body), self.laser_columns)
+
     # Time and surroundings
 
     def advance_to(self, end_ps: int) -> None:
         """Let time pass until an instant that is not before now."""
         while self._time_ps < end_ps:
             until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
+            if self.infrared is not None:
+                until = min(until, self.infrared.due_ps)
+            self._read_compass(until)
             self._move(to_s(until - self._time_ps))
             self._time_ps = until
             self._end_zero()
@@ -218,9 +259,26 @@ class SimulatedRobot:
                 self._expire()
             self._fire_due()
 
+    def stand_beside(self, discs: FloatArray | None) -> None:
+        """From now on these discs (k, 3), rows x y radius in inches, can be touched, and no others; None: none."""
+        if discs is not None or self._beside_others:
+            self._chassis.enter(Ground.of(self._walls, discs))
+            self._beside_others = discs is not None
+
+    def see(self, discs: FloatArray, own: int) -> None:
+        """From now on sonars see these discs (n, 3), rows x y radius in inches, but for row `own`: that is this robot.
+
+        The array is kept: it never changes.
+        """
+        self._others = (discs, own)
+
     def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
         """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
+        self._walls = walls
+        self._beside_others = discs is not None
         self.sonar.surround(walls)
+        if self.infrared is not None:
+            self.infrared.surround(walls)
         self._chassis.enter(Ground.of(walls, discs))
 
     def _take_over(self) -> None:
@@ -244,6 +302,8 @@ class SimulatedRobot:
         if self._zeroing and not any(self.moving):
             self._zeroing = False
             self._drive.found_zero()
+            for axis in self._drive.axes:
+                axis.count = 0.0
             self._chassis.found_zero()
             self._encoders.define_position(0.0, 0.0)
             self._encoders.define_angles(-self._drive.steering_rad, -self._drive.turret_rad)
@@ -251,10 +311,30 @@ class SimulatedRobot:
     def _fire_due(self) -> None:
         while self.sonar.due_ps <= self._time_ps:
             self.sonar.fire_due(self._eye(), self._stamp())
+        while self.infrared is not None and self.infrared.due_ps <= self._time_ps:
+            self.infrared.flash_due(self._eye(), self._stamp())
+
+    def _read_compass(self, until_ps: int) -> None:
+        """Its last reading up to an instant that this piece of time reaches, before anything moves.
+
+        Time is not cut for it: a copy of the drive tells how far the turret will have turned by then.
+        """
+        due_ps = self.compass.due(until_ps)
+        if due_ps is None:
+            return
+        drive, left_s = self._drive, to_s(due_ps - self._time_ps)
+        if any(self.moving):
+            drive = deepcopy(drive)
+        while drive is not self._drive and left_s > 0.0:
+            span_s = min(drive.stretch(left_s).duration_s, left_s)
+            drive.advance(span_s)
+            left_s -= span_s
+        direction = self._chassis.pose(drive.steering_rad, drive.turret_rad).turret_rad
+        self.compass.take(due_ps, direction, drive.turret_rad)
 
     def _eye(self) -> Eye:
         actual = self.actual
-        return Eye(actual.x_in, actual.y_in, actual.turret_rad)
+        return Eye(actual.x_in, actual.y_in, actual.turret_rad, *self._others)
 
     def _stamp(self) -> Stamp:
         return Stamp(self.encoder, self.velocities, self.time_s, self.time_s)

@@ -21,7 +21,7 @@ from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_rays
+from worlds.raycast import cast_discs, cast_rays
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -80,19 +80,30 @@ DEAD_IN: Final = 0
 """What a dead sonar reads, always."""
 
 
+NOBODY: Final[tuple[FloatArray, int]] = (np.zeros((1, 3)), 0)
+"""A robot alone: the only disc is its own."""
+
+
 class Eye(NamedTuple):
-    """From where the ring looks: the robot's true place in inches and its turret's true direction in radians."""
+    """From where the ring looks, and whom it may see.
+
+    x_in, y_in, turret_rad    the robot's true place in inches and its turret's true direction in radians
+    discs, own                all robots (n, 3), rows x y radius in inches; row `own` is this one
+    """
 
     x_in: float
     y_in: float
     turret_rad: float
+    discs: FloatArray = NOBODY[0]
+    own: int = NOBODY[1]
 
 
 class Firing(NamedTuple):
-    """A cry whose echo nobody has looked at, and those before it that may still be under way."""
+    """A cry whose echo nobody has looked at, those before it that may still be under way, and the eye it left from."""
 
     cry: Cry
     earlier: tuple[Cry, ...]
+    eye: Eye
 
 
 class SonarRing:
@@ -161,17 +172,29 @@ class SonarRing:
     def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
         direction = eye.turret_rad + self.body.sonar_angles_rad[sonar]
         cry = Cry(eye.x_in, eye.y_in, direction, instant_ps, self.model.draw(self._chance))
-        self._unheard[sonar] = Firing(cry, earlier)
+        self._unheard[sonar] = Firing(cry, earlier, eye)
         self._stamps[sonar] = stamp
         return cry
 
     def _listen(self) -> None:
         """Hear the echoes of all firings since the last look, one by one: few they are, at most sixteen, and a batch of
         another size would round another way, so that looking more often could change a reading."""
-        for sonar, (cry, earlier) in self._unheard.items():
+        for sonar, (cry, earlier, eye) in self._unheard.items():
             if sonar not in self.model.dead:
-                self._readings[sonar] = _reading(self.model.heard_in(cry, earlier, self._scene, self.body))
+                of_walls = self.model.heard_in(cry, earlier, self._scene, self.body)
+                self._readings[sonar] = _reading(min(of_walls, self._heard_of_robots(cry, eye)))
         self._unheard.clear()
+
+    def _heard_of_robots(self, cry: Cry, eye: Eye) -> float:
+        """The range to another robot along the axis of the beam, with the noise of this cry; inf for none."""
+        if len(eye.discs) == 1:
+            return inf
+        way = cos(cry.direction_rad), sin(cry.direction_rad)
+        from_axis = float(cast_discs((eye.x_in, eye.y_in), way, np.delete(eye.discs, eye.own, axis=0)))
+        if from_axis == inf:
+            return inf
+        range_in = from_axis - self.body.sonar_ring_radius_in
+        return range_in + cry.chances[0] * max(self.model.std_share * range_in, self.model.least_std_in)
 
 
 def _reading(heard_in: float) -> int:
