@@ -11,10 +11,12 @@ import math
 from nclient.protocol.replies import Reply
 from nclient.protocol.units import rad_from_tenths
 from nserver_emu.server.axis_units import axis_values
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Later, Visit, error_reply
+from nserver_emu.server.session import BAD_VALUES, Later, Visit, error_reply
 from nserver_emu.server.stage import Stage
 
 _MV_LEAVE, _MV_HIGHEST = 0, 5
+_ROUNDING = 1e-9
+"""Inches or radians: what a sum of ways strays by, and far less than a tenth of anything."""
 
 
 def vm(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
@@ -32,17 +34,20 @@ def pr(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
 
 
 def pa(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """Steering and turret to where the encoders read these angles, at the speeds of sp.
+    """Each axis to a position, all at once, at the speeds of sp.
 
-    The wheels stay where they are: they have no absolute position that a client could know. A robot with wheels
-    alone has nothing to turn: ERROR 4.
+    Steering and turret to where the encoders read these angles, the short way; wheels to where they have rolled so
+    far since power-on or the last zr.
     """
-    if stage.robot_of(visit).model.rolls[1]:
-        return error_reply(NOT_AVAILABLE)
     robot = stage.drive(visit)
-    steering, turret = (rad_from_tenths(angle) for angle in args[1:])
-    now = robot.encoder
-    robot.move_relative(0.0, _nearer(steering - now.steering_rad), _nearer(turret - now.turret_rad))
+    angles = (0.0, robot.encoder.steering_rad, robot.encoder.turret_rad)
+    first, second, third = (
+        _way(target - count if rolls else math.remainder(target - angle, math.tau))
+        for target, count, angle, rolls in zip(
+            axis_values(robot, args), robot.counts, angles, robot.model.rolls, strict=True
+        )
+    )
+    robot.move_relative(first, second, third)
     return stage.state(visit)
 
 
@@ -117,6 +122,6 @@ def conf_tm(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     return stage.state(visit)
 
 
-def _nearer(angle_rad: float) -> float:
-    """The same turn the short way round; rounding of a whole turn is none."""
-    return math.remainder(angle_rad, math.tau)
+def _way(distance: float) -> float:
+    """The way to go; none where only rounding is left."""
+    return distance if abs(distance) > _ROUNDING else 0.0

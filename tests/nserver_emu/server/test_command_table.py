@@ -42,8 +42,7 @@ def test_what_has_to_be_allowed(name: str) -> None:
     [
         (ARM, {"n200"}),
         (("real_robot", "special_request"), set()),
-        (("pa",), {"n150", "n200"}),
-        (("vm", "pr", "mv", "gs", "get_sn", "get_bp", "add_obstacle", "draw_arc", "refresh_all", "zr"),
+        (("vm", "pr", "pa", "mv", "gs", "get_sn", "get_bp", "add_obstacle", "draw_arc", "refresh_all", "zr"),
          {"n150", "n200", "scout"}),
     ],
 )  # fmt: skip

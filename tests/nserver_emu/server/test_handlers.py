@@ -113,6 +113,32 @@ def test_pr_goes_its_way_at_the_speed_of_sp_and_stops_exactly_there(emulator: Em
     assert [client.ask("get_rc").slots[k] for k in (36, 37)] == [900, 2700]
 
 
+def test_pa_goes_to_positions_and_the_short_way_round(emulator: Emulator, client: WireClient) -> None:
+    client.ask("pr", 60, 0, 0)
+    emulator.simulation.step(2.0)
+    client.ask("da", 1800, 0)
+    assert client.ask("pa", 100, 1900, 3500).slots[41] == 7
+    emulator.simulation.step(5.0)
+    slots = client.ask("gs").slots
+    assert (slots[36], slots[37], slots[41]) == (1900, 3500, 0)
+    client.ask("pa", 0, 1900, 3500)
+    emulator.simulation.step(5.0)
+    counts = emulator.simulation.robots[1].counts
+    assert counts[0] == pytest.approx(0.0, abs=1e-9)
+    assert math.degrees(counts[1]) == pytest.approx(10.0)
+    assert client.ask("pa", 0, 1900, 3500).slots[41] == 0
+
+
+def test_get_ra_tells_accelerations_in_the_places_of_velocities() -> None:
+    emulator = Emulator(simulation(noisy=True))
+    client, _ = meet(emulator)
+    client.ask("ac", 100, 200, 300)
+    client.ask("vm", 100, -100, 100)
+    assert client.ask("get_ra").slots == {38: 100, 39: -200, 40: 300}
+    emulator.simulation.step(5.0)
+    assert client.ask("get_ra").slots == {38: 0, 39: 0, 40: 0}
+
+
 def test_mv_commands_each_axis_in_its_own_mode(emulator: Emulator, client: WireClient) -> None:
     client.ask("mv", 1, 100, 5, 100, 0, 0)
     client.ask("mv", 0, 0, 2, 100, 0, 0)
