@@ -20,6 +20,8 @@ class Purpose(IntEnum):
 
     MOTION = 0
     SONAR = 1
+    INFRARED = 2
+    COMPASS = 3
 
 
 class Identity(NamedTuple):
