@@ -6,7 +6,6 @@ Nothing is put where a robot stands, and no robot where something stands: ERROR 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -20,11 +19,11 @@ from nserver_emu.server.collision import Arc, arc_hit, line_hit
 from nserver_emu.server.session import BAD_VALUES, REFUSED, Visit, error_reply
 from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import state_slots
+from nserver_emu.simulation.company import discs_of
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.sonar import NEAREST_IN, NOTHING_IN
-from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
-from worlds.raycast import cast_rays
-from worlds.world import Point, Polygon
+from nserver_emu.simulation.setup import IDEAL
+from worlds.geometry import area, crossing, inside, lengths, nearest_points
+from worlds.world import Polygon, StartPose
 
 MOST_OBSTACLES: Final = 1000
 """More than anybody draws by hand; the next is refused."""
@@ -88,7 +87,7 @@ def new_world(stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 
 def place_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """Put the robot somewhere; a place where it would touch a wall is refused."""
+    """Put the robot somewhere; a place where it would touch a wall or another robot is refused."""
     robot, (x, y, steering, turret) = stage.robot_of(visit), args
     try:
         stage.simulation.require_free(x / 10, y / 10, robot.model.body.radius_in, visit.robot_id)
@@ -113,12 +112,14 @@ def get_robot_conf(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 
 def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """What the sensors would read at another place of the map, each by its exact ray; no robot goes there."""
-    robot, (x, y, _, turret) = stage.robot_of(visit), args
-    slots = state_slots(robot, stage.pace.speed_tenths)
-    slots[17:33] = predicted_sonars(robot, stage.simulation.world.walls, (x / 10, y / 10), rad_from_tenths(turret))
-    slots[34:38] = [x, y, *[angle % 3600 for angle in args[2:]]]
-    return Reply("prediction", values=tuple(slots[:_PREDICTED]))
+    """What the sensors would read at another place of the map, ideal ones without noise; no robot goes there."""
+    simulation, robot = stage.simulation, stage.robot_of(visit)
+    others = {number: other for number, other in simulation.robots.items() if other is not robot}
+    seen = np.vstack((discs_of(others), (0.0, 0.0, 0.0)))
+    there = SimulatedRobot(
+        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, others=(seen, len(others))
+    )
+    return Reply("prediction", values=tuple(state_slots(there, stage.pace.speed_tenths)[:_PREDICTED]))
 
 
 def motion_check(stage: Stage, _visit: Visit, args: tuple[float, ...]) -> Reply:
@@ -138,16 +139,6 @@ def motion_check(stage: Stage, _visit: Visit, args: tuple[float, ...]) -> Reply:
     return Reply("simple", values=(1, round(hit.x_in * 1000), round(hit.y_in * 1000), round(hit.normal_rad * 1e6)))
 
 
-def predicted_sonars(robot: SimulatedRobot, walls: FloatArray, place: Point, turret_rad: float) -> list[int]:
-    """The sixteen readings that an ideal ring would have there, whole inches 6..255."""
-    body = robot.model.body
-    angles = turret_rad + np.array(body.sonar_angles_rad)
-    ranges, _ = cast_rays(place, np.stack((np.cos(angles), np.sin(angles)), axis=-1), walls)
-    from_ring = ranges - body.sonar_ring_radius_in
-    return [NOTHING_IN if math.isinf(far) else min(max(math.floor(far + 0.5), NEAREST_IN), NOTHING_IN)
-            for far in from_ring.tolist()]  # fmt: skip
-
-
 def done() -> Reply:
     """The reply of a command that has nothing to say."""
     return Reply("simple", values=(0,))
@@ -155,6 +146,11 @@ def done() -> Reply:
 
 def _corners(args: Sequence[int]) -> _Corners:
     return tuple(zip(args[1::2], args[2::2], strict=True))
+
+
+def _start(args: Sequence[int]) -> StartPose:
+    x, y, steering, turret = args
+    return StartPose(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))
 
 
 def _polygon(corners: _Corners) -> Polygon:
@@ -175,9 +171,9 @@ def _sound(polygon: Polygon) -> bool:
 def _stands_in_a_robot(stage: Stage, polygon: Polygon) -> bool:
     edges = polygon.segments()
     for robot in stage.simulation.robots.values():
-        place = (robot.actual.x_in, robot.actual.y_in)
+        *place, radius_in = robot.disc
         _, distances = nearest_points(place, edges)
-        if distances.min() < robot.model.body.radius_in - TOUCH_IN or inside(place, edges).any():
+        if distances.min() < radius_in - TOUCH_IN or inside(place, edges).any():
             return True
     return False
 

@@ -94,11 +94,9 @@ def sim_control(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
 
 def free_place(simulation: Simulation, radius_in: float) -> StartPose | None:
     """A start of the world, or a place around one, where a robot of this radius touches nothing and nobody."""
-    robots = [(robot.actual, robot.model.body.radius_in) for robot in simulation.robots.values()]
+    discs = [robot.disc for robot in simulation.robots.values()]
     for place in _places(simulation, 2.0 * radius_in + _GAP_IN):
-        apart = all(
-            math.hypot(place.x_in - at.x_in, place.y_in - at.y_in) > radius_in + other for at, other in robots
-        )
+        apart = all(math.hypot(place.x_in - x, place.y_in - y) > radius_in + other for x, y, other in discs)
         if apart and simulation.world.clearance(place.x_in, place.y_in) > radius_in:
             return place
     return None

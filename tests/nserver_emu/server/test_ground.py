@@ -107,6 +107,20 @@ def test_a_robot_cannot_be_placed_where_an_obstacle_stands(client: WireClient) -
     assert client.ask("place_robot", 302, 0, 0, 0).values == (0,)
 
 
+def test_a_robot_cannot_be_placed_into_another_but_where_it_stands(client: WireClient) -> None:
+    client.ask("create_robot", 2, 1)
+    client.ask("place_robot", 300, 0, 0, 0)
+    assert client.ask("place_robot", 190, 0, 0, 0).values == (2,)
+    assert client.ask("place_robot", 301, 0, 900, 0).values == (0,)
+
+
+def test_a_prediction_sees_the_other_robots(client: WireClient) -> None:
+    client.ask("create_robot", 2, 1)
+    client.ask("place_robot", 600, 600, 0, 0)
+    client.ask("connect_robot", 1, 1)
+    assert client.ask("predict_sensors", 300, 600, 0, 0).values[17] == round(30 - 9.72 - 9.06)
+
+
 def test_the_places_of_all_robots_are_the_true_ones_in_the_order_of_their_ids(client: WireClient) -> None:
     client.ask("create_robot", 7, 1)
     client.ask("place_robot", 500, 600, 900, 450)
