@@ -14,7 +14,7 @@ from typing import Any
 
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server import ground, hosting, motion, packets, questions, window
+from nserver_emu.server import ground, hosting, motion, packets, questions, senses, window
 from nserver_emu.server.session import NOT_AVAILABLE, Later, Visit, error_reply
 from nserver_emu.server.stage import Stage
 
@@ -39,7 +39,8 @@ class Emulator(Stage):
         return handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
 
 
-QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth"})
+QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",
+    "get_ir", "get_cp", "get_ls", "get_sg"})  # fmt: skip
 """Commands that change nothing about a robot."""
 
 TIMELESS = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
@@ -54,6 +55,8 @@ HANDLERS: dict[str, Handler] = {
         motion.dp, motion.da, motion.conf_tm,
         questions.ct, questions.gs, questions.conf_sn, questions.get_sn, questions.get_rc, questions.get_rv,
         questions.get_ra, questions.get_bp, questions.sim_truth,
+        senses.conf_ir, senses.get_ir, senses.conf_cp, senses.get_cp, senses.conf_ls, senses.get_ls, senses.conf_sg,
+        senses.get_sg,
         ground.place_robot, ground.add_obstacle, ground.delete_obstacle, ground.move_obstacle, ground.new_world,
         ground.get_rpx, ground.get_robot_conf, ground.predict_sensors, ground.motion_check,
         window.draw_robot, window.draw_line, window.draw_arc,

@@ -12,7 +12,13 @@ from nclient.protocol.replies import Reply
 from nserver_emu.server.axis_units import axis_tenths
 from nserver_emu.server.session import BAD_VALUES, Visit, error_reply
 from nserver_emu.server.stage import Stage
-from nserver_emu.server.state_reply import bumper_stamp, pose_tenths, sonar_stamps, velocity_tenths
+from nserver_emu.server.state_reply import (
+    pose_tenths,
+    robot_clock_ms,
+    sonar_stamps,
+    stamp_now,
+    velocity_tenths,
+)
 
 _INT32_MAX = 0x7FFFFFFF
 
@@ -41,7 +47,7 @@ def get_sn(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     robot = stage.robot_of(visit)
     slots = dict(enumerate(robot.sonar.readings_in, start=17))
     stamps = sonar_stamps(robot) if visit.terms.mask.position & Position.SONAR else {}
-    return Reply("sonar", slots, stamps=stamps, clock=stage.clock_ms)
+    return Reply("sonar", slots, stamps=stamps, clock=robot_clock_ms(robot, stage.simulation.time_s))
 
 
 def get_rc(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
@@ -64,8 +70,9 @@ def get_bp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     """The bumpers."""
     robot = stage.robot_of(visit)
     asked = visit.terms.mask.position & Position.BUMPER
-    stamps = {"bumper": bumper_stamp(robot, stage.simulation.time_s)} if asked else {}
-    return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=stage.clock_ms)
+    now_s = stage.simulation.time_s
+    stamps = {"bumper": stamp_now(robot, now_s)} if asked else {}
+    return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
 
 def sim_truth(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
@@ -73,7 +80,7 @@ def sim_truth(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     pose = stage.robot_of(visit).actual
     values = (
         1,
-        stage.clock_ms,
+        stage.clock_ms & _INT32_MAX,
         round(pose.x_in * 1000),
         round(pose.y_in * 1000),
         round(math.degrees(pose.steering_rad) * 1000),

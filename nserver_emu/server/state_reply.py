@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 
-from nclient.protocol.mask import Position
+from nclient.protocol.mask import LASER_SLOT, Position
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import SONAR_KEYS, Stamp
+from nclient.protocol.stamps import INFRARED_KEYS, SONAR_KEYS, Stamp
 from nclient.protocol.units import (
     CPU_RANGE_V,
     MOTOR_RANGE_V,
@@ -22,18 +22,32 @@ from nclient.protocol.units import (
     tenths,
 )
 from nserver_emu.server.axis_units import axis_tenths
+from nserver_emu.server.laser_vector import is_on, laser_vector
 from nserver_emu.server.session import Visit
+from nserver_emu.simulation.battery import battery_v
+from nserver_emu.simulation.instants import to_s
+from nserver_emu.simulation.poses import Stamp as Moment
 from nserver_emu.simulation.robot import SimulatedRobot
 
 INFRARED_NOTHING = 15
 UNMASKED_SLOTS = (0, 41, 44)
-FULL_BATTERY_V = 12.0
-_FULL = (raw_volts(FULL_BATTERY_V, CPU_RANGE_V), raw_volts(FULL_BATTERY_V, MOTOR_RANGE_V))
 
 
-def clock_ms(time_s: float) -> int:
-    """The robot's clock: milliseconds since power-on."""
-    return math.floor(time_s * 1000 + 1e-6)
+def clock_ms(time_s: float, step_s: float = 0.0) -> int:
+    """A clock that shows whole milliseconds since power-on, and goes in steps: 0 every millisecond."""
+    shown_s = math.floor(time_s / step_s + 1e-9) * step_s if step_s else time_s
+    return math.floor(shown_s * 1000 + 1e-6)
+
+
+def robot_clock_ms(robot: SimulatedRobot, time_s: float) -> int:
+    """What the robot's own clock shows at a simulated time: 16.4 ms steps where the setup has them."""
+    return clock_ms(time_s, robot.setup.clock_step_s)
+
+
+def volts_raw(time_s: float) -> tuple[int, int]:
+    """The raw battery bytes, CPU and motors."""
+    voltage = battery_v(time_s)
+    return raw_volts(voltage, CPU_RANGE_V), raw_volts(voltage, MOTOR_RANGE_V)
 
 
 def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
@@ -57,21 +71,25 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
     moving = robot.moving
     return [
         speed,
-        *[INFRARED_NOTHING] * 16,
+        *(robot.infrared.readings if robot.infrared is not None else [INFRARED_NOTHING] * 16),
         *robot.sonar.readings_in,
         robot.bumpers,
         *pose_tenths(robot),
         *velocity_tenths(robot),
         moving[0] | moving[1] << 1 | moving[2] << 2,
         0,
-        0,
+        heading_tenths(robot.compass.direction_rad),
         0,
     ]
 
 
 def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[int]) -> Reply:
     """The whole state of a robot, `slots` as of now, on the terms of this connection."""
-    mask = visit.terms.mask
+    mask, laser = visit.terms.mask, None
+    if robot.model.sees:
+        slots = [*slots[:LASER_SLOT], visit.terms.laser_mode, *slots[LASER_SLOT + 1 :]]
+        if mask.has(LASER_SLOT) and is_on(visit.terms.laser_mode):
+            laser = laser_vector(robot, visit.terms.laser_width)
     if not mask.whole:
         kept = visit.kept
         slots = [
@@ -79,33 +97,53 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[
         ]
     visit.kept = slots
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
-    return Reply("state", dict(enumerate(slots)), None, stamps, clock_ms(time_s), _FULL)
+    return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:
     """The stamps that these position-data bits ask for, of the sensors this robot has."""
     stamps = sonar_stamps(robot) if position & Position.SONAR else {}
+    if position & Position.INFRARED:
+        stamps |= infrared_stamps(robot)
     if position & Position.BUMPER:
-        stamps["bumper"] = bumper_stamp(robot, time_s)
+        stamps["bumper"] = stamp_now(robot, time_s)
+    if position & Position.LASER and robot.model.sees:
+        stamps["laser"] = stamp_now(robot, time_s)
+    if position & Position.COMPASS:
+        stamps["compass"] = compass_stamp(robot, time_s)
     return stamps
 
 
 def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
     """Where the encoders were when each sonar took its last reading."""
-    return {
-        key: Stamp(
-            tenths(at.pose.x_in),
-            tenths(at.pose.y_in),
-            heading_tenths(at.pose.steering_rad),
-            heading_tenths(at.pose.turret_rad),
-            *axis_tenths(robot, at.velocities),
-            clock_ms(at.pose_time_s),
-            clock_ms(at.sensor_time_s),
-        )
-        for key, at in zip(SONAR_KEYS, robot.sonar.stamps, strict=True)
-    }
+    return {key: _stamp(robot, at) for key, at in zip(SONAR_KEYS, robot.sonar.stamps, strict=True)}
 
 
-def bumper_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
-    """The bumpers are read when they are asked for: a stamp of now."""
-    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), clock_ms(time_s), clock_ms(time_s))
+def infrared_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
+    """Where they were when each infrared did; none for a robot without."""
+    if robot.infrared is None:
+        return {}
+    return {key: _stamp(robot, at) for key, at in zip(INFRARED_KEYS, robot.infrared.stamps, strict=True)}
+
+
+def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
+    """Bumpers and laser are read when they are asked for: a stamp of now."""
+    now_ms = robot_clock_ms(robot, time_s)
+    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
+
+
+def compass_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
+    """The pose of now, and when the compass was read: up to a tenth of a second ago."""
+    return stamp_now(robot, time_s)._replace(sensor_time=robot_clock_ms(robot, to_s(robot.compass.taken_ps)))
+
+
+def _stamp(robot: SimulatedRobot, at: Moment) -> Stamp:
+    return Stamp(
+        tenths(at.pose.x_in),
+        tenths(at.pose.y_in),
+        heading_tenths(at.pose.steering_rad),
+        heading_tenths(at.pose.turret_rad),
+        *axis_tenths(robot, at.velocities),
+        robot_clock_ms(robot, at.pose_time_s),
+        robot_clock_ms(robot, at.sensor_time_s),
+    )

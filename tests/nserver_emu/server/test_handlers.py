@@ -47,6 +47,7 @@ ANSWERED_AT_ONCE = [r for r in COMMANDS if r.has_tcp_reply and r.tcp_type and r.
 
 REFUSALS = {
     **dict.fromkeys(("special_request", "arm_zr", "arm_ws", "arm_mv", "real_robot"), 4),
+    **dict.fromkeys(("conf_ir", "get_ir", "conf_ls", "get_ls", "conf_sg", "get_sg"), 4),
     **dict.fromkeys(("delete_obstacle", "move_obstacle"), 2),
     **dict.fromkeys(("quit_server", "sim_control"), 5),
 }
