@@ -14,6 +14,7 @@ import math
 from nclient.protocol.mask import LASER_SLOT, Position
 from nclient.protocol.replies import Reply
 from nclient.protocol.stamps import INFRARED_KEYS, SONAR_KEYS, Stamp
+from nclient.protocol.terms import Terms
 from nclient.protocol.units import (
     CPU_RANGE_V,
     MOTOR_RANGE_V,
@@ -30,13 +31,15 @@ from nserver_emu.simulation.poses import Stamp as Moment
 from nserver_emu.simulation.robot import SimulatedRobot
 
 INFRARED_NOTHING = 15
+CLOCK_WORD = 0xFFFFFFFF
+"""After fifty days the clock begins anew, as a word of milliseconds does."""
 UNMASKED_SLOTS = (0, 41, 44)
 
 
 def clock_ms(time_s: float, step_s: float = 0.0) -> int:
     """A clock that shows whole milliseconds since power-on, and goes in steps: 0 every millisecond."""
     shown_s = math.floor(time_s / step_s + 1e-9) * step_s if step_s else time_s
-    return math.floor(shown_s * 1000 + 1e-6)
+    return math.floor(shown_s * 1000 + 1e-6) & CLOCK_WORD
 
 
 def robot_clock_ms(robot: SimulatedRobot, time_s: float) -> int:
@@ -85,11 +88,8 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
 
 def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[int]) -> Reply:
     """The whole state of a robot, `slots` as of now, on the terms of this connection."""
-    mask, laser = visit.terms.mask, None
-    if robot.model.sees:
-        slots = [*slots[:LASER_SLOT], visit.terms.laser_mode, *slots[LASER_SLOT + 1 :]]
-        if mask.has(LASER_SLOT) and is_on(visit.terms.laser_mode):
-            laser = laser_vector(robot, visit.terms.laser_width)
+    mask = visit.terms.mask
+    slots, laser = with_laser(robot, visit.terms, slots, wanted=mask.has(LASER_SLOT))
     if not mask.whole:
         kept = visit.kept
         slots = [
@@ -98,6 +98,16 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[
     visit.kept = slots
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
     return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
+
+
+def with_laser(
+    robot: SimulatedRobot, terms: Terms, slots: list[int], *, wanted: bool = True
+) -> tuple[list[int], tuple[int, ...] | None]:
+    """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
+    if not robot.model.sees:
+        return slots, None
+    told = [*slots[:LASER_SLOT], terms.laser_mode, *slots[LASER_SLOT + 1 :]]
+    return told, laser_vector(robot, terms.laser_width) if wanted and is_on(terms.laser_mode) else None
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:

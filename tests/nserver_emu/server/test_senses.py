@@ -10,6 +10,7 @@ from wire_client import WireClient, meet, simulation
 from nclient.protocol.mask import EVERYTHING, Mask, Position
 from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.snapshot import dumps, loads
 from nserver_emu.server.state_reply import clock_ms, volts_raw
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.setup import IDEAL, MEASURED, RobotSetup
@@ -145,6 +146,31 @@ def test_conf_ls_takes_the_number_of_columns_and_conf_sg_what_a_line_is() -> Non
     assert line is not None
     assert line[0] == 1
     assert client.ask("conf_sg", 256, 0, 0).values == (2,)
+
+
+def test_a_prediction_has_infrareds_compass_and_laser_of_the_other_place(client: WireClient) -> None:
+    here = client.ask("gs")
+    reply = client.ask("predict_sensors", 400, 450, 0, 900)
+    assert (reply.values[1:17], reply.values[42:44]) == ((15,) * 16, (51, 900))
+    assert reply.laser is not None
+    assert set(reply.laser[1::2]) == {572}
+    assert client.ask("gs").laser == here.laser
+
+
+def test_a_measured_robot_goes_on_from_a_snapshot_with_all_its_senses() -> None:
+    emulator = n200(setup=MEASURED)
+    client, _ = meet(emulator)
+    client.ask("conf_sn", 1, *range(16))
+    client.ask("conf_ir", 5, *range(16))
+    client.ask("vm", 50, 100, 200)
+    emulator.simulation.step(1.03)
+    copy = n200(setup=MEASURED)
+    loads(copy, dumps(emulator))
+    other, _ = meet(copy)
+    for _ in range(5):
+        assert other.ask("gs") == client.ask("gs")
+        emulator.simulation.step(0.21)
+        copy.simulation.step(0.21)
 
 
 # Stamps, clock, battery
