@@ -7,7 +7,9 @@
     ├── RobotRefused                       an answer, and it is no: ERROR or NAK, with the command
     ├── WireError (ValueError)             bytes that are no message, or values that no message can carry
     ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
-    └── StartError (ValueError)            a start pose that touches a wall or lies outside
+    ├── StartError (ValueError)            a start pose that touches a wall or lies outside
+    ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
+    └── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
 
 Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
 """
@@ -71,3 +73,11 @@ class WorldFileError(NomadError, ValueError):
 
 class StartError(NomadError, ValueError):
     """A start pose that touches a wall or lies outside the world."""
+
+
+class SetupFileError(NomadError, ValueError):
+    """An old robot.setup or world.setup that cannot be used; the message names file, line and what was expected."""
+
+
+class SnapshotError(NomadError, ValueError):
+    """A saved simulation that cannot be written or read back; the message names the file and what is wrong."""

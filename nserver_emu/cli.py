@@ -1,5 +1,7 @@
 """`nserver`: the command line of the daemon. Reads options, builds the simulation, hands both to the daemon.
 
+    nserver [options] [WORLD] [robot.setup] [world.setup]       the original's -help -noisy -port n work as well
+
 Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
 Exit codes: 0 stopped as asked, 1 could not start (the reason on stderr), 2 wrong usage.
 """
@@ -8,28 +10,44 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import logging
 import re
+import signal
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
+from pathlib import Path
 from typing import TypeVar
 
-from nclient.errors import NomadError
+from nclient.errors import NomadError, SnapshotError
+from nserver_emu.server import snapshot
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
 from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Setting, pose_from_text
+from nserver_emu.server.setup_files import read_setups
+from nserver_emu.server.stage import Allowed
 from worlds.files import load_world, world_names
+
+log = logging.getLogger(__name__)
 
 Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
 MAX_SPEED = "max"
-SLOWEST, FASTEST = 0.1, 100.0
+LONGEST_LOCKSTEP_S = 10.0
+SETUP_SUFFIX = ".setup"
+MOST_SETUPS = 2
+OLD_OPTIONS = ("help", "noisy", "port")
+"""What the original took after a single dash, by as few first letters as one likes."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the daemon until SIGINT or SIGTERM; the exit code."""
-    options = _parser().parse_args([_as_value(word) for word in (sys.argv[1:] if argv is None else argv)])
+    """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
+    parser = _parser()
+    words = sys.argv[1:] if argv is None else argv
+    options = parser.parse_args([_as_value(_as_long_option(word)) for word in words])
+    options.world, options.setups = _sorted_files(parser, options.files)
     logging.basicConfig(
         level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -48,16 +66,46 @@ def main(argv: list[str] | None = None) -> int:
 
 
 async def _serve(options: argparse.Namespace) -> int:
-    start = pose_from_text(options.start) if options.start else None
-    setting = Setting(options.world, options.robot, start, options.seed, options.noisy)
-    daemon = Daemon(Emulator(setting.simulation()), options.speed)
+    setups = read_setups(options.setups)
+    port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
+    emulator = _emulator(options, options.robot or setups.robot or READY_MODELS[0])
+    daemon = Daemon(emulator, options.speed)
     stop = asyncio.Event()
     stop_on_signals(stop)
-    port = await daemon.listen(options.bind, options.port)
+    if options.save:
+        _save_on_signal(emulator, options.save)
+    port = await daemon.listen(options.bind, port)
     host = f"[{options.bind}]" if ":" in options.bind else options.bind
     print(f"listening nserver {host}:{port}", flush=True)
-    await daemon.serve(stop)
+    await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
     return 0
+
+
+def _emulator(options: argparse.Namespace, robot: str) -> Emulator:
+    """The simulation as the options say, or as a snapshot has it."""
+    start = pose_from_text(options.start) if options.start else None
+    setting = Setting(options.world, robot, start, options.seed, options.noisy)
+    pace = Pace(options.speed, options.paused, options.lockstep)
+    allowed = Allowed(quit=options.allow_quit, control=options.allow_control)
+    emulator = Emulator(setting.simulation(), pace=pace, allowed=allowed)
+    if options.restore:
+        snapshot.restore(emulator, options.restore)
+    if options.paused and not options.allow_control:
+        log.warning("paused, and no client can resume: --allow-control lets them")
+    return emulator
+
+
+def _save_on_signal(emulator: Emulator, path: Path) -> None:
+    """SIGUSR1 saves the simulation as it is, where the system has that signal."""
+
+    def save() -> None:
+        try:
+            snapshot.save(emulator, path)
+        except SnapshotError as error:
+            log.error("not saved: %s", error)
+
+    with contextlib.suppress(NotImplementedError, AttributeError):
+        asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, save)
 
 
 def _list_worlds() -> None:
@@ -71,21 +119,51 @@ def _parser() -> argparse.ArgumentParser:
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
         epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0",
     )
-    parser.add_argument("world", nargs="?", default=DEFAULT_WORLD, metavar="WORLD",
-                        help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds)")
-    parser.add_argument("--port", type=_port, default=DEFAULT_PORT, help=f"default {DEFAULT_PORT}; 0 takes a free one")
+    parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
+                        help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and the "
+                        "original's robot.setup and world.setup, read for the keys that are known")
+    parser.add_argument("--port", type=_port, help=f"default {DEFAULT_PORT}; 0 takes a free one")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
                         help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
-    parser.add_argument("--robot", default=READY_MODELS[0], choices=READY_MODELS, help="the robot's model")
+    parser.add_argument("--robot", choices=READY_MODELS, help=f"the robot's model (default {READY_MODELS[0]})")
     parser.add_argument("--start", metavar="X,Y,STEER,TURRET", help="start pose in inches and degrees")
     parser.add_argument("--seed", type=_seed, default=0, help="seed of all noise (default 0)")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
                         help=f"simulated seconds a second, {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED} (default 1)")
+    parser.add_argument("--paused", action="store_true", help="let time stand until a client resumes it")
+    parser.add_argument("--lockstep", type=_lockstep, metavar="DT",
+                        help="let DT simulated seconds pass when a client asks something, and none else")
+    parser.add_argument("--allow-control", action="store_true", help="let clients pause, step and speed up the time")
+    parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
+    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
     parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
     return parser
+
+
+def _as_long_option(word: str) -> str:
+    """-noisy, -p: an option of the original by its first letters, as the long one that it is now."""
+    letters = word[1:]
+    if not word.startswith("-") or not letters.isalpha():
+        return word
+    return next((f"--{name}" for name in OLD_OPTIONS if name.startswith(letters)), word)
+
+
+def _sorted_files(parser: argparse.ArgumentParser, files: list[str]) -> tuple[str, list[Path]]:
+    """The world among the files, and the old setup files: those that are called so, or are there and no TOML."""
+    setups = [name for name in files if _is_setup(name)]
+    worlds = [name for name in files if not _is_setup(name)]
+    if len(worlds) > 1 or len(setups) > MOST_SETUPS:
+        parser.error(f"one world and two setup files at most, not {' '.join(files)}")
+    return (worlds[0] if worlds else DEFAULT_WORLD), [Path(name) for name in setups]
+
+
+def _is_setup(name: str) -> bool:
+    path = Path(name)
+    return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
 
 
 def _as_value(word: str) -> str:
@@ -97,6 +175,13 @@ def _speed(text: str) -> float | None:
     if text == MAX_SPEED:
         return None
     return _number(text, float, (SLOWEST, FASTEST), f"a speed is {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED}")
+
+
+def _lockstep(text: str) -> float:
+    step_s = float(text)
+    if not 0.0 < step_s <= LONGEST_LOCKSTEP_S:
+        raise argparse.ArgumentTypeError(f"a step is more than 0 and at most {LONGEST_LOCKSTEP_S:.0f} s")
+    return step_s
 
 
 def _port(text: str) -> int:

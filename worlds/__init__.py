@@ -5,7 +5,7 @@ Knows nothing of robots' languages, of physics, of filters. Inches, radians, cou
 
 from worlds.bodies import BODIES, N150, N200, SCOUT, Body
 from worlds.files import load_world, world_names
-from worlds.raycast import cast_rays
+from worlds.raycast import cast_discs, cast_rays
 from worlds.world import Path, Polygon, StartPose, World
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Polygon",
     "StartPose",
     "World",
+    "cast_discs",
     "cast_rays",
     "load_world",
     "world_names",

@@ -69,6 +69,27 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
     return ranges.reshape(shape[:-1]), rows.reshape(shape[:-1])
 
 
+def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.ArrayLike) -> FloatArray:
+    """The range from each origin along its direction to the first disc: where its rim is met.
+
+    origins     (..., 2) inches, and directions (..., 2) unit vectors; their leading dimensions broadcast
+    discs       (k, 3), rows x y radius in inches; k may be 0
+    returns     ranges (...) >= 0 in inches, inf where nothing is met; 0 from inside a disc
+
+    With the centre `ahead` along the ray and `side` to its left the rim is met at ahead - sqrt(radius^2 - side^2).
+    """
+    starts = np.asarray(origins, dtype=np.float64)[..., None, :]
+    ways = np.asarray(directions, dtype=np.float64)[..., None, :]
+    circles = np.asarray(discs, dtype=np.float64).reshape(-1, 3)
+    to_x, to_y = circles[:, 0] - starts[..., 0], circles[:, 1] - starts[..., 1]
+    ahead = to_x * ways[..., 0] + to_y * ways[..., 1]
+    side = ways[..., 0] * to_y - ways[..., 1] * to_x
+    half_chord = np.sqrt(np.maximum(circles[:, 2] ** 2 - side * side, 0.0))
+    missed = (np.abs(side) > circles[:, 2]) | (ahead + half_chord < 0.0)
+    ranges: FloatArray = np.where(missed, inf, np.maximum(ahead - half_chord, 0.0)).min(axis=-1, initial=inf)
+    return ranges
+
+
 def _cast_one(origin: FloatArray, direction: FloatArray, walls: FloatArray) -> tuple[float, int]:
     """One ray: sides and aheads of all corners in arrays, then one by one the few walls worth a look.
 

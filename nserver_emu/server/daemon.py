@@ -18,8 +18,8 @@ from collections.abc import Callable
 from typing import cast
 
 from nclient.errors import ConnectionLost
-from nserver_emu.server.handlers import AS_FAST_AS_IT_CAN, Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.session import Acquaintance, Session
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +31,10 @@ FAST_STEP_S = 0.1
 REQUESTS_A_TURN = 20
 READ_SIZE = 4096
 """Bytes of one client that are looked at before it is the others' turn."""
+LOCKSTEPS_A_TURN = 100
+"""Steps made at once for a client that waits in lockstep, before the others have their turn."""
+MOST_ACQUAINTANCES = 1000
+"""Addresses of which the last CONNECT is remembered; the oldest is forgotten for a new one."""
 LOOPBACK = "127.0.0.1"
 LOOPBACK_NAMES = (LOOPBACK, "localhost")
 HOST_NAME_LOOPBACK = "127.0.1.1"
@@ -46,12 +50,17 @@ class Connection(asyncio.BufferedProtocol):
         self.blocked = False
         self._inbox = bytearray(READ_SIZE)
         self._turn: asyncio.Handle | None = None
+        self._met: Acquaintance | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self.session = Session(self._daemon.emulator.answer, f"{peer[0]}:{peer[1]}" if peer else "client")
+        self._host = peer[0] if peer else ""
+        name = f"{peer[0]}:{peer[1]}" if peer else "client"
+        self.session = Session(
+            self._daemon.emulator.answer, name, lambda: self._daemon.acquaintances.get(self._host)
+        )
         self._daemon.connections.add(self)
         log.info("%s: connected", self.session.name)
 
@@ -98,6 +107,9 @@ class Connection(asyncio.BufferedProtocol):
             log.exception("%s: closed because of a fault of ours", self.session.name)
             self._transport.abort()
             return
+        if self.session.met != self._met:
+            self._met = self.session.met
+            self._daemon.remember(self._host, self._met)
         if replies:
             self._transport.write(replies)
         if self.session.closing:
@@ -128,14 +140,15 @@ class Connection(asyncio.BufferedProtocol):
 
 
 class Daemon:
-    """An Nserver on sockets. `speed`: simulated seconds a real second, None for as fast as it can."""
+    """An Nserver on sockets. `speed`: simulated seconds a real second, None for as fast as it can; from then on the
+    emulator's pace says."""
 
     def __init__(self, emulator: Emulator, speed: float | None = 1.0) -> None:
         self.emulator = emulator
         self.connections: set[Connection] = set()
-        self._speed = speed
+        self.acquaintances: dict[str, Acquaintance] = {}
         self._servers: list[asyncio.Server] = []
-        emulator.speed_tenths = AS_FAST_AS_IT_CAN if speed is None else round(10 * speed)
+        emulator.pace.factor = speed
 
     async def listen(self, host: str, port: int) -> int:
         """Open the door; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
@@ -155,8 +168,19 @@ class Daemon:
         self.emulator.port = port
         return port
 
-    async def serve(self, stop: asyncio.Event) -> None:
-        """Let time pass until told to stop; then close everything."""
+    def remember(self, host: str, met: Acquaintance | None) -> None:
+        """Note what the last CONNECT from an address agreed."""
+        self.acquaintances.pop(host, None)
+        if met is not None:
+            self.acquaintances[host] = met
+        if len(self.acquaintances) > MOST_ACQUAINTANCES:
+            del self.acquaintances[next(iter(self.acquaintances))]
+
+    async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
+        """Let time pass until told to stop, or until a client that may ends it; then close everything.
+
+        `before_close` sees all as it was: no connection closed, no robot stopped for that.
+        """
         clock = asyncio.create_task(self._run_clock())
         stopped = asyncio.create_task(stop.wait())
         try:
@@ -164,26 +188,44 @@ class Daemon:
         finally:
             stopped.cancel()
             clock.cancel()
-            await self._close()
+            try:
+                before_close()
+            finally:
+                await self._close()
         if clock.done() and not clock.cancelled():
             clock.result()
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()
         last = loop.time()
-        while True:
-            await asyncio.sleep(TICK_S if self._speed is not None else 0)
+        while not self.emulator.quitting:
+            pace = self.emulator.pace
+            await asyncio.sleep(0 if pace.runs_alone and pace.factor is None else TICK_S)
             now = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
 
     def _pass_time(self, elapsed_s: float) -> None:
-        if self._speed is None:
+        pace = self.emulator.pace
+        if pace.runs_alone and pace.factor is None:
             self.emulator.simulation.step(FAST_STEP_S)
-        else:
+        elif pace.runs_alone and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
-            self.emulator.simulation.step(min(elapsed_s, LONGEST_CATCH_UP_S) * self._speed)
+            self.emulator.simulation.step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
+        elif pace.asked_s:
+            self._step_for_the_waiting(pace.asked_s)
+        self._tick()
+
+    def _step_for_the_waiting(self, step_s: float) -> None:
+        """In lockstep, who waits for ws or zr asks for time as long as the answer takes."""
+        for _ in range(LOCKSTEPS_A_TURN):
+            if not any(connection.session.waiting for connection in self.connections):
+                return
+            self.emulator.simulation.step(step_s)
+            self._tick()
+
+    def _tick(self) -> None:
         for connection in tuple(self.connections):
             connection.tick()
 

@@ -2,8 +2,9 @@
 
     send(bytes) ──> session ──> simulated time advances by `step_s` ──> answers, read with receive()
 
-Rules: no socket, no clock; simulated time passes with each exchange and at no other moment, so that a run repeats to
-the bit. Connecting and asking for the truth take no time. nclient finds this by entry point and does not import it.
+Rules: no socket, no clock; simulated time passes in lockstep, with each exchange and at no other moment, so that a run
+repeats to the bit. Connecting and asking for the truth take no time. The client may control the time: it is its own.
+nclient finds this by entry point and does not import it.
 """
 
 from __future__ import annotations
@@ -13,17 +14,13 @@ import math
 from urllib.parse import parse_qsl
 
 from nclient.errors import AddressError
-from nclient.protocol.commands import Call
-from nclient.protocol.replies import Reply
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Later, Session, Visit
+from nserver_emu.server.session import Session
 from nserver_emu.server.setting import DEFAULT_WORLD, Setting, pose_from_text
+from nserver_emu.server.stage import Allowed
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1
-LOCKSTEP = 0
-"""What State[0] shows where time moves only when a client asks."""
-_TIMELESS = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
 _OPTIONS = ("robot", "seed", "noisy", "start", "step_s")
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
@@ -33,16 +30,16 @@ class InProcess:
 
     def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
         self.emulator = emulator
-        self._step_s = step_s
-        self._session = Session(self._answer, "in process")
+        emulator.pace.lockstep_s = step_s
+        self._session = Session(emulator.answer, "in process")
         self._outgoing = bytearray()
 
     def send(self, data: bytes) -> None:
         """Requests, in any cuts."""
         self._session.receive(data)
-        while self._session.ready or self._session.waiting:
+        while self._session.ready or (self._session.waiting and self.emulator.pace.asked_s):
             if self._session.waiting:
-                self.emulator.simulation.step(self._step_s)
+                self.emulator.simulation.step(self.emulator.pace.asked_s)
                 self._outgoing += self._session.tick()
             self._outgoing += self._session.answers(most=1)
 
@@ -56,11 +53,6 @@ class InProcess:
         """The client is gone; its robot stops."""
         self._session.closing = True
         self.emulator.leave(self._session.visit)
-
-    def _answer(self, call: Call, visit: Visit) -> Reply | Later:
-        if call.name not in _TIMELESS:
-            self.emulator.simulation.step(self._step_s)
-        return self.emulator.answer(call, visit)
 
 
 def open_address(address: str) -> InProcess:
@@ -85,7 +77,7 @@ def open_address(address: str) -> InProcess:
         seed=_seed(address, options.get("seed", "0")),
         noisy=_flag(address, options.get("noisy", "0")),
     )
-    emulator = Emulator(setting.simulation(), speed_tenths=LOCKSTEP)
+    emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
     return InProcess(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
 
 

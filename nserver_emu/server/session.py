@@ -3,6 +3,9 @@
     receive(bytes) ──> framer ──> queue ──> answer(call, visit) ──> replies
                                                 └─ later: tick() asks again until there is one
 
+An old client may go on over a second connection without another CONNECT: it is then taken for the one that
+`acquaintance` knows, robot and word width. Its first message tells: it is a CONNECT or it is not.
+
 Rules: one request, one reply, in order; a request behind one that is answered later waits its turn. Who answers is
 handed in, so the same conversation serves a simulation and a gateway. Nothing here knows a socket or a clock.
 Every bad request costs its sender an ERROR reply, or the connection once its stream has lost its frame.
@@ -14,6 +17,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from nclient.errors import WireError
 from nclient.protocol import language
@@ -26,9 +30,12 @@ from nclient.protocol.terms import Terms, tcp_terms
 
 log = logging.getLogger(__name__)
 
-BAD_VALUES, NOT_CONNECTED = 2, 3
+BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
+"""Codes of ERROR replies."""
 CROWD = 100
 _CONNECTS = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
+_CONNECT_TYPES = frozenset(BY_NAME[name].tcp_type for name in _CONNECTS)
+_TYPE_BYTES = 2
 
 
 @dataclass(slots=True, eq=False)
@@ -50,21 +57,32 @@ Answer = Callable[[Call, Visit], Reply | Later]
 """Who answers: a reply, or a promise of one."""
 
 
+class Acquaintance(NamedTuple):
+    """What the last CONNECT from an address agreed: which robot, and whether the client is a 64-bit one."""
+
+    robot_id: int
+    wide: bool
+
+
 def error_reply(code: int) -> Reply:
     """The ERROR reply with this code (PROTOCOL.md, section 1)."""
     return Reply("error", values=(code,))
 
 
 class Session:
-    """One client's conversation. `name` stands in the log."""
+    """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before."""
 
-    def __init__(self, answer: Answer, name: str = "client") -> None:
+    def __init__(
+        self, answer: Answer, name: str = "client", acquaintance: Callable[[], Acquaintance | None] = lambda: None
+    ) -> None:
         self.visit = Visit()
         self.name = name
         self.closing = False
         """Whether the connection is to be closed, once what was given back is sent."""
         self.refused = 0
         self._answer = answer
+        self._acquaintance = acquaintance
+        self._head: bytes | None = b""
         self._framer = TcpFramer(request_bounds, gives_up=True)
         self._queue: deque[TcpFrame | Refused] = deque()
         self._later: tuple[str, Later] | None = None
@@ -89,10 +107,23 @@ class Session:
         """Whether an answer is outstanding that only time can bring."""
         return self._later is not None
 
+    @property
+    def met(self) -> Acquaintance | None:
+        """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
+        robot_id = self.visit.robot_id
+        return None if robot_id is None else Acquaintance(robot_id, self.visit.terms.wide)
+
     def receive(self, data: bytes) -> None:
         """Take in what the client sent; `answers` gives what there is to say to it."""
-        if not self.closing:
-            self._queue.extend(self._framer.receive(data))
+        if self.closing:
+            return
+        if self._head is not None:
+            data = self._head = self._head + data
+            if len(data) < _TYPE_BYTES:
+                return
+            self._head = None
+            self._recognise(int.from_bytes(data[:_TYPE_BYTES], "big"))
+        self._queue.extend(self._framer.receive(data))
 
     def answers(self, most: int) -> bytes:
         """The replies to at most so many of the requests that wait."""
@@ -112,6 +143,13 @@ class Session:
             return b""
         self._later = None
         return self._encode(name, reply)
+
+    def _recognise(self, first_type: int) -> None:
+        known = self._acquaintance() if first_type not in _CONNECT_TYPES else None
+        if known is not None:
+            log.info("%s: goes on without CONNECT, as robot %d", self.name, known.robot_id)
+            self.visit.robot_id = known.robot_id
+            self._framer.wide = known.wide
 
     def _answer_one(self, item: TcpFrame | Refused) -> bytes:
         if isinstance(item, Refused):

@@ -32,8 +32,6 @@ class Setting:
     def simulation(self) -> Simulation:
         """The simulation as set. Raises WorldFileError, AddressError (model) or StartError, naming the remedy."""
         model = model_named(self.robot)
-        if model.name not in READY_MODELS:
-            raise AddressError(f"no simulation of a {model.name} yet; there is {', '.join(READY_MODELS)}")
         simulation = Simulation(load_world(self.world), seed=self.seed)
         setup = NOISY if self.noisy else IDEAL
         simulation.add_robot(FIRST_ROBOT, self.start, MODELS[model.name], setup)

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import math
 
-from nclient.protocol.mask import Position
+from nclient.protocol.mask import LASER_SLOT, Position
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import SONAR_KEYS, Stamp
+from nclient.protocol.stamps import INFRARED_KEYS, SONAR_KEYS, Stamp
+from nclient.protocol.terms import Terms
 from nclient.protocol.units import (
     CPU_RANGE_V,
     MOTOR_RANGE_V,
@@ -21,21 +22,37 @@ from nclient.protocol.units import (
     heading_tenths,
     raw_volts,
     tenths,
-    unwrapped_word,
 )
+from nserver_emu.server.axis_units import axis_tenths
+from nserver_emu.server.laser_vector import is_on, laser_vector
 from nserver_emu.server.session import Visit
+from nserver_emu.simulation.battery import battery_v
+from nserver_emu.simulation.instants import to_s
 from nserver_emu.simulation.poses import Pose
+from nserver_emu.simulation.poses import Stamp as Moment
 from nserver_emu.simulation.robot import SimulatedRobot
 
 INFRARED_NOTHING = 15
+CLOCK_WORD = 0xFFFFFFFF
+"""After fifty days the clock begins anew, as a word of milliseconds does."""
 UNMASKED_SLOTS = (0, 41, 44)
-FULL_BATTERY_V = 12.0
-_FULL = (raw_volts(FULL_BATTERY_V, CPU_RANGE_V), raw_volts(FULL_BATTERY_V, MOTOR_RANGE_V))
 
 
-def clock_ms(time_s: float) -> int:
-    """The robot's clock: milliseconds since power-on, modulo 2^32 as its word is."""
-    return unwrapped_word(math.floor(time_s * 1000 + 1e-6))
+def clock_ms(time_s: float, step_s: float = 0.0) -> int:
+    """A clock that shows whole milliseconds since power-on, and goes in steps: 0 every millisecond."""
+    shown_s = math.floor(time_s / step_s + 1e-9) * step_s if step_s else time_s
+    return math.floor(shown_s * 1000 + 1e-6) & CLOCK_WORD
+
+
+def robot_clock_ms(robot: SimulatedRobot, time_s: float) -> int:
+    """What the robot's own clock shows at a simulated time: 16.4 ms steps where the setup has them."""
+    return clock_ms(time_s, robot.setup.clock_step_s)
+
+
+def volts_raw(time_s: float) -> tuple[int, int]:
+    """The raw battery bytes, CPU and motors."""
+    voltage = battery_v(time_s)
+    return raw_volts(voltage, CPU_RANGE_V), raw_volts(voltage, MOTOR_RANGE_V)
 
 
 def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
@@ -45,12 +62,7 @@ def pose_tenths(robot: SimulatedRobot) -> tuple[int, int, int, int]:
 
 def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
     """The three velocities; an axis that moves never shows zero, one at rest always does."""
-    translation, steering, turret = robot.velocities
-    return (
-        _away_from_zero(translation * 10),
-        _away_from_zero(math.degrees(steering) * 10),
-        _away_from_zero(math.degrees(turret) * 10),
-    )
+    return axis_tenths(robot, robot.velocities)
 
 
 def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
@@ -58,14 +70,14 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
     moving = robot.moving
     return [
         speed,
-        *[INFRARED_NOTHING] * 16,
+        *(robot.infrared.readings if robot.infrared is not None else [INFRARED_NOTHING] * 16),
         *robot.sonar.readings_in,
         robot.bumpers,
         *pose_tenths(robot),
         *velocity_tenths(robot),
         moving[0] | moving[1] << 1 | moving[2] << 2,
         0,
-        0,
+        heading_tenths(robot.compass.direction_rad),
         0,
     ]
 
@@ -73,6 +85,7 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
 def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[int]) -> Reply:
     """The whole state of a robot, `slots` as of now, on the terms of this connection."""
     mask = visit.terms.mask
+    slots, laser = with_laser(robot, visit.terms, slots, wanted=mask.has(LASER_SLOT))
     if not mask.whole:
         kept = visit.kept
         slots = [
@@ -80,35 +93,43 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[
         ]
     visit.kept = slots
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
-    return Reply("state", dict(enumerate(slots)), None, stamps, clock_ms(time_s), _FULL)
+    return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
+
+
+def with_laser(
+    robot: SimulatedRobot, terms: Terms, slots: list[int], *, wanted: bool = True
+) -> tuple[list[int], tuple[int, ...] | None]:
+    """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
+    if not robot.model.sees:
+        return slots, None
+    told = [*slots[:LASER_SLOT], terms.laser_mode, *slots[LASER_SLOT + 1 :]]
+    return told, laser_vector(robot, terms.laser_width) if wanted and is_on(terms.laser_mode) else None
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:
     """The stamps that these position-data bits ask for, of the sensors this robot has."""
     stamps = sonar_stamps(robot) if position & Position.SONAR else {}
+    if position & Position.INFRARED:
+        stamps |= infrared_stamps(robot)
     if position & Position.BUMPER:
-        stamps["bumper"] = bumper_stamp(robot, time_s)
+        stamps["bumper"] = stamp_now(robot, time_s)
+    if position & Position.LASER and robot.model.sees:
+        stamps["laser"] = stamp_now(robot, time_s)
+    if position & Position.COMPASS:
+        stamps["compass"] = compass_stamp(robot, time_s)
     return stamps
 
 
 def sonar_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
     """Where the encoders were when each sonar took its last reading."""
-    return {
-        key: Stamp(
-            *_pose_tenths(at.pose),
-            _away_from_zero(at.velocities[0] * 10),
-            _away_from_zero(math.degrees(at.velocities[1]) * 10),
-            _away_from_zero(math.degrees(at.velocities[2]) * 10),
-            clock_ms(at.pose_time_s),
-            clock_ms(at.sensor_time_s),
-        )
-        for key, at in zip(SONAR_KEYS, robot.sonar.stamps, strict=True)
-    }
+    return {key: _stamp(robot, at) for key, at in zip(SONAR_KEYS, robot.sonar.stamps, strict=True)}
 
 
-def bumper_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
-    """The bumpers are read when they are asked for: a stamp of now."""
-    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), clock_ms(time_s), clock_ms(time_s))
+def infrared_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
+    """Where they were when each infrared did; none for a robot without."""
+    if robot.infrared is None:
+        return {}
+    return {key: _stamp(robot, at) for key, at in zip(INFRARED_KEYS, robot.infrared.stamps, strict=True)}
 
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
@@ -120,6 +141,21 @@ def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
     )
 
 
-def _away_from_zero(value: float) -> int:
-    rounded = round(value)
-    return rounded if rounded or not value else (1 if value > 0 else -1)
+def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
+    """Bumpers and laser are read when they are asked for: a stamp of now."""
+    now_ms = robot_clock_ms(robot, time_s)
+    return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
+
+
+def compass_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
+    """The pose of now, and when the compass was read: up to a tenth of a second ago."""
+    return stamp_now(robot, time_s)._replace(sensor_time=robot_clock_ms(robot, to_s(robot.compass.taken_ps)))
+
+
+def _stamp(robot: SimulatedRobot, at: Moment) -> Stamp:
+    return Stamp(
+        *_pose_tenths(at.pose),
+        *axis_tenths(robot, at.velocities),
+        robot_clock_ms(robot, at.pose_time_s),
+        robot_clock_ms(robot, at.sensor_time_s),
+    )

@@ -1,6 +1,7 @@
 """Physics of simulated robots in inches, radians, seconds. No clock, no socket, no wire units; time is an argument.
 
-simulation > robot > drive > axis             what was told        > stretch    the path that comes of it
+simulation > company > robot                  who is near whom
+             robot > drive > axis             what was told        > stretch    the path that comes of it
                    > encoders | chassis       believed | true      > contact, bumpers
-                   > sonar                    what is seen         noise, setup, models: how real, and which robot
+                   > sonar                    what is seen         noise, odometry, setup, models: how real, and which robot
 """

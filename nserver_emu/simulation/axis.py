@@ -78,6 +78,8 @@ class Axis:
         self.mode = Mode.HOLD
         self.speed = limits.speed
         self.acceleration = limits.acceleration
+        self.count = 0.0
+        """How far it went in all, units, the ways back taken off: what absolute positions are counted from."""
         self._phases: tuple[Phase, ...] = ()
         self._elapsed_s = 0.0
 
@@ -175,6 +177,12 @@ class Axis:
 
     def advance(self, dt_s: float) -> float:
         """Let dt_s >= 0 seconds pass; returns the displacement in units."""
+        travelled = self._travel(dt_s)
+        self.count += travelled
+        return travelled
+
+    def _travel(self, dt_s: float) -> float:
+        """Walk through the phases for dt_s seconds; the way in units."""
         travelled = 0.0
         while self._phases:
             phase = self._phases[0]

@@ -1,6 +1,7 @@
 """The actual robot: a disc that moves in the map and stops where it touches. Knows no commands and no encoders.
 
 x, y, yaw     true place of the axis and true turn of the body; noise turns the body, so the yaw drifts
+lag           how far the turret is off its mechanical angle, where its gears err
 room          no less than the way to the nearest thing: while a stretch is shorter, no wall is looked at
 """
 
@@ -27,6 +28,7 @@ class Chassis:
         self._x_in = x_in
         self._y_in = y_in
         self._yaw_rad = 0.0
+        self._lag_rad = 0.0
         self._room_in = 0.0
 
     def enter(self, ground: Ground) -> None:
@@ -34,10 +36,16 @@ class Chassis:
         self._ground = ground
         self._room_in = 0.0
 
+    @property
+    def place(self) -> tuple[float, float]:
+        """(x, y) of the axis, inches."""
+        return self._x_in, self._y_in
+
     def pose(self, steering_rad: float, turret_rad: float) -> Pose:
         """The true pose at these mechanical angles."""
         yaw = self._yaw_rad
-        return Pose(self._x_in, self._y_in, once_round(steering_rad + yaw), once_round(turret_rad + yaw))
+        turret = turret_rad + self._lag_rad + yaw
+        return Pose(self._x_in, self._y_in, once_round(steering_rad + yaw), once_round(turret))
 
     def heading(self, steering_rad: float) -> float:
         """The true heading at this mechanical steering angle, unwrapped."""
@@ -45,7 +53,7 @@ class Chassis:
 
     def first_contact(self, stretch: Stretch, steering_rad: float) -> Contact | None:
         """Where this stretch, begun here at this mechanical steering angle, first touches something; None: nowhere."""
-        way = abs(stretch.distance_at(stretch.duration_s))
+        way = stretch.length_bound(stretch.duration_s)
         if way == 0.0 or way < self._room_in:
             return None
         self._room_in = self._clearance()
@@ -59,11 +67,19 @@ class Chassis:
         dx, dy = stretch.displacement(self.heading(steering_rad), time_s)
         self._x_in += dx
         self._y_in += dy
-        self._room_in -= abs(stretch.distance_at(time_s))
+        self._room_in -= stretch.length_bound(time_s)
 
     def turn(self, angle_rad: float) -> None:
         """Turn the whole body."""
         self._yaw_rad += angle_rad
+
+    def turn_turret(self, angle_rad: float) -> None:
+        """Turn the turret besides what its encoder counts."""
+        self._lag_rad += angle_rad
+
+    def found_zero(self) -> None:
+        """The turret stands at its zero, as the sensor there says."""
+        self._lag_rad = 0.0
 
     def bumpers(self, frame_rad: float) -> int:
         """Bit i is set while bumper i is touched; frame_rad is the angle of the bumpers against the yaw."""

@@ -1,17 +1,41 @@
 """Drives: what the axes of a model do to the robot. Mechanical angles live here; places and encoders do not.
 
-    SynchroDrive    translation, steering, turret: three wheels steer and roll together, the body never turns
+    SynchroDrive         translation, steering, turret: three wheels steer and roll together, the body never turns
+    DifferentialDrive    right wheel, left wheel: the body turns with the heading, and what sits on it
 
 A drive answers the robot in the same words whatever its wheels: `stretch` for the path, `advance` to let time pass,
-three mechanical angles against the body's yaw. A differential drive fits in as a second class: its heading is its
-body's, so that its steering, turret and bumper frame are one angle. No noise, no contact, no clock.
+three mechanical angles against the body's yaw; `wheels` and `path` translate between path and axes, for whoever makes
+the wheels err. No noise, no contact, no clock.
 """
 
 from __future__ import annotations
 
+from typing import Final, NamedTuple
+
 from nserver_emu.simulation.angles import short_way
-from nserver_emu.simulation.axis import Axis, AxisLimits
+from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
 from nserver_emu.simulation.stretch import Stretch
+
+NO_AXIS: Final = AxisLimits(
+    top_speed=0.0,
+    top_acceleration=1.0,
+    least_acceleration=1.0,
+    speed=0.0,
+    acceleration=1.0,
+    resolution=0.0,
+)
+"""The limits of an axis that is not there: it takes every command and never moves."""
+
+
+class Rate(NamedTuple):
+    """Velocity and acceleration of an axis."""
+
+    velocity: float
+    acceleration: float
+
+    def times(self, scale: float) -> Rate:
+        """So many times as fast."""
+        return Rate(self.velocity * scale, self.acceleration * scale)
 
 
 class SynchroDrive:
@@ -19,9 +43,11 @@ class SynchroDrive:
 
     steering_rad, turret_rad    mechanical angles against the body, unwrapped; 0 is the bumpers' zero
     bumper_frame_rad            angle of the bumpers against the body's yaw: the body does not turn
+    rolls                       which axes count inches; the others count radians
     """
 
     bumper_frame_rad = 0.0
+    rolls = (True, False, False)
 
     def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool) -> None:
         self.translation, self.steering, self.turret = (Axis(limit, ramps) for limit in limits)
@@ -44,15 +70,29 @@ class SynchroDrive:
             steering.phase_acceleration,
         )
 
-    def advance(self, dt_s: float) -> None:
-        """Let dt_s seconds pass in all axes."""
+    def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
+        """What translation and steering do on a stretch."""
+        return Rate(stretch.speed, stretch.acceleration), Rate(stretch.turn_rate, stretch.turn_acceleration)
+
+    def path(self, duration_s: float, first: Rate, second: Rate) -> Stretch:
+        """The stretch that translation and steering make; the inverse of `wheels`."""
+        return Stretch(duration_s, *first, *second)
+
+    def advance(self, dt_s: float) -> float:
+        """Let dt_s seconds pass in all axes; returns how far the turret turned, radians."""
         self.translation.advance(dt_s)
         self.steering_rad += self.steering.advance(dt_s)
-        self.turret_rad += self.turret.advance(dt_s)
+        turned = self.turret.advance(dt_s)
+        self.turret_rad += turned
+        return turned
 
     def block(self) -> None:
         """Something is in the way: the wheels no longer roll; steering and turret go on."""
         self.translation.halt()
+
+    def possible(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
+        """Steering and turret can stand at any two angles."""
+        return steering_rad, turret_rad
 
     def put(self, steering_rad: float, turret_rad: float) -> None:
         """Set the mechanical angles, as hands would; motions under way go on from there."""
@@ -71,3 +111,106 @@ class SynchroDrive:
     def found_zero(self) -> None:
         """The search is over: what is left of both angles is rounding and whole turns."""
         self.put(0.0, 0.0)
+
+
+class DifferentialDrive:
+    """The drive of the Scout: two wheels side by side, their speeds v_r and v_l, `track_in` inches apart.
+
+        speed = (v_r + v_l) / 2        turn rate = (v_r - v_l) / track
+
+    heading_rad     mechanical heading, unwrapped; steering, turret and the frame of the bumpers are this one angle
+    rolls           which axes count inches; the third is not there
+    """
+
+    rolls = (True, True, False)
+
+    def __init__(self, limits: tuple[AxisLimits, ...], ramps: bool, track_in: float) -> None:
+        self.right, self.left, self._none = (Axis(limit, ramps) for limit in limits)
+        self.track_in = track_in
+        self.heading_rad = 0.0
+
+    @property
+    def steering_rad(self) -> float:
+        """The heading."""
+        return self.heading_rad
+
+    @property
+    def turret_rad(self) -> float:
+        """The heading: there is no turret."""
+        return self.heading_rad
+
+    @property
+    def bumper_frame_rad(self) -> float:
+        """The heading: bumpers turn with the body."""
+        return self.heading_rad
+
+    @property
+    def axes(self) -> tuple[Axis, Axis, Axis]:
+        """In the order of the commands: right wheel, left wheel, and one that never moves."""
+        return self.right, self.left, self._none
+
+    def stretch(self, longest_s: float) -> Stretch:
+        """The path of the next `longest_s` seconds, or of less where a wheel changes its acceleration or the robot its
+        direction sooner."""
+        right, left = self.right, self.left
+        stretch = self.path(
+            min(longest_s, right.phase_left_s, left.phase_left_s),
+            Rate(right.velocity, right.phase_acceleration),
+            Rate(left.velocity, left.phase_acceleration),
+        )
+        if stretch.speed * stretch.acceleration < 0.0:
+            turns_back_s = -stretch.speed / stretch.acceleration
+            if TIME_TOLERANCE_S < turns_back_s < stretch.duration_s:
+                return stretch._replace(duration_s=turns_back_s)
+        return stretch
+
+    def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
+        """What the right and the left wheel do on a stretch."""
+        half = 0.5 * self.track_in
+        faster, gaining = half * stretch.turn_rate, half * stretch.turn_acceleration
+        return (
+            Rate(stretch.speed + faster, stretch.acceleration + gaining),
+            Rate(stretch.speed - faster, stretch.acceleration - gaining),
+        )
+
+    def path(self, duration_s: float, first: Rate, second: Rate) -> Stretch:
+        """The stretch that the right and the left wheel make; the inverse of `wheels`."""
+        return Stretch(
+            duration_s,
+            0.5 * (first.velocity + second.velocity),
+            0.5 * (first.acceleration + second.acceleration),
+            (first.velocity - second.velocity) / self.track_in,
+            (first.acceleration - second.acceleration) / self.track_in,
+        )
+
+    def advance(self, dt_s: float) -> float:
+        """Let dt_s seconds pass in both wheels; returns how far a turret turned: there is none, 0."""
+        self.heading_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
+        return 0.0
+
+    def block(self) -> None:
+        """Something is in the way: no wheel rolls any more."""
+        self.right.halt()
+        self.left.halt()
+
+    def possible(self, steering_rad: float, turret_rad: float) -> tuple[float, float]:
+        """Steering and turret are one angle, that of the steering."""
+        del turret_rad
+        return steering_rad, steering_rad
+
+    def put(self, steering_rad: float, turret_rad: float) -> None:
+        """Set the heading, as hands would; motions under way go on from there."""
+        del turret_rad
+        self.heading_rad = steering_rad
+
+    def seek_zero(self) -> None:
+        """There is nothing that could turn to a zero: the wheels stop."""
+        self.right.stop()
+        self.left.stop()
+
+    def found_zero(self) -> None:
+        """The heading stays what it is."""
+
+
+Drive = SynchroDrive | DifferentialDrive
+"""Any of them."""

@@ -6,6 +6,8 @@ dp, da and zr change. Inches, radians.
 
 from __future__ import annotations
 
+from math import cos, sin
+
 from nserver_emu.simulation.angles import once_round
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.stretch import Stretch
@@ -34,6 +36,12 @@ class Encoders:
         dx, dy = stretch.displacement(steering_rad + self._steering_offset_rad, time_s)
         self._x_in += dx
         self._y_in += dy
+
+    def slip(self, way_in: float, steering_rad: float) -> None:
+        """Count a way straight along this mechanical steering angle that only the wheels went."""
+        heading = steering_rad + self._steering_offset_rad
+        self._x_in += way_in * cos(heading)
+        self._y_in += way_in * sin(heading)
 
     def define_position(self, x_in: float, y_in: float) -> None:
         """From now on this place has these coordinates."""

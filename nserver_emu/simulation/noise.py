@@ -1,7 +1,6 @@
 """Chance: a stream of it for each robot and purpose, and how the true motion strays from the commanded one.
 
-No global generator: whoever draws is handed a stream. Odometry errors of other kinds (scale, drift, slip) belong here
-too: each turns one stretch into another.
+No global generator: whoever draws is handed a stream. Errors that are the same every time are odometry.py's.
 """
 
 from __future__ import annotations
@@ -21,6 +20,8 @@ class Purpose(IntEnum):
 
     MOTION = 0
     SONAR = 1
+    INFRARED = 2
+    COMPASS = 3
 
 
 class Identity(NamedTuple):
@@ -36,20 +37,34 @@ class Identity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MotionNoise:
-    """A random walk that grows with the way, from the table of settings in the project's ROBOTS sheet.
+    """A random walk that grows with the way, in the names of Probabilistic Robotics' odometry model (section 5.4).
 
-    A stretch of length |d| inches that turns the wheels by |a| radians goes d + e instead and turns the whole body by
-    f, with var(e) = along^2 |d| and var(f) = turn^2 |a| + drift^2 |d|. Variances of pieces add up, so that the
-    spread does not depend on how a way is cut.
+    A stretch of length |d| inches that turns by |a| radians goes d + e instead and turns the whole body by f, with
 
-    along   sqrt(inch)          a_t of the settings
-    turn    sqrt(radian)        a_r
-    drift   radian/sqrt(inch)   a_d
+        var(f) = alpha1 |a| + alpha2 |d|      alpha1  rad        turn, from turning
+                                              alpha2  rad^2/in   turn, from driving
+        var(e) = alpha3 |d| + alpha4 |a|      alpha3  in         way, from driving
+                                              alpha4  in^2/rad   way, from turning
+
+    The book's variances grow with the squares d^2 and a^2, so that the spread of a way depends on how it is cut; here
+    variances of pieces add up. Of a localizer that updates every D inches and A radians, the numbers for one update
+    are alpha1 / A, alpha3 / D, and alpha2 / D, alpha4 / A.
     """
 
-    along: float = 0.0
-    turn: float = 0.0
-    drift: float = 0.0
+    alpha1: float = 0.0
+    alpha2: float = 0.0
+    alpha3: float = 0.0
+    alpha4: float = 0.0
+
+    @classmethod
+    def walk(cls, along: float = 0.0, turn: float = 0.0, drift: float = 0.0) -> MotionNoise:
+        """By the roots that the experiments' table of settings gives.
+
+        along   sqrt(inch)          alpha3 = along^2
+        turn    sqrt(radian)        alpha1 = turn^2
+        drift   radian/sqrt(inch)   alpha2 = drift^2
+        """
+        return cls(alpha1=turn**2, alpha2=drift**2, alpha3=along**2)
 
     def disturbed(self, stretch: Stretch, chance: np.random.Generator) -> Stretch:
         """The stretch that is really driven: the same seconds, another length, and a turn that carries the body along.
@@ -61,12 +76,12 @@ class MotionNoise:
         way, angle = stretch.distance_at(duration), stretch.turn_at(duration)
         if self == NO_NOISE or (way == 0.0 and angle == 0.0):
             return stretch
-        longer = self.along * sqrt(abs(way)) * chance.standard_normal()
-        turned = sqrt(self.turn**2 * abs(angle) + self.drift**2 * abs(way)) * chance.standard_normal()
+        longer = sqrt(self.alpha3 * abs(way) + self.alpha4 * abs(angle)) * chance.standard_normal()
+        turned = sqrt(self.alpha1 * abs(angle) + self.alpha2 * abs(way)) * chance.standard_normal()
         scale = 1.0 + longer / way if way else 1.0
         return Stretch(
             duration,
-            stretch.speed * scale,
+            stretch.speed * scale if way else longer / duration,
             stretch.acceleration * scale,
             stretch.turn_rate + turned / duration,
             stretch.turn_acceleration,

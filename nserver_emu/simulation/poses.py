@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 Velocities = tuple[float, float, float]
-"""As the encoders show them, in the order of the axes: translation in/s, steering rad/s, turret rad/s."""
+"""As the encoders show them, in the order of the axes: translation in/s, steering rad/s, turret rad/s; of a
+differential drive right wheel in/s, left wheel in/s, 0."""
 
 
 class Pose(NamedTuple):

@@ -8,24 +8,30 @@ the caller's steps; in each piece first motion, then contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import deepcopy
+from math import copysign
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
+from nserver_emu.simulation.compass import Compass
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
+from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS, to_ps, to_s
+from nserver_emu.simulation.laser import LineFit, ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, Eye, SonarRing
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, SonarRing
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
 
 
 class SimulatedRobot:
-    """A robot in a world. Three numbers of a command go to the axes in their order: translation, steering, turret.
+    """A robot in a world. Three numbers of a command go to the axes in their order: translation, steering, turret
+    (Scout: right wheel, left wheel, none), in inches where `model.rolls`, else in radians.
 
     Every command feeds the time-out; whoever serves questions calls `feed` for them. Values out of range are clamped
     silently. A motion that is blocked is over: the wheels wait for the next command.
@@ -39,6 +45,7 @@ class SimulatedRobot:
         model: RobotModel = N150,
         setup: RobotSetup = IDEAL,
         now_ps: int = 0,
+        others: tuple[FloatArray, int] = NOBODY,
     ) -> None:
         self.identity = identity
         self.model = model
@@ -47,13 +54,24 @@ class SimulatedRobot:
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS
         self._zeroing = False
-        self._drive = model.drive(model.axes, setup.ramps)
+        self._walls = walls
+        self._beside_others = False
+        self._others = others
+        self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
         self._chance = identity.stream(Purpose.MOTION)
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
         self.sonar.fire_all(self._eye(), self._stamp())
+        self.infrared: InfraredRing | None = None
+        if model.sees:
+            light = identity.stream(Purpose.INFRARED)
+            self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, light)
+        self.line_fit = LineFit()
+        self.laser_columns = 0
+        turret_rad = self.actual.turret_rad
+        self.compass = Compass(setup.compass, turret_rad, now_ps, identity.stream(Purpose.COMPASS))
         self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
 
     # What can be seen
@@ -74,10 +92,27 @@ class SimulatedRobot:
         return self._chassis.pose(self._drive.steering_rad, self._drive.turret_rad)
 
     @property
+    def disc(self) -> tuple[float, float, float]:
+        """What the robot is to others: x, y, radius in inches."""
+        return (*self._chassis.place, self.model.body.radius_in)
+
+    @property
     def velocities(self) -> Velocities:
-        """As the encoders show them: in/s, rad/s, rad/s; from the command to the end of a motion never 0."""
+        """As the encoders show them, by axis; from the command to the end of a motion never 0."""
         first, second, third = self._drive.axes
         return first.shown_velocity, second.shown_velocity, third.shown_velocity
+
+    @property
+    def accelerations(self) -> Velocities:
+        """How the axes change their velocities now, by axis and per second; 0 where they jump."""
+        first, second, third = self._drive.axes
+        return first.phase_acceleration, second.phase_acceleration, third.phase_acceleration
+
+    @property
+    def counts(self) -> tuple[float, float, float]:
+        """How far each axis went since power-on or the last `zero`, the ways back taken off."""
+        first, second, third = self._drive.axes
+        return first.count, second.count, third.count
 
     @property
     def moving(self) -> tuple[bool, bool, bool]:
@@ -96,22 +131,22 @@ class SimulatedRobot:
         return self._zeroing
 
     def still(self, axes: Iterable[int]) -> bool:
-        """Whether none of these axes (0 translation, 1 steering, 2 turret) moves; True for none at all."""
+        """Whether none of these axes (0, 1, 2) moves; True for none at all."""
         moving = self.moving
         return not any(moving[axis] for axis in axes)
 
     # Commands: motion
 
-    def set_velocities(self, translation: float, steering: float, turret: float) -> None:
-        """Run at these velocities (in/s, rad/s, rad/s) until the next motion command or the time-out. C: vm."""
+    def set_velocities(self, first: float, second: float, third: float) -> None:
+        """Run at these velocities until the next motion command or the time-out. C: vm."""
         self._take_over()
-        for axis, velocity in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, velocity in zip(self._drive.axes, (first, second, third), strict=True):
             axis.move_at(velocity)
 
-    def move_relative(self, translation: float, steering: float, turret: float) -> None:
-        """Go these ways (in, rad, rad), each axis at its speed, all at once. C: pr."""
+    def move_relative(self, first: float, second: float, third: float) -> None:
+        """Go these ways, each axis at its speed, all at once. C: pr."""
         self._take_over()
-        for axis, way in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, way in zip(self._drive.axes, (first, second, third), strict=True):
             axis.move_by(way)
 
     def command_axis(self, axis: int, command: int, value: float) -> None:
@@ -147,16 +182,16 @@ class SimulatedRobot:
 
     # Commands: settings
 
-    def set_speeds(self, translation: float, steering: float, turret: float) -> None:
-        """Speeds of relative motions (in/s, rad/s, rad/s) from the next one on. C: sp."""
+    def set_speeds(self, first: float, second: float, third: float) -> None:
+        """Speeds of relative motions from the next one on. C: sp."""
         self.feed()
-        for axis, speed in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, speed in zip(self._drive.axes, (first, second, third), strict=True):
             axis.set_speed(speed)
 
-    def set_accelerations(self, translation: float, steering: float, turret: float) -> None:
-        """Accelerations (in/s2, rad/s2, rad/s2) from the next motion on; no effect where axes jump. C: ac."""
+    def set_accelerations(self, first: float, second: float, third: float) -> None:
+        """Accelerations from the next motion on; no effect where axes jump. C: ac."""
         self.feed()
-        for axis, acceleration in zip(self._drive.axes, (translation, steering, turret), strict=True):
+        for axis, acceleration in zip(self._drive.axes, (first, second, third), strict=True):
             axis.set_acceleration(acceleration)
 
     def define_position(self, x_in: float, y_in: float) -> None:
@@ -167,7 +202,8 @@ class SimulatedRobot:
     def define_angles(self, steering_rad: float, turret_rad: float) -> None:
         """The encoders call these directions of steering and turret so; nothing turns. C: da."""
         self.feed()
-        self._encoders.define_angles(steering_rad - self._drive.steering_rad, turret_rad - self._drive.turret_rad)
+        steering, turret = self._drive.possible(steering_rad, turret_rad)
+        self._encoders.define_angles(steering - self._drive.steering_rad, turret - self._drive.turret_rad)
 
     def place(self, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
         """Set the robot down here, encoders and all, its body as at power-on: yaw 0. C: place_robot.
@@ -196,12 +232,26 @@ class SimulatedRobot:
         self.sonar.configure(rate, order, self._time_ps)
         self._fire_due()
 
+    def configure_infrareds(self, history: int, order: Sequence[int]) -> None:
+        """Take history (tenths) and sensors of the infrared ring; it flashes now. C: conf_ir."""
+        self.feed()
+        if self.infrared is not None:
+            self.infrared.configure(history, order, self._time_ps)
+            self._fire_due()
+
+    def look_with_laser(self) -> FloatArray:
+        """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing."""
+        return thinned(ranges(self._eye(), self._walls, self.model.body), self.laser_columns)
+
     # Time and surroundings
 
     def advance_to(self, end_ps: int) -> None:
         """Let time pass until an instant that is not before now."""
         while self._time_ps < end_ps:
             until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
+            if self.infrared is not None:
+                until = min(until, self.infrared.due_ps)
+            self._read_compass(until)
             self._move(to_s(until - self._time_ps))
             self._time_ps = until
             self._end_zero()
@@ -209,9 +259,26 @@ class SimulatedRobot:
                 self._expire()
             self._fire_due()
 
+    def stand_beside(self, discs: FloatArray | None) -> None:
+        """From now on these discs (k, 3), rows x y radius in inches, can be touched, and no others; None: none."""
+        if discs is not None or self._beside_others:
+            self._chassis.enter(Ground.of(self._walls, discs))
+            self._beside_others = discs is not None
+
+    def see(self, discs: FloatArray, own: int) -> None:
+        """From now on sonars see these discs (n, 3), rows x y radius in inches, but for row `own`: that is this robot.
+
+        The array is kept: it never changes.
+        """
+        self._others = (discs, own)
+
     def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
         """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
+        self._walls = walls
+        self._beside_others = discs is not None
         self.sonar.surround(walls)
+        if self.infrared is not None:
+            self.infrared.surround(walls)
         self._chassis.enter(Ground.of(walls, discs))
 
     def _take_over(self) -> None:
@@ -235,16 +302,39 @@ class SimulatedRobot:
         if self._zeroing and not any(self.moving):
             self._zeroing = False
             self._drive.found_zero()
+            for axis in self._drive.axes:
+                axis.count = 0.0
+            self._chassis.found_zero()
             self._encoders.define_position(0.0, 0.0)
             self._encoders.define_angles(-self._drive.steering_rad, -self._drive.turret_rad)
 
     def _fire_due(self) -> None:
         while self.sonar.due_ps <= self._time_ps:
             self.sonar.fire_due(self._eye(), self._stamp())
+        while self.infrared is not None and self.infrared.due_ps <= self._time_ps:
+            self.infrared.flash_due(self._eye(), self._stamp())
+
+    def _read_compass(self, until_ps: int) -> None:
+        """Its last reading up to an instant that this piece of time reaches, before anything moves.
+
+        Time is not cut for it: a copy of the drive tells how far the turret will have turned by then.
+        """
+        due_ps = self.compass.due(until_ps)
+        if due_ps is None:
+            return
+        drive, left_s = self._drive, to_s(due_ps - self._time_ps)
+        if any(self.moving):
+            drive = deepcopy(drive)
+        while drive is not self._drive and left_s > 0.0:
+            span_s = min(drive.stretch(left_s).duration_s, left_s)
+            drive.advance(span_s)
+            left_s -= span_s
+        direction = self._chassis.pose(drive.steering_rad, drive.turret_rad).turret_rad
+        self.compass.take(due_ps, direction, drive.turret_rad)
 
     def _eye(self) -> Eye:
         actual = self.actual
-        return Eye(actual.x_in, actual.y_in, actual.turret_rad)
+        return Eye(actual.x_in, actual.y_in, actual.turret_rad, *self._others)
 
     def _stamp(self) -> Stamp:
         return Stamp(self.encoder, self.velocities, self.time_s, self.time_s)
@@ -254,30 +344,36 @@ class SimulatedRobot:
         while span_s > 0.0:
             stretch = self._drive.stretch(span_s)
             if stretch.at_rest:
-                self._drive.advance(span_s)
+                self._turn_turret(self._drive.advance(span_s))
                 return
             span_s -= self._glide(stretch)
 
     def _glide(self, stretch: Stretch) -> float:
         """Follow a stretch to its end or to where the robot is stopped; returns the seconds that took.
 
-        Only the commanded motion stops the wheels. Where noise alone pushes a robot into a wall it is held there for
-        the stretch, wheels turning.
+        Only the commanded motion stops the wheels. Where noise or a turn on the spot that goes astray pushes a robot
+        into a wall it is held there for the stretch, wheels turning.
         """
         drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
-        driven = self.setup.motion.disturbed(stretch, self._chance)
+        odometry, told_in = self.setup.odometry, stretch.distance_at(duration)
+        steady = odometry.driven(stretch, drive)
+        driven = self.setup.motion.disturbed(steady, self._chance)
         contact = chassis.first_contact(driven, drive.steering_rad)
         blocked = False
         free_s = duration
         if contact is not None:
             free_s = contact.time_s
             heading = chassis.heading(drive.steering_rad) + driven.turn_at(free_s)
-            blocked = driven is stretch or contact.pressed_by(heading, stretch.distance_at(duration))
+            blocked = told_in != 0.0 and (driven is steady or contact.pressed_by(heading, told_in))
         taken_s = free_s if blocked else duration
         chassis.follow(driven, free_s, drive.steering_rad)
         self._encoders.follow(stretch, taken_s, drive.steering_rad)
         chassis.turn(driven.turn_at(taken_s) - stretch.turn_at(taken_s))
-        drive.advance(taken_s)
+        self._turn_turret(drive.advance(taken_s))
         if blocked:
+            self._encoders.slip(copysign(odometry.slip_in, told_in), drive.steering_rad)
             drive.block()
         return taken_s
+
+    def _turn_turret(self, counted_rad: float) -> None:
+        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)

@@ -2,17 +2,24 @@
 
 ideal     axes jump to their speed, motion is exact, one exact ray a sonar
 noisy     axes ramp, motion strays like a random walk, sonars with 1 % noise: the settings of the experiments
+measured  as noisy, but the sonars hear like a Polaroid ring: cone, mirrors, second echoes, cross-talk;
+          infrareds, compass and clock err as well
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import radians
 from types import MappingProxyType
 from typing import Final
 
+from nserver_emu.simulation.compass import TRUE_NEEDLE, CompassNoise
+from nserver_emu.simulation.infrared import CLEAR_SIGHT, InfraredNoise
 from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
-from nserver_emu.simulation.sonar import SonarNoise
+from nserver_emu.simulation.odometry import EXACT, Odometry
+from nserver_emu.simulation.polaroid import Polaroid
+from nserver_emu.simulation.sonar import EchoModel, SonarNoise
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,23 +28,40 @@ class RobotSetup:
 
     name      what users call it
     ramps     False: axes jump to their speed, as the original documents; True: trapezoids
-    motion    how the true motion strays from the commanded one
-    sonar     how readings stray from the true range
+    motion    how the true motion strays from the commanded one: alpha1 to alpha4
+    sonar     what the sonars hear, and how readings stray from the true range
+    odometry  what the wheels get wrong every time: scales, drifts, slip
+    infrared  how light comes back to the infrareds
+    compass   noise and deviation of the compass
+    clock_step_s   the robot's clock goes in steps of this; 0: in milliseconds
     """
 
     name: str
     ramps: bool
     motion: MotionNoise
-    sonar: SonarNoise
+    sonar: EchoModel
+    odometry: Odometry = EXACT
+    infrared: InfraredNoise = CLEAR_SIGHT
+    compass: CompassNoise = TRUE_NEEDLE
+    clock_step_s: float = 0.0
 
 
 IDEAL: Final = RobotSetup("ideal", ramps=False, motion=NO_NOISE, sonar=SonarNoise())
 NOISY: Final = RobotSetup(
     "noisy",
     ramps=True,
-    motion=MotionNoise(along=0.1, turn=0.1, drift=0.005),
+    motion=MotionNoise.walk(along=0.1, turn=0.1, drift=0.005),
     sonar=SonarNoise(std_share=0.01, least_std_in=0.05),
 )
+MEASURED: Final = RobotSetup(
+    "measured",
+    ramps=True,
+    motion=NOISY.motion,
+    sonar=Polaroid(),
+    infrared=InfraredNoise(std_share=0.05, slanted=True),
+    compass=CompassNoise(std_rad=radians(0.5), deviation_rad=radians(6.0)),
+    clock_step_s=0.0164,
+)
 
-SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType({setup.name: setup for setup in (IDEAL, NOISY)})
+SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType({setup.name: setup for setup in (IDEAL, NOISY, MEASURED)})
 """Every setup by its name."""

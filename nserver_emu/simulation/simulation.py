@@ -7,8 +7,13 @@ simulation goes on bit for bit.
 from __future__ import annotations
 
 from dataclasses import fields
+from math import hypot
 from typing import Any
 
+import numpy as np
+
+from nclient.errors import StartError
+from nserver_emu.simulation.company import TICK_PS, discs_of, look_around, run_together
 from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity
@@ -18,8 +23,8 @@ from worlds.world import StartPose, World
 
 
 class Simulation:
-    """`robots` by their ids. `seed` >= 0: the same seed and the same commands between the same steps give the same
-    results."""
+    """`robots` by their ids, in that order. `seed` >= 0: the same seed and the same commands between the same steps
+    give the same results."""
 
     def __init__(self, world: World, seed: int = 0) -> None:
         self.seed = seed
@@ -42,16 +47,34 @@ class Simulation:
     ) -> SimulatedRobot:
         """Put a robot into the world, at its first start if none is given.
 
-        Raises StartError where it does not fit, ValueError if the id is taken.
+        Raises StartError where it does not fit beside walls and other robots, ValueError if the id is taken.
         """
         if robot_id in self.robots:
             raise ValueError(f"robot {robot_id} is here already")
         place = self._world.starts[0] if start is None else start
-        self._world.require_free(place.x_in, place.y_in, model.body.radius_in)
+        self.require_free(place.x_in, place.y_in, model.body.radius_in)
         identity = Identity(robot_id, self.seed)
-        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps)
-        self.robots[robot_id] = robot
+        seen = (np.vstack((discs_of(self.robots), (0.0, 0.0, 0.0))), len(self.robots))
+        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, seen)
+        self.robots = dict(sorted((self.robots | {robot_id: robot}).items()))
+        if len(self.robots) > 1:
+            look_around(self.robots)
         return robot
+
+    def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
+        """Refuse a place where a robot of this radius, number `robot_id` if it is here already, touches anything.
+
+        Raises StartError, which says what is in the way.
+        """
+        self._world.require_free(x_in, y_in, radius_in)
+        for number, robot in self.robots.items():
+            x, y, radius = robot.disc
+            gap = hypot(x_in - x, y_in - y) - radius_in - radius
+            if number != robot_id and gap <= 0.0:
+                raise StartError(
+                    f"the start ({x_in:g}, {y_in:g}) in touches robot {number}, which stands at ({x:.1f}, {y:.1f}) in; "
+                    f"{radius_in + radius:g} in from there there is room"
+                )
 
     def change_world(self, world: World) -> None:
         """Change what stands here, now; what was seen before was seen before."""
@@ -60,10 +83,18 @@ class Simulation:
             robot.enter(world.walls)
 
     def step(self, dt_s: float) -> None:
-        """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result."""
-        self._time_ps += to_ps(dt_s)
+        """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result, but for
+        where robots meet that both move: there by what they drive within a tick."""
+        end_ps = self._time_ps + to_ps(dt_s)
+        while len(self.robots) > 1 and self._time_ps < end_ps:
+            tick, into_ps = divmod(self._time_ps, TICK_PS)
+            if not into_ps:
+                look_around(self.robots)
+            self._time_ps = min(end_ps, (tick + 1) * TICK_PS)
+            run_together(self.robots, self._time_ps, tick)
+        self._time_ps = end_ps
         for robot in self.robots.values():
-            robot.advance_to(self._time_ps)
+            robot.advance_to(end_ps)
 
     def __getstate__(self) -> dict[str, Any]:
         """The world as what it is built from: its read-only views can neither be pickled nor copied."""

@@ -2,8 +2,9 @@
 
     order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and round again
 
-A firing notes where it happened and draws its chance; the ray is cast when somebody looks, or when the walls are about
-to change. So a ring nobody reads costs nothing, and reading it earlier or later changes no reading.
+A firing notes where it happened and draws its chance; the echo is sought when somebody looks, or when the walls are
+about to change. So a ring nobody reads costs nothing, and reading it earlier or later changes no reading. What is heard
+is an echo model's: SonarNoise, one exact ray with noise, or Polaroid (polaroid.py), with all that a real ring does.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
+from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_rays
+from worlds.raycast import cast_discs, cast_rays
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -43,50 +45,86 @@ UNFIRED: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SonarNoise:
-    """Gaussian noise of a range: std_share of it, at least least_std_in; none where both are 0."""
+    """One exact ray, and gaussian noise of its range: std_share of it, at least least_std_in; none where both are 0."""
 
     std_share: float = 0.0
     least_std_in: float = 0.0
+    dead: tuple[int, ...] = ()
 
     def std_in(self, range_in: float) -> float:
         """Standard deviation at a range, inches."""
         return max(self.std_share * range_in, self.least_std_in)
 
+    @property
+    def life_ps(self) -> int:
+        """Rays know nothing of one another: a cry is over at once."""
+        return 0
+
+    def draw(self, chance: np.random.Generator) -> tuple[float, ...]:
+        """The chance of one cry: one number, or none where there is no noise."""
+        return (chance.standard_normal(),) if self.least_std_in or self.std_share else (0.0,)
+
+    def heard_in(self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body) -> float:
+        """The range from the ring along the ray, with its noise, inches; inf for nothing."""
+        del earlier
+        way = cos(cry.direction_rad), sin(cry.direction_rad)
+        from_axis, _ = cast_rays((cry.x_in, cry.y_in), way, scene.walls)
+        range_in = float(from_axis) - body.sonar_ring_radius_in
+        return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
+
+
+EchoModel = SonarNoise | Polaroid
+"""How a setup's sonars hear: `draw` and `heard_in`, `life_ps`, and which are `dead`."""
+
+DEAD_IN: Final = 0
+"""What a dead sonar reads, always."""
+
+
+NOBODY: Final[tuple[FloatArray, int]] = (np.zeros((1, 3)), 0)
+"""A robot alone: the only disc is its own."""
+
 
 class Eye(NamedTuple):
-    """From where the ring looks: the robot's true place in inches and its turret's true direction in radians."""
+    """From where the ring looks, and whom it may see.
+
+    x_in, y_in, turret_rad    the robot's true place in inches and its turret's true direction in radians
+    discs, own                all robots (n, 3), rows x y radius in inches; row `own` is this one
+    """
 
     x_in: float
     y_in: float
     turret_rad: float
+    discs: FloatArray = NOBODY[0]
+    own: int = NOBODY[1]
 
 
 class Firing(NamedTuple):
-    """A cry whose echo nobody has looked at: the robot's axis, the direction, and a standard normal number."""
+    """A cry whose echo nobody has looked at, those before it that may still be under way, and the eye it left from."""
 
-    x_in: float
-    y_in: float
-    direction_rad: float
-    chance: float
+    cry: Cry
+    earlier: tuple[Cry, ...]
+    eye: Eye
 
 
 class SonarRing:
     """Sixteen sonars that fire one after another; see the head of this file."""
 
-    def __init__(self, body: Body, noise: SonarNoise, walls: FloatArray, chance: np.random.Generator) -> None:
+    def __init__(self, body: Body, model: EchoModel, walls: FloatArray, chance: np.random.Generator) -> None:
         self.body = body
-        self.noise = noise
-        self._walls = walls
+        self.model = model
+        self._scene = Scene(walls)
         self._chance = chance
-        self._readings = [NOTHING_IN] * SONARS
+        self._readings = [DEAD_IN if sonar in model.dead else NOTHING_IN for sonar in range(SONARS)]
         self._stamps = [UNFIRED] * SONARS
         self._unheard: dict[int, Firing] = {}
+        self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
         self._interval_ps = self._start_ps = self._count = 0
 
     @property
     def readings_in(self) -> tuple[int, ...]:
-        """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 where nothing was met."""
+        """The last reading of each sonar: 16 whole inches from the ring, 6..255, 255 where nothing was met;
+        0 where dead."""
         self._listen()
         return tuple(self._readings)
 
@@ -115,37 +153,50 @@ class SonarRing:
 
     def fire_due(self, eye: Eye, stamp: Stamp) -> None:
         """The sonar that is due fires here and now."""
-        self._fire(self._order[self._count % len(self._order)], eye, stamp)
+        sonar, instant_ps, life_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.life_ps
+        self._recent = tuple(cry for cry in self._recent if instant_ps - cry.instant_ps < life_ps)
+        cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
+        self._recent = (*self._recent, cry) if life_ps else ()
         self._count += 1
 
     def fire_all(self, eye: Eye, stamp: Stamp) -> None:
-        """All sixteen at once, as at power-on."""
+        """All sixteen as at power-on, each as if it were alone."""
         for sonar in range(SONARS):
-            self._fire(sonar, eye, stamp)
+            self._fire(sonar, eye, stamp, 0, ())
 
     def surround(self, walls: FloatArray) -> None:
         """From now on these are the walls (m, 4); what was fired before still meets the old ones."""
         self._listen()
-        self._walls = walls
+        self._scene = Scene(walls)
 
-    def _fire(self, sonar: int, eye: Eye, stamp: Stamp) -> None:
-        chance = self._chance.standard_normal() if self.noise.least_std_in or self.noise.std_share else 0.0
+    def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
         direction = eye.turret_rad + self.body.sonar_angles_rad[sonar]
-        self._unheard[sonar] = Firing(eye.x_in, eye.y_in, direction, chance)
+        cry = Cry(eye.x_in, eye.y_in, direction, instant_ps, self.model.draw(self._chance))
+        self._unheard[sonar] = Firing(cry, earlier, eye)
         self._stamps[sonar] = stamp
+        return cry
 
     def _listen(self) -> None:
-        """Cast the rays of all firings since the last look, ray by ray: few they are, at most sixteen, and a batch of
+        """Hear the echoes of all firings since the last look, one by one: few they are, at most sixteen, and a batch of
         another size would round another way, so that looking more often could change a reading."""
-        for sonar, firing in self._unheard.items():
-            way = cos(firing.direction_rad), sin(firing.direction_rad)
-            from_axis, _ = cast_rays((firing.x_in, firing.y_in), way, self._walls)
-            self._readings[sonar] = self._reading(float(from_axis) - self.body.sonar_ring_radius_in, firing.chance)
+        for sonar, (cry, earlier, eye) in self._unheard.items():
+            if sonar not in self.model.dead:
+                of_walls = self.model.heard_in(cry, earlier, self._scene, self.body)
+                self._readings[sonar] = _reading(min(of_walls, self._heard_of_robots(cry, eye)))
         self._unheard.clear()
 
-    def _reading(self, range_in: float, chance: float) -> int:
-        """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
-        if range_in == inf:
-            return NOTHING_IN
-        heard = range_in + chance * self.noise.std_in(range_in)
-        return min(max(floor(heard + 0.5), NEAREST_IN), NOTHING_IN)
+    def _heard_of_robots(self, cry: Cry, eye: Eye) -> float:
+        """The range to another robot along the axis of the beam, with the noise of this cry; inf for none."""
+        if len(eye.discs) == 1:
+            return inf
+        way = cos(cry.direction_rad), sin(cry.direction_rad)
+        from_axis = float(cast_discs((eye.x_in, eye.y_in), way, np.delete(eye.discs, eye.own, axis=0)))
+        if from_axis == inf:
+            return inf
+        range_in = from_axis - self.body.sonar_ring_radius_in
+        return range_in + cry.chances[0] * max(self.model.std_share * range_in, self.model.least_std_in)
+
+
+def _reading(heard_in: float) -> int:
+    """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
+    return NOTHING_IN if heard_in == inf else min(max(floor(heard_in + 0.5), NEAREST_IN), NOTHING_IN)

@@ -19,6 +19,8 @@ from pathlib import Path
 
 import pytest
 
+from nclient import connect
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", README, re.DOTALL)
@@ -100,6 +102,15 @@ def test_a_daemon_and_a_run_on_it(tmp_path: Path) -> None:
         out = run(drive.replace("7019", port), tmp_path)
     assert "2 of 2 way-points reached" in out
     assert (tmp_path / "out" / "run.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_daemon_in_lockstep() -> None:
+    (start,) = (command for command in commands("nserver ") if "--lockstep" in command)
+    with daemon(start) as port:
+        with connect(f"nserver://localhost:{port}/1") as robot:
+            times = [robot.truth().time_s for _ in range(3) if robot.refresh()]
+            robot.quit_server()
+        assert [round(later - times[0], 6) for later in times] == [0.0, 0.1, 0.2]
 
 
 def test_a_run_in_one_process(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from worlds import raycast
 from worlds.geometry import polygon_segments
-from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_rays
+from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_discs, cast_rays
 
 Pair = tuple[float, float]
 Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]
@@ -307,3 +307,29 @@ def test_walls_may_be_a_view_of_any_kind_and_are_never_written(cast: Cast) -> No
     assert cast((2.0, 5.0), EAST, columns) == (8.0, 1)
     assert cast((2.0, 5.0), EAST, SQUARE[1::2]) == (8.0, 0)
     assert cast((2.0, 5.0), EAST, SQUARE.astype(np.int64)) == (8.0, 1)
+
+
+def many_cornered(disc: tuple[float, float, float], corners: int = 2000) -> list[tuple[float, float]]:
+    """The witness of a disc: a polygon whose corners lie on its rim, nowhere more than 2e-5 in inside it."""
+    x, y, radius = disc
+    return [(x + radius * cos(2 * pi * k / corners), y + radius * sin(2 * pi * k / corners)) for k in range(corners)]
+
+
+@given(st.lists(st.tuples(*[st.floats(-80, 80)] * 2, st.floats(1, 15)), min_size=1, max_size=3), st.floats(-4, 4))
+def test_a_disc_is_a_polygon_of_very_many_corners(discs: list[tuple[float, float, float]], angle: float) -> None:
+    way = cos(angle), sin(angle)
+    for x, y, radius in discs:
+        assume(hypot(x, y) > radius + 0.1)
+        assume(abs(abs(way[0] * y - way[1] * x) - radius) > 0.1)
+    rims = np.concatenate([polygon_segments(many_cornered(disc)) for disc in discs])
+    expected, _ = cast_rays((0.0, 0.0), way, rims)
+    assert float(cast_discs((0.0, 0.0), way, discs)) == pytest.approx(float(expected), abs=1e-3)
+
+
+def test_discs_behind_around_and_none() -> None:
+    assert float(cast_discs((0, 0), EAST, [(-20, 0, 5)])) == inf
+    assert float(cast_discs((0, 0), EAST, [(3, 0, 5)])) == 0.0
+    assert float(cast_discs((0, 0), EAST, [(20, 5, 5)])) == 20.0
+    assert float(cast_discs((0, 0), EAST, [])) == inf
+    many = cast_discs([(0, 0), (0, 10)], [EAST, NORTH], [(20, 0, 5), (0, 40, 10)])
+    assert many.tolist() == [15.0, 20.0]

@@ -21,8 +21,11 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.daemon import REQUESTS_A_TURN, Daemon, stop_on_signals
+from nserver_emu.server.daemon import MOST_ACQUAINTANCES, REQUESTS_A_TURN, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.pace import Pace
+from nserver_emu.server.session import Acquaintance
+from nserver_emu.server.stage import Allowed
 
 GS = language.tcp_request(Call("gs"))
 
@@ -71,9 +74,11 @@ class House:
                 await writer.wait_closed()
 
 
-def with_daemon(visit: Callable[[House], Awaitable[None]], speed: float | None = 1.0) -> None:
+def with_daemon(
+    visit: Callable[[House], Awaitable[None]], speed: float | None = 1.0, emulator: Emulator | None = None
+) -> None:
     async def evening() -> None:
-        daemon = Daemon(Emulator(simulation()), speed)
+        daemon = Daemon(emulator or Emulator(simulation()), speed)
         house = House(daemon, await daemon.listen("127.0.0.1", 0))
         stop = asyncio.Event()
         serving = asyncio.create_task(daemon.serve(stop))
@@ -299,3 +304,58 @@ def test_a_clock_that_fails_ends_the_daemon_with_its_reason() -> None:
 
     with pytest.raises(TypeError):
         asyncio.run(house())
+
+
+def test_a_paused_simulation_stands_until_it_is_stepped_or_resumed() -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        await client.ask("vm", 100, 0, 0)
+        assert (await client.ask("gs")).slots[0] == 0
+        house.daemon._pass_time(5.0)
+        assert (await client.ask("gs")).clock == 0
+        assert (await client.ask("sim_control", 4, 1000)).values == (1, 1000, 10, 1)
+        assert (await client.ask("get_rc")).slots[34] == 100
+        await client.ask("sim_control", 2, 0)
+        while (await client.ask("get_rc")).slots[34] < 101:
+            await asyncio.sleep(0.005)
+
+    with_daemon(visit, emulator=Emulator(simulation(), pace=Pace(paused=True), allowed=Allowed(control=True)))
+
+
+def test_in_lockstep_time_waits_for_clients_and_passes_for_one_that_waits() -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        await client.ask("sp", 100, 450, 450)
+        house.daemon._pass_time(5.0)
+        assert (await client.ask("gs")).clock == 200
+        await client.ask("pr", 200, 0, 0)
+        reply = await client.ask("ws", 1, 1, 1, 100)
+        assert (reply.slots[0], reply.slots[34], reply.slots[38]) == (0, 200, 0)
+        assert reply.clock == 2300
+
+    with_daemon(visit, emulator=Emulator(simulation(), pace=Pace(lockstep_s=0.1)))
+
+
+def test_a_client_that_may_ends_the_server_and_still_has_its_answer() -> None:
+    async def evening() -> None:
+        daemon = Daemon(Emulator(simulation(), allowed=Allowed(quit=True)))
+        house = House(daemon, await daemon.listen("127.0.0.1", 0))
+        serving = asyncio.create_task(daemon.serve(asyncio.Event()))
+        client = await house.call()
+        assert (await client.ask("quit_server")).values == (0,)
+        async with asyncio.timeout(10):
+            await serving
+        assert await client.reader.read(-1) == b""
+        await house.see_out()
+
+    asyncio.run(evening())
+
+
+def test_only_so_many_addresses_are_remembered() -> None:
+    daemon = Daemon(Emulator(simulation()))
+    for number in range(MOST_ACQUAINTANCES + 5):
+        daemon.remember(str(number), Acquaintance(1, wide=False))
+    assert len(daemon.acquaintances) == MOST_ACQUAINTANCES
+    daemon.remember("7", None)
+    assert "0" not in daemon.acquaintances
+    assert "7" not in daemon.acquaintances

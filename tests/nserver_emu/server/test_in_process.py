@@ -8,6 +8,8 @@ import pytest
 from wire_client import WireClient
 
 from nclient.errors import AddressError, StartError, WorldFileError
+from nclient.protocol import language
+from nclient.protocol.commands import Call
 from nserver_emu.server.in_process import InProcess, open_address
 
 
@@ -80,7 +82,6 @@ def test_closing_stops_the_robot() -> None:
         ("sim:?step_s=0", "step_s is 0.001 to 10"),
         ("sim:?step_s=long", "step_s is 0.001 to 10"),
         ("sim:?robot=r2d2", "no robot model 'r2d2'"),
-        ("sim:?robot=scout", "no simulation of a scout yet"),
         ("sim:?start=1", "a start is X,Y,STEER,TURRET"),
         ("sim:?start=a,b", "a start is X,Y,STEER,TURRET"),
         ("sim:?start=nan,0", "a start is X,Y,STEER,TURRET"),
@@ -103,3 +104,12 @@ def test_a_world_file_of_ones_own(tmp_path: Path) -> None:
     world.write_text('name = "hall"\n[[room]]\ncorners_m = [[-2, -2], [2, -2], [2, 2], [-2, 2]]\n')
     client, _ = connected(f"sim:{world}")
     assert client.ask("gs").slots[17] == round(2 / 0.0254 - 9.06)
+
+
+def test_the_client_controls_the_time_and_a_paused_simulation_answers_no_wait() -> None:
+    client, end = connected("sim:")
+    client.ask("vm", 10, 0, 0)
+    assert client.ask("sim_control", 1, 0).values == (1, 100, 0, 1)
+    assert client.ask("gs").clock == 100
+    end.send(language.tcp_request(Call("ws", (1, 1, 1, 1))))
+    assert end.receive() == b""

@@ -12,7 +12,7 @@ from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nserver_emu.server.session import Later, Session, Visit
+from nserver_emu.server.session import Acquaintance, Later, Session, Visit
 
 CONNECT = language.tcp_request(Call("connect_robot", (1, 7)))
 GS = language.tcp_request(Call("gs"))
@@ -161,3 +161,24 @@ def test_any_bytes_get_errors_or_nothing(data: bytes) -> None:
     while session.ready:
         replies = session.answers(most=100)
         assert len(types(replies)) >= 1
+
+
+def second_connection(wide: bool = False) -> Session:
+    return Session(answer, acquaintance=lambda: Acquaintance(3, wide))
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_an_old_client_goes_on_over_a_second_connection_without_connect(wide: bool) -> None:
+    session = second_connection(wide)
+    for byte in language.tcp_request(Call("tk", ("hi",)), wide=wide) + language.tcp_request(Call("gs"), wide=wide):
+        session.receive(bytes([byte]))
+    assert types(session.answers(most=5), wide=wide) == [82, 80]
+    assert session.met == Acquaintance(3, wide)
+
+
+def test_a_second_connection_that_connects_is_taken_for_what_it_says() -> None:
+    session = second_connection(wide=True)
+    assert session.met is None
+    session.receive(CONNECT + GS)
+    assert types(session.answers(most=5)) == [82, 80]
+    assert session.met == Acquaintance(1, wide=False)

@@ -39,7 +39,11 @@ class WireClient:
 
     def send(self, name: str, data: bytes) -> list[Reply]:
         """Raw bytes; the replies, read as answers to that command."""
-        found = self._framer.receive(self._exchange(data))
+        return self.read(name, self._exchange(data))
+
+    def read(self, name: str, data: bytes) -> list[Reply]:
+        """Replies that came, read as answers to that command."""
+        found = self._framer.receive(data)
         frames = [frame for frame in found if isinstance(frame, TcpFrame)]
         assert len(frames) == len(found)
         return [language.read_tcp_reply(BY_NAME[name], frame, self.terms) for frame in frames]

@@ -1,13 +1,15 @@
-"""The synchro drive: what its axes do to path and angles."""
+"""The drives: what their axes do to path and angles."""
 
 from __future__ import annotations
 
-from math import inf, pi, radians
+from math import cos, degrees, hypot, inf, pi, radians, sin
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from nserver_emu.simulation.drive import SynchroDrive
-from nserver_emu.simulation.models import N150
+from nserver_emu.simulation.drive import DifferentialDrive, SynchroDrive
+from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN
 from nserver_emu.simulation.stretch import Stretch
 
 
@@ -69,3 +71,111 @@ def test_zero_is_sought_the_short_way(steering: float) -> None:
     assert not any(axis.moving for axis in wheels.axes)
     wheels.found_zero()
     assert (wheels.steering_rad, wheels.turret_rad) == (0.0, 0.0)
+
+
+def two_wheels(right: float, left: float, ramps: bool = False) -> DifferentialDrive:
+    """A Scout's drive told to run its wheels at these speeds."""
+    wheels = DifferentialDrive(SCOUT.axes, ramps, SCOUT_TRACK_IN)
+    wheels.right.move_at(right)
+    wheels.left.move_at(left)
+    return wheels
+
+
+def driven(wheels: DifferentialDrive, span_s: float) -> tuple[float, float, float]:
+    """(x, y, heading) after so long, by the stretches that the drive hands out."""
+    x = y = 0.0
+    while span_s > 1e-12:
+        stretch = wheels.stretch(span_s)
+        dx, dy = stretch.displacement(wheels.heading_rad, stretch.duration_s)
+        x, y = x + dx, y + dy
+        assert wheels.heading_rad + stretch.turn_at(stretch.duration_s) == pytest.approx(
+            advanced(wheels, stretch.duration_s), abs=1e-9
+        )
+        span_s -= stretch.duration_s
+    return x, y, wheels.heading_rad
+
+
+def advanced(wheels: DifferentialDrive, span_s: float) -> float:
+    wheels.advance(span_s)
+    return wheels.heading_rad
+
+
+def marched(right: float, left: float, span_s: float, ramp: float, steps: int = 20000) -> tuple[float, float, float]:
+    """The same by the midpoint rule in tiny steps, from wheels that ramp up each on its own: slow and plain."""
+    x = y = heading = 0.0
+    dt = span_s / steps
+    for step in range(steps):
+        time = (step + 0.5) * dt
+        v_right = min(abs(right), ramp * time) * (1.0 if right > 0.0 else -1.0)
+        v_left = min(abs(left), ramp * time) * (1.0 if left > 0.0 else -1.0)
+        turn = (v_right - v_left) / 13.5902 * dt
+        way = 0.5 * (v_right + v_left) * dt
+        x += way * cos(heading + 0.5 * turn)
+        y += way * sin(heading + 0.5 * turn)
+        heading += turn
+    return x, y, heading
+
+
+def test_a_degree_on_the_spot_takes_the_rate_constant_of_each_wheel() -> None:
+    wheels = DifferentialDrive(SCOUT.axes, False, SCOUT_TRACK_IN)
+    wheels.right.move_by(90.0 * 0.118597)
+    wheels.left.move_by(-90.0 * 0.118597)
+    assert driven(wheels, 5.0) == pytest.approx((0.0, 0.0, radians(90.0)), abs=1e-9)
+
+
+@pytest.mark.parametrize(("right", "left"), [(10.0, 6.0), (-10.0, 6.0), (3.0, -8.0), (0.0, 5.0), (7.0, 7.0)])
+def test_constant_wheel_speeds_draw_the_arc(right: float, left: float) -> None:
+    x, y, heading = driven(two_wheels(right, left), 1.5)
+    assert heading == pytest.approx((right - left) / SCOUT_TRACK_IN * 1.5)
+    if right == left:
+        assert (x, y) == (10.5, 0.0)
+        return
+    radius = 0.5 * SCOUT_TRACK_IN * (right + left) / (right - left)
+    assert (x, y) == pytest.approx((radius * sin(heading), radius * (1.0 - cos(heading))), abs=1e-12)
+    assert hypot(x, y - radius) == pytest.approx(abs(radius))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(1.0, 39.0), st.floats(1.0, 39.0), st.booleans(), st.booleans(), st.floats(0.2, 2.5))
+def test_ramps_follow_a_slow_march(right: float, left: float, back_r: bool, back_l: bool, span: float) -> None:
+    right, left = (-right if back_r else right), (-left if back_l else left)
+    expected = marched(right, left, span, ramp=30.0)
+    assert driven(two_wheels(right, left, ramps=True), span) == pytest.approx(expected, abs=2e-3)
+
+
+def test_a_stretch_ends_where_the_robot_turns_back() -> None:
+    wheels = two_wheels(20.0, 4.0, ramps=True)
+    wheels.advance(2.0)
+    wheels.right.move_at(-20.0)
+    stretch = wheels.stretch(5.0)
+    assert stretch.velocity_at(stretch.duration_s) >= 0.0
+    assert (stretch.duration_s, stretch.speed, stretch.acceleration) == pytest.approx((20.0 / 30.0, 12.0, -15.0))
+    wheels.advance(stretch.duration_s)
+    assert wheels.stretch(5.0).duration_s == pytest.approx(4.0 / 30.0, abs=1e-9)
+    wheels.advance(4.0 / 30.0)
+    assert wheels.stretch(5.0).duration_s == pytest.approx(16.0 / 30.0, abs=1e-9)
+
+
+def test_steering_turret_and_bumpers_are_the_heading() -> None:
+    wheels = two_wheels(5.0, 0.0)
+    wheels.put(0.5, 2.0)
+    assert wheels.possible(0.5, 2.0) == (0.5, 0.5)
+    assert wheels.steering_rad == wheels.turret_rad == wheels.bumper_frame_rad == 0.5
+
+
+def test_a_blocked_scout_stops_both_wheels_and_the_third_axis_never_moves() -> None:
+    wheels = two_wheels(5.0, -3.0)
+    wheels.axes[2].move_at(10.0)
+    wheels.axes[2].move_by(10.0)
+    assert [axis.moving for axis in wheels.axes] == [True, True, False]
+    wheels.block()
+    assert [axis.moving for axis in wheels.axes] == [False, False, False]
+
+
+def test_a_scout_has_no_zero_to_seek() -> None:
+    wheels = two_wheels(5.0, 4.0)
+    wheels.put(radians(30.0), 0.0)
+    wheels.seek_zero()
+    wheels.found_zero()
+    assert not any(axis.moving for axis in wheels.axes)
+    assert degrees(wheels.heading_rad) == pytest.approx(30.0)

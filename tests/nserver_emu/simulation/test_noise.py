@@ -8,7 +8,7 @@ import pytest
 from nserver_emu.simulation.noise import Identity, MotionNoise, Purpose
 from nserver_emu.simulation.stretch import Stretch
 
-NOISE = MotionNoise(along=0.1, turn=0.1, drift=0.005)
+NOISE = MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
 
 
 def strays(stretch: Stretch, draws: int, pieces: int = 1) -> np.ndarray:
@@ -42,6 +42,21 @@ def test_steering_on_the_spot_turns_the_body_only() -> None:
     found = strays(Stretch(1.0, 0.0, 0.0, 0.5, 0.0), 2000)
     assert not found[:, 0].any()
     assert found[:, 1].var() == pytest.approx(0.01 * 0.5, rel=0.15)
+
+
+def test_the_settings_of_the_experiments_in_the_names_of_other_localizers() -> None:
+    assert MotionNoise.walk(along=0.1, turn=0.2, drift=0.005) == MotionNoise(0.2**2, 0.005**2, 0.1**2, 0.0)
+
+
+@pytest.mark.parametrize(("way", "turn"), [(8.0, 0.6), (0.0, -0.6), (-8.0, 0.0)])
+def test_each_alpha_has_its_role(way: float, turn: float) -> None:
+    alphas, draws, chance = MotionNoise(0.01, 0.002, 0.03, 0.5), 4000, np.random.default_rng(5)
+    stretch = Stretch(2.0, way / 2.0, 0.0, turn / 2.0, 0.0)
+    driven = [alphas.disturbed(stretch, chance) for _ in range(draws)]
+    ways, turns = [one.distance_at(2.0) for one in driven], [one.turn_at(2.0) for one in driven]
+    error_of_variance = 4.0 * np.sqrt(2.0 / draws)
+    assert np.var(turns) == pytest.approx(0.01 * abs(turn) + 0.002 * abs(way), rel=error_of_variance)
+    assert np.var(ways) == pytest.approx(0.03 * abs(way) + 0.5 * abs(turn), rel=error_of_variance)
 
 
 def test_an_accelerated_stretch_keeps_its_time_and_shape() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
+from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.sonar import SonarNoise
 
@@ -15,5 +16,11 @@ def test_ideal_has_neither_ramps_nor_noise() -> None:
 def test_noisy_has_the_settings_of_the_experiments() -> None:
     noisy = SETUPS["noisy"]
     assert (noisy.name, noisy.ramps) == ("noisy", True)
-    assert noisy.motion == MotionNoise(along=0.1, turn=0.1, drift=0.005)
+    assert noisy.motion == MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
     assert noisy.sonar == SonarNoise(std_share=0.01, least_std_in=0.05)
+
+
+def test_measured_is_noisy_with_the_ears_of_a_polaroid_ring() -> None:
+    measured = SETUPS["measured"]
+    assert (measured.name, measured.ramps, measured.motion) == ("measured", True, SETUPS["noisy"].motion)
+    assert measured.sonar == Polaroid()

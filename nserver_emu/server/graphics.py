@@ -1,0 +1,103 @@
+"""What clients have drawn into the window, and which layers they asked to be redrawn. Pure; whoever shows it reads it.
+
+    layer       actual_trace | encoder_trace | bumper | infrared | sonar | laser | client_graphics
+    shape       line x1 y1 x2 y2 | arc x0 y0 w h th1 th2 | robot x y steer turret | arrow x y steer turret
+    mode        line, arc   1 black   2 black XOR              above 2 colour(mode - 2) XOR
+                robot       1 black XOR   2 black XOR + an arrow that stays   3 black   above 3 colour(mode - 3) XOR
+
+Numbers are the wire's tenths. A shape in XOR that is drawn again is gone, as on a screen; whoever draws it.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+BLACK: Final = "Black"
+COLOURS: Final = (
+    "Blue", "NavyBlue", "RoyalBlue", "SteelBlue", "CadetBlue", "Green", "SeaGreen", "ForestGreen", "DarkGreen",
+    "LimeGreen", "Yellow", "Orange", "LightCoral", "DeepPink", "OrangeRed", "Red", "IndianRed", "VioletRed",
+    "DeepPink", "Maroon",
+)  # fmt: skip
+"""Colour number 1 is the first."""
+
+MOST_SHAPES: Final = 20_000
+"""Shapes kept; the oldest is forgotten for a new one, so that a client that draws for days fills no memory."""
+
+
+class Layer(StrEnum):
+    """The parts of the window that a client can have redrawn."""
+
+    ACTUAL_TRACE = "actual_trace"
+    ENCODER_TRACE = "encoder_trace"
+    BUMPER = "bumper"
+    INFRARED = "infrared"
+    SONAR = "sonar"
+    LASER = "laser"
+    CLIENT = "client_graphics"
+
+
+class Figure(StrEnum):
+    """What a shape is."""
+
+    LINE = "line"
+    ARC = "arc"
+    ROBOT = "robot"
+    ARROW = "arrow"
+
+
+class Shape(NamedTuple):
+    """Something drawn: its numbers in tenths (lengths 1/10 inch, angles 1/10 degree), its colour by name."""
+
+    figure: Figure
+    numbers: tuple[int, ...]
+    colour: str
+    xor: bool
+
+
+class Graphics:
+    """The client graphics, and how often each layer was to be redrawn."""
+
+    def __init__(self) -> None:
+        self.redrawn: dict[Layer, int] = dict.fromkeys(Layer, 0)
+        self._shapes: dict[Shape, None] = {}
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """What stands in the window, in the order in which it was drawn."""
+        return tuple(self._shapes)
+
+    def draw(self, figure: Figure, numbers: tuple[int, ...], mode: int) -> None:
+        """Draw a line, an arc or a robot in a mode; modes out of range count as the nearest there is."""
+        if figure is not Figure.ROBOT:
+            self._put(Shape(figure, numbers, *_line_mode(mode)))
+            return
+        self._put(Shape(figure, numbers, *_robot_mode(mode)))
+        if mode == 2:
+            self._put(Shape(Figure.ARROW, numbers, BLACK, xor=False))
+
+    def redraw(self, *layers: Layer) -> None:
+        """A client wants these layers drawn anew."""
+        for layer in layers:
+            self.redrawn[layer] += 1
+
+    def _put(self, shape: Shape) -> None:
+        if shape in self._shapes:
+            del self._shapes[shape]
+            if shape.xor:
+                return
+        self._shapes[shape] = None
+        if len(self._shapes) > MOST_SHAPES:
+            del self._shapes[next(iter(self._shapes))]
+
+
+def _line_mode(mode: int) -> tuple[str, bool]:
+    return (_colour(mode - 2), True) if mode > 2 else (BLACK, mode == 2)
+
+
+def _robot_mode(mode: int) -> tuple[str, bool]:
+    return (_colour(mode - 3), True) if mode > 3 else (BLACK, mode != 3)
+
+
+def _colour(number: int) -> str:
+    return COLOURS[min(number, len(COLOURS)) - 1]

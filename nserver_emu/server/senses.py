@@ -1,0 +1,98 @@
+"""Infrareds, compass and laser: their questions and settings, a function a command. The N150 has but the compass.
+
+Rules: as in questions.py; bytes of a setting are taken as the line carries them, and what no robot has is ERROR 2.
+"""
+
+from __future__ import annotations
+
+from nclient.protocol.mask import COMPASS_SLOT, Position
+from nclient.protocol.replies import Reply
+from nclient.protocol.terms import LINES
+from nclient.protocol.units import heading_tenths
+from nserver_emu.server.laser_vector import is_on, laser_vector
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.stage import Stage
+from nserver_emu.server.state_reply import compass_stamp, infrared_stamps, robot_clock_ms, stamp_now
+from nserver_emu.simulation.compass import CompassMode
+from nserver_emu.simulation.infrared import INFRAREDS
+from nserver_emu.simulation.laser import LineFit
+
+_END_OF_ORDER = 255
+_HIGHEST_BYTE = 255
+
+
+def conf_ir(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+    """The infrareds' history in tenths, more than 10 taken as 10, and which of them look."""
+    robot, (history, *order) = stage.robot_of(visit), args
+    if robot.infrared is None:
+        return error_reply(NOT_AVAILABLE)
+    end = order.index(_END_OF_ORDER) if _END_OF_ORDER in order else len(order)
+    if history < 0 or not all(0 <= number < INFRAREDS for number in order[:end]):
+        return error_reply(BAD_VALUES)
+    robot.configure_infrareds(history, order[:end])
+    return stage.state(visit)
+
+
+def get_ir(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
+    """All sixteen infrareds, mask or not."""
+    robot = stage.robot_of(visit)
+    if robot.infrared is None:
+        return error_reply(NOT_AVAILABLE)
+    stamps = infrared_stamps(robot) if visit.terms.mask.position & Position.INFRARED else {}
+    slots = dict(enumerate(robot.infrared.readings, start=1))
+    return Reply("infrared", slots, stamps=stamps, clock=robot_clock_ms(robot, stage.simulation.time_s))
+
+
+def conf_cp(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+    """The compass off, on, or calibrating, which a full turn of the turret completes."""
+    if args[0] not in list(CompassMode):
+        return error_reply(BAD_VALUES)
+    stage.robot_of(visit).compass.configure(args[0])
+    return stage.state(visit)
+
+
+def get_cp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
+    """The direction of the turret as the compass last told it."""
+    robot, now_s = stage.robot_of(visit), stage.simulation.time_s
+    stamps = {"compass": compass_stamp(robot, now_s)} if visit.terms.mask.position & Position.COMPASS else {}
+    slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
+    return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
+
+
+def conf_ls(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+    """How many columns of the laser count (0: all); the session has noted the mode, the rest has no effect."""
+    robot = stage.robot_of(visit)
+    if not robot.model.sees:
+        return error_reply(NOT_AVAILABLE)
+    robot.laser_columns = max(0, args[3])
+    return stage.state(visit)
+
+
+def get_ls(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
+    """What the laser sees, in the shape of its mode."""
+    return _laser(stage, visit, visit.terms.get_laser_width)
+
+
+def conf_sg(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+    """How laser points become lines: threshold and gap in tenths of an inch, fewest points."""
+    robot, (threshold, min_points, gap) = stage.robot_of(visit), args
+    if not robot.model.sees:
+        return error_reply(NOT_AVAILABLE)
+    if not all(0 <= number <= _HIGHEST_BYTE for number in args):
+        return error_reply(BAD_VALUES)
+    robot.line_fit = LineFit(threshold / 10, min_points, gap / 10)
+    return stage.state(visit)
+
+
+def get_sg(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
+    """The lines that the laser sees."""
+    return _laser(stage, visit, LINES)
+
+
+def _laser(stage: Stage, visit: Visit, width: int) -> Reply:
+    robot, now_s = stage.robot_of(visit), stage.simulation.time_s
+    if not robot.model.sees:
+        return error_reply(NOT_AVAILABLE)
+    seen = laser_vector(robot, width) if is_on(visit.terms.laser_mode) else (0,)
+    stamps = {"laser": stamp_now(robot, now_s)} if visit.terms.mask.position & Position.LASER else {}
+    return Reply("laser", laser=seen, stamps=stamps, clock=robot_clock_ms(robot, now_s))

@@ -1,0 +1,240 @@
+"""The whole simulation as text and back, bit for bit: what `nserver --save` writes and `--restore` reads.
+
+    {"format": "nserver snapshot", "version": ..., "root": value, "objects": [object, ...]}
+    value     null | true | 1 | 0.5 | "text" | {"ref": number of an object}
+    object    {"is": "list", "of": values} and the like; {"is": "module:Class", "of": {attribute: value}}
+
+Rules: JSON, no pickle: a stranger's file can name classes of the simulation and the worlds and nothing else, and
+reading it calls no function of theirs, not even a constructor. Objects that are one stay one. Floats are written so
+that they read back the same; chance goes on where it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections import deque
+from collections.abc import Mapping
+from enum import Enum
+from importlib.metadata import version
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from nclient.errors import SnapshotError
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.state_reply import state_slots
+from nserver_emu.simulation.simulation import Simulation
+
+FORMAT: Final = "nserver snapshot"
+KEPT: Final = ("simulation", "graphics", "transcript", "arms")
+"""What of an emulator is kept: all but connections, port, pace and permissions, which belong to a daemon's start."""
+
+_ROOMS: Final = (
+    "nserver_emu.simulation.", "nserver_emu.server.arm", "nserver_emu.server.graphics",
+    "nserver_emu.server.transcript", "worlds.",
+)  # fmt: skip
+_PLAIN: Final = (type(None), bool, int, float, str)
+_NUMBERS: Final = "biuf"
+_MOST_NESTED: Final = 200
+_TRIED_S: Final = 0.1
+
+
+def save(emulator: Emulator, path: Path) -> None:
+    """Write a snapshot; whoever reads the file meanwhile has the old one or the new one, never half of one.
+
+    Raises SnapshotError where it cannot be written.
+    """
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        unfinished.write_text(dumps(emulator), encoding="utf-8")
+        unfinished.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise SnapshotError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def restore(emulator: Emulator, path: Path) -> None:
+    """Put an emulator into the state of a file. Raises SnapshotError, and then the emulator is as it was."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SnapshotError(f"{path}: cannot be read: {error}") from error
+    loads(emulator, text, str(path))
+
+
+def dumps(emulator: Emulator) -> str:
+    """The snapshot of an emulator as text."""
+    writer = _Writer()
+    root = writer.value({name: getattr(emulator, name) for name in KEPT})
+    whole = {"format": FORMAT, "version": version("nomad-nserver"), "root": root, "objects": writer.objects}
+    return json.dumps(whole, separators=(",", ":"))
+
+
+def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
+    """Put an emulator into the state of a snapshot; `name` is what errors call it."""
+    try:
+        whole = json.loads(text)
+        if not isinstance(whole, dict) or whole.get("format") != FORMAT:
+            raise SnapshotError("is no snapshot of an nserver")
+        if whole.get("version") != version("nomad-nserver"):
+            raise SnapshotError(f"was made by version {whole.get('version')} and can be read by that one only")
+        parts, tried = (_Reader(whole["objects"]).value(whole["root"]) for _ in range(2))
+        for part in KEPT:
+            if type(parts[part]) is not type(getattr(emulator, part)):
+                raise SnapshotError(f"its {part} is none")
+        _try(tried["simulation"])
+    except SnapshotError as error:
+        raise SnapshotError(f"{name}: {error}") from None
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+        raise SnapshotError(f"{name}: is damaged: {type(error).__name__}: {error}") from error
+    for part in KEPT:
+        setattr(emulator, part, parts[part])
+    emulator.look_anew()
+
+
+def _try(simulation: Simulation) -> None:
+    """Let a copy of what was read live for a moment, so that what is missing shows now and not later."""
+    for robot in simulation.robots.values():
+        state_slots(robot, 0)
+    simulation.step(_TRIED_S)
+
+
+class _Writer:
+    """Objects to numbers and back from them to plain data. What it cannot write it names."""
+
+    def __init__(self) -> None:
+        self.objects: list[dict[str, Any] | None] = []
+        self._numbers: dict[int, int] = {}
+        self._alive: list[Any] = []
+
+    def value(self, thing: Any) -> Any:
+        """A value as it stands in the file."""
+        if type(thing) in _PLAIN:
+            return thing
+        number = self._numbers.get(id(thing))
+        if number is None:
+            number = len(self.objects)
+            self._numbers[id(thing)] = number
+            self._alive.append(thing)
+            self.objects.append(None)
+            self.objects[number] = self._object(thing)
+        return {"ref": number}
+
+    def _object(self, thing: Any) -> dict[str, Any]:
+        match thing:
+            case type():
+                return {"is": "class", "of": _name(thing)}
+            case Enum():
+                return {"is": "member", "class": _name(type(thing)), "of": thing.name}
+            case np.generic():
+                return {"is": "array", "dtype": thing.dtype.str, "shape": [], "locked": False, "of": [thing.item()]}
+            case np.ndarray():
+                return {"is": "array", "dtype": thing.dtype.str, "shape": list(thing.shape),
+                        "locked": not thing.flags.writeable, "of": thing.ravel().tolist()}  # fmt: skip
+            case np.random.Generator():
+                return {"is": "chance", "of": thing.bit_generator.state}
+            case dict() | MappingProxyType():
+                kind = "dict" if isinstance(thing, dict) else "view"
+                return {"is": kind, "of": [[self.value(key), self.value(value)] for key, value in thing.items()]}
+            case tuple() if hasattr(thing, "_fields"):
+                return {"is": "record", "class": _name(type(thing)), "of": [self.value(item) for item in thing]}
+            case list() | tuple() | set() | frozenset():
+                return {"is": type(thing).__name__, "of": [self.value(item) for item in thing]}
+            case deque():
+                return {"is": "deque", "most": thing.maxlen, "of": [self.value(item) for item in thing]}
+            case _:
+                return {"is": _name(type(thing)), "of": {k: self.value(v) for k, v in _attributes(thing).items()}}
+
+
+class _Reader:
+    """Plain data back to objects: each made empty first, so that those that hold one another find each other."""
+
+    _COLLECTIONS: Final = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
+
+    def __init__(self, objects: list[dict[str, Any]]) -> None:
+        self._objects = objects
+        self._made: dict[int, Any] = {}
+        self._depth = 0
+
+    def value(self, data: Any) -> Any:
+        """What a value of the file means."""
+        if not isinstance(data, dict):
+            if type(data) not in _PLAIN:
+                raise SnapshotError("is damaged: a value that is none")
+            return data
+        number = data["ref"]
+        if number not in self._made:
+            self._depth += 1
+            if self._depth > _MOST_NESTED:
+                raise SnapshotError("is damaged: nested too deeply")
+            made = self._make(number, self._objects[number])
+            self._made[number] = made
+            self._depth -= 1
+        return self._made[number]
+
+    def _make(self, number: int, data: dict[str, Any]) -> Any:
+        kind, of = data["is"], data["of"]
+        match kind:
+            case "class":
+                return _class(of)
+            case "member":
+                return _class(data["class"])[of]
+            case "array":
+                kept = np.dtype(data["dtype"])
+                if kept.kind not in _NUMBERS:
+                    raise SnapshotError("is damaged: an array of no numbers")
+                array = np.array(of, dtype=kept).reshape(data["shape"])
+                array.setflags(write=not data["locked"])
+                return array if data["shape"] else array[()]
+            case "chance":
+                bits = np.random.PCG64()
+                bits.state = of
+                return np.random.Generator(bits)
+            case "dict" | "view":
+                filled = {self.value(key): self.value(value) for key, value in of}
+                return filled if kind == "dict" else MappingProxyType(filled)
+            case "record":
+                return tuple.__new__(_class(data["class"]), [self.value(item) for item in of])
+            case "deque":
+                return deque((self.value(item) for item in of), maxlen=data["most"])
+            case _ if kind in self._COLLECTIONS:
+                return self._COLLECTIONS[kind](self.value(item) for item in of)
+        return self._instance(number, _class(kind), of)
+
+    def _instance(self, number: int, kind: type, attributes: Mapping[str, Any]) -> Any:
+        made: Any = object.__new__(kind)
+        self._made[number] = made
+        for name, data in attributes.items():
+            if callable(getattr(kind, name, None)) or name.startswith("__"):
+                raise SnapshotError(f"is damaged: {kind.__name__} has no attribute {name!r} of its own")
+            object.__setattr__(made, name, self.value(data))
+        return made
+
+
+def _attributes(thing: Any) -> dict[str, Any]:
+    """What an object holds: its dictionary, and its slots."""
+    slots = [name for kind in type(thing).__mro__ for name in getattr(kind, "__slots__", ())]
+    held = {name: getattr(thing, name) for name in slots if hasattr(thing, name)}
+    return held | dict(getattr(thing, "__dict__", {}))
+
+
+def _name(kind: type) -> str:
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if _class(name) is not kind:
+        raise SnapshotError(f"a snapshot cannot keep a {name}")
+    return name
+
+
+def _class(name: str) -> Any:
+    """A class of the rooms that a snapshot may hold, by its name; raises SnapshotError for any other."""
+    module, _, qualified = name.partition(":")
+    found = getattr(sys.modules.get(module), qualified, None) if module.startswith(_ROOMS) else None
+    if not isinstance(found, type) or found.__module__ != module:
+        raise SnapshotError(f"holds a {name}, which no snapshot may hold")
+    return found

@@ -1,0 +1,99 @@
+"""What the commands act upon: the simulation with all that a server adds to it. No wire units, no command by name.
+
+    Stage    simulation | pace | graphics | transcript | arms | who drives which robot | what the setup allows
+
+Rules: handlers change it, the daemon and the viewer read it. Connections come and go; everything else is what a
+snapshot keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from nclient.protocol.replies import Reply
+from nserver_emu.server.arm import Arm
+from nserver_emu.server.graphics import Graphics
+from nserver_emu.server.pace import Pace
+from nserver_emu.server.session import Visit
+from nserver_emu.server.state_reply import clock_ms, state_reply, state_slots
+from nserver_emu.server.transcript import Transcript
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.simulation import Simulation
+
+ALL_AXES = (0, 1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Allowed:
+    """What clients may do beyond driving robots: end the server (`quit`), change the time (`control`)."""
+
+    quit: bool = False
+    control: bool = False
+
+
+class Stage:
+    """See the head of this file. `port` is what CONNECT answers; `quitting` is set once a client ended the server."""
+
+    def __init__(
+        self, simulation: Simulation, *, port: int = 1, pace: Pace | None = None, allowed: Allowed | None = None
+    ) -> None:
+        self.simulation = simulation
+        self.port = port
+        self.pace = pace or Pace()
+        self.allowed = allowed or Allowed()
+        self.quitting = False
+        self.graphics = Graphics()
+        self.transcript = Transcript()
+        self.arms: dict[int, Arm] = {}
+        self._drivers: dict[int, list[Visit | None]] = {}
+        self._looked: dict[int, tuple[float, list[int]]] = {}
+
+    def leave(self, visit: Visit) -> None:
+        """A connection is gone: a robot with an axis that obeys its last motion command stops."""
+        self.look_anew()
+        for robot_id in [robot_id for robot_id, drivers in self._drivers.items() if visit in drivers]:
+            del self._drivers[robot_id]
+            self.simulation.robots[robot_id].stop()
+
+    def look_anew(self) -> None:
+        """Something changed other than by time: no look at a robot is still good."""
+        self._looked.clear()
+
+    def robot_of(self, visit: Visit) -> SimulatedRobot:
+        """The robot that this connection talks to."""
+        assert visit.robot_id is not None
+        return self.simulation.robots[visit.robot_id]
+
+    def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
+        """The robot, these axes of it from now on obeying this connection."""
+        assert visit.robot_id is not None
+        drivers = self._drivers.setdefault(visit.robot_id, [None] * len(ALL_AXES))
+        for axis in axes:
+            drivers[axis] = visit
+        return self.robot_of(visit)
+
+    def arm_of(self, visit: Visit) -> Arm:
+        """The arm of the connection's robot, as it is now."""
+        assert visit.robot_id is not None
+        arm = self.arms.setdefault(visit.robot_id, Arm())
+        arm.advance_to(self.simulation.time_s)
+        return arm
+
+    def state(self, visit: Visit) -> Reply:
+        """The state reply that most commands answer with.
+
+        Between two steps a robot changes by commands only, so many who ask cost one look at it.
+        """
+        assert visit.robot_id is not None
+        robot, now_s = self.simulation.robots[visit.robot_id], self.simulation.time_s
+        looked_s, slots = self._looked.get(visit.robot_id, (None, []))
+        if looked_s != now_s:
+            slots = state_slots(robot, self.pace.speed_tenths)
+            self._looked[visit.robot_id] = (now_s, slots)
+        return state_reply(robot, visit, now_s, slots)
+
+    @property
+    def clock_ms(self) -> int:
+        """Simulated milliseconds since the start."""
+        return clock_ms(self.simulation.time_s)

@@ -1,0 +1,181 @@
+"""How programs of the 1990s use an Nserver, byte by byte on real sockets: what they lean on must hold.
+
+The client here is written from PROTOCOL.md anew, with struct alone, as those programs' library was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+AC, SP, PR, VM, GS, CT, ST, MV, GET_RC, GET_RV, GET_SN, GET_BP = 10, 11, 13, 12, 15, 16, 17, 43, 29, 30, 28, 35
+PLACE, CONF_SN, CONF_TM, CONNECT, DISCONNECT, WS = 41, 23, 26, 102, 103, 39
+STATE, ERROR = 80, 91
+ALL_SENSORS = (255, 255, 255, 255, 255, 0b1110, 0)
+ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
+TOP_SPEED = 200
+END_S = 20
+
+
+class OldClient:
+    """The C library as it was compiled then, or (`wide`) as the same source becomes on 64 bits."""
+
+    def __init__(self, host: str, port: int, wide: bool = False) -> None:
+        self._socket = socket.create_connection((host, port), timeout=END_S)
+        self._wide = wide
+
+    def ask(self, message_type: int, *words: int) -> tuple[int, list[int]]:
+        """Type and words of the answer."""
+        self.tell(message_type, *words)
+        answered, count = struct.unpack(">hH", self._read(4))
+        layout = ">i4x" if self._wide else ">i"
+        data = self._read(count * struct.calcsize(layout))
+        return answered, [word for (word,) in struct.iter_unpack(layout, data)]
+
+    def tell(self, message_type: int, *words: int) -> None:
+        """Send a request and wait for nothing."""
+        layout = ">4xi" if self._wide else ">i"
+        data = b"".join(struct.pack(layout, word) for word in words)
+        self._socket.sendall(struct.pack(">hH", message_type, len(words)) + data)
+
+    def connect_robot(self) -> int:
+        """CONNECT, then the CT that the library sends at once; the port."""
+        _, (port,) = self.ask(CONNECT, 1, 4711)
+        self.ask(CT, *ALL_SENSORS)
+        return port
+
+    def close(self) -> None:
+        """Hang up without a word, as programs that end do."""
+        self._socket.close()
+
+    def _read(self, count: int) -> bytes:
+        data = self._socket.recv(count, socket.MSG_WAITALL)
+        assert len(data) == count
+        return data
+
+
+@contextlib.contextmanager
+def nserver(*words: str) -> Iterator[int]:
+    """A daemon; the port it listens on."""
+    command = [sys.executable, "-m", "nserver_emu", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            assert process.stdout is not None
+            line = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", process.stdout.readline())
+            assert line
+            yield int(line[1])
+        finally:
+            process.terminate()
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    with nserver("--port", "0", "--speed", "20") as number:
+        yield number
+
+
+@pytest.fixture
+def client(port: int) -> Iterator[OldClient]:
+    made = OldClient("127.0.0.1", port)
+    made.connect_robot()
+    made.ask(ST)
+    made.ask(PLACE, 0, 0, 0, 0)
+    yield made
+    made.close()
+
+
+def test_teambots_waits_for_a_motion_by_asking_for_velocities(client: OldClient) -> None:
+    """mv relative, then get_rv until all three are 0: never 0 before the robot is there."""
+    client.ask(SP, 100, 300, 300)
+    for way, target in ((300, 300), (-300, 0), (1, 1)):
+        client.ask(MV, 2, way, 0, 0, 0, 0)
+        asked = 0
+        while client.ask(GET_RV)[1] != [0, 0, 0]:
+            asked += 1
+        assert asked > 0
+        assert client.ask(GET_RC)[1][0] == target
+
+
+def test_a_ping_of_mv_that_leaves_all_axes_alone_moves_nothing_and_stops_nothing(client: OldClient) -> None:
+    client.ask(VM, 0, 50, 0)
+    for _ in range(20):
+        kind, state = client.ask(MV, 0, 0, 0, 0, 0, 0)
+        assert kind == STATE
+        assert state[38:41] == [0, 50, 0]
+    client.ask(ST)
+    assert client.ask(MV, 0, 0, 0, 0, 0, 0)[1][38:41] == [0, 0, 0]
+
+
+def test_a_loop_of_three_questions_and_two_motions_as_fast_as_it_goes(client: OldClient) -> None:
+    client.ask(PLACE, 450, 450, 0, 0)
+    client.ask(CONF_SN, 15, *ORDER)
+    client.ask(CONF_TM, 5)
+    for turn in range(300):
+        speed = 10 if turn % 2 else -10
+        assert len(client.ask(GET_RC)[1]) == 4
+        assert len(client.ask(GET_SN)[1]) == 17
+        assert client.ask(GET_BP)[1][0] == 0
+        assert client.ask(MV, 1, speed, 0, 0, 0, 0)[0] == STATE
+        kind, state = client.ask(MV, 0, 0, 1, 20, 1, -20)
+        assert (kind, state[38:41]) == (STATE, [speed, 20, -20])
+
+
+def test_limits_given_the_wrong_way_round_are_clamped_without_a_word(client: OldClient) -> None:
+    """Steering's numbers first, translation's last, one of them negative, some far too high."""
+    assert client.ask(AC, 500, 500, 300)[0] == STATE
+    assert client.ask(SP, 450, 450, TOP_SPEED)[0] == STATE
+    client.ask(PR, 400, 0, 0)
+    assert client.ask(GET_RV)[1][0] == TOP_SPEED
+    client.ask(WS, 1, 1, 1, 30)
+    assert client.ask(SP, -50, 1_000_000, -1)[0] == STATE
+    client.ask(PR, -400, 0, 0)
+    assert client.ask(GET_RV)[1][0] == -50
+    client.ask(WS, 1, 1, 1, 30)
+    assert client.ask(VM, 99_999, -99_999, 0)[1][38:41] == [TOP_SPEED, -450, 0]
+    client.ask(SP, 200, 450, 450)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_second_connection_to_the_returned_port_goes_on_without_connect(port: int, wide: bool) -> None:
+    first = OldClient("127.0.0.1", port, wide)
+    returned = first.connect_robot()
+    second = OldClient("127.0.0.1", returned, wide)
+    first.close()
+    assert second.ask(PLACE, 100, 200, 0, 0) == (82, [0])
+    kind, state = second.ask(GS)
+    assert (kind, state[34:36]) == (STATE, [100, 200])
+    second.tell(DISCONNECT, 1, 4711)
+    second.close()
+
+
+def test_a_client_on_64_bits_drives_and_reads(port: int) -> None:
+    client = OldClient("127.0.0.1", port, wide=True)
+    assert client.connect_robot() == port
+    client.ask(PLACE, 0, 0, 0, 0)
+    kind, state = client.ask(VM, -30, 0, 0)
+    assert (kind, state[38]) == (STATE, -30)
+    assert client.ask(ST)[1][38] == 0
+    assert client.ask(999, 1)[0] == ERROR
+    assert client.ask(GS)[0] == STATE
+    client.close()
+
+
+def test_the_port_that_many_programs_use() -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", 7654))
+        except OSError:
+            pytest.skip("somebody listens on port 7654")
+    with nserver("-port", "7654") as number:
+        assert number == 7654
+        client = OldClient("127.0.0.1", 7654)
+        assert client.connect_robot() == 7654
+        client.close()

@@ -1,0 +1,136 @@
+"""A saved simulation goes on bit for bit, and a stranger's file can do nothing but be refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from wire_client import WireClient, meet, simulation
+
+from nclient.errors import SnapshotError
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nserver_emu.server import snapshot
+from nserver_emu.server.handlers import Emulator
+
+BOX = (4, 400, -100, 600, -100, 600, 100, 400, 100)
+
+
+def busy() -> tuple[Emulator, WireClient]:
+    """A noisy robot amid a motion, with sonars under way, an obstacle, drawings and words."""
+    emulator = Emulator(simulation(noisy=True, seed=5))
+    client, _ = meet(emulator)
+    client.ask("add_obstacle", *BOX)
+    client.ask("draw_robot", 1, 2, 3, 4, 2)
+    client.ask("refresh_all")
+    client.send("tk", language.tcp_request(Call("tk", ("hello",))))
+    client.ask("conf_tm", 4)
+    client.ask("create_robot", 2, 1)
+    client.ask("vm", 20, 100, 0)
+    client.ask("connect_robot", 1, 1)
+    client.ask("dp", 100, 200)
+    client.ask("pr", 250, 900, -450)
+    emulator.simulation.step(1.2345)
+    return emulator, client
+
+
+def future(emulator: Emulator, client: WireClient) -> list[object]:
+    """What a client hears for a while."""
+    heard: list[object] = []
+    for _ in range(60):
+        emulator.simulation.step(0.1)
+        heard += [client.ask("gs"), client.ask("sim_truth").values]
+    heard += [client.ask("vm", 50, -100, 30), client.ask("get_rpx").values]
+    for _ in range(20):
+        emulator.simulation.step(0.07)
+        heard.append(client.ask("gs"))
+    return heard
+
+
+def test_a_restored_simulation_goes_on_bit_for_bit(tmp_path: Path) -> None:
+    emulator, client = busy()
+    snapshot.save(emulator, tmp_path / "saved.json")
+    restored = Emulator(simulation())
+    snapshot.restore(restored, tmp_path / "saved.json")
+    assert restored.simulation.time_s == emulator.simulation.time_s
+    assert restored.graphics.shapes == emulator.graphics.shapes
+    assert restored.graphics.redrawn == emulator.graphics.redrawn
+    assert restored.transcript.said == emulator.transcript.said
+    assert snapshot.dumps(restored) == snapshot.dumps(emulator)
+    again, _ = meet(restored)
+    assert future(restored, again) == future(emulator, client)
+    assert again.ask("delete_obstacle", *BOX).kind == "simple"
+    assert [path.name for path in tmp_path.iterdir()] == ["saved.json"]
+
+
+def test_saving_changes_nothing() -> None:
+    (one, client), (other, watched) = busy(), busy()
+    for _ in range(3):
+        snapshot.dumps(other)
+    assert future(one, client) == future(other, watched)
+
+
+def test_a_file_that_cannot_be_written_or_read_says_so(tmp_path: Path) -> None:
+    emulator, _ = busy()
+    with pytest.raises(SnapshotError, match=r"nowhere.*cannot be written"):
+        snapshot.save(emulator, tmp_path / "nowhere" / "saved.json")
+    with pytest.raises(SnapshotError, match=r"nothing.json: cannot be read"):
+        snapshot.restore(emulator, tmp_path / "nothing.json")
+
+
+def refused(text: str, match: str) -> None:
+    emulator, client = busy()
+    before = client.ask("gs")
+    with pytest.raises(SnapshotError, match=match):
+        snapshot.loads(emulator, text)
+    assert client.ask("gs") == before
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "is damaged"),
+        ("[]", "is no snapshot"),
+        ('{"format": "nserver snapshot", "version": "0.0"}', "version 0.0"),
+        ("[" * 100_000, "is damaged"),
+    ],
+)
+def test_what_is_no_snapshot_is_refused(text: str, match: str) -> None:
+    refused(text, match)
+
+
+@pytest.mark.parametrize(
+    ("first_object", "match"),
+    [
+        ({"is": "os:system", "of": {}}, "no snapshot may hold"),
+        ({"is": "class", "of": "subprocess:Popen"}, "no snapshot may hold"),
+        ({"is": "nserver_emu.simulation.simulation:World", "of": {}}, "no snapshot may hold"),
+        ({"is": "nserver_emu.server.daemon:Daemon", "of": {}}, "no snapshot may hold"),
+        ({"is": "nserver_emu.simulation.simulation:Simulation", "of": {"step": 1}}, "no attribute 'step'"),
+        ({"is": "nserver_emu.simulation.simulation:Simulation", "of": {"__class__": 1}}, "no attribute '__class__'"),
+        ({"is": "dict", "of": []}, "is damaged: KeyError"),
+        ({"is": "dict", "of": [["simulation", 1], ["graphics", 1], ["transcript", 1], ["arms", 1]]}, "simulation is"),
+        ({"is": "list", "of": [{"ref": 0}]}, "nested too deeply"),
+        ({"is": "list", "of": [[1]]}, "a value that is none"),
+        ({"is": "array", "dtype": "O", "shape": [1], "locked": False, "of": ["x"]}, "no numbers"),
+    ],
+)  # fmt: skip
+def test_a_strangers_snapshot_is_refused(first_object: dict[str, object], match: str) -> None:
+    whole = json.loads(snapshot.dumps(busy()[0]))
+    refused(json.dumps(whole | {"root": {"ref": 0}, "objects": [first_object]}), match)
+
+
+def test_what_the_rooms_do_not_know_is_not_kept() -> None:
+    emulator, _ = busy()
+    emulator.graphics.redrawn = json.JSONDecoder()  # type: ignore[assignment]
+    with pytest.raises(SnapshotError, match="no snapshot may hold"):
+        snapshot.dumps(emulator)
+
+
+def test_a_robot_that_lacks_a_part_is_found_out() -> None:
+    whole = json.loads(snapshot.dumps(busy()[0]))
+    for thing in whole["objects"]:
+        if thing["is"].endswith(":SimulatedRobot"):
+            del thing["of"]["_drive"]
+    refused(json.dumps(whole), "is damaged: AttributeError")

@@ -1,0 +1,157 @@
+"""Several robots: they stop at one another, see one another, and none has the way for ever."""
+
+from __future__ import annotations
+
+import copy
+from itertools import combinations
+from math import hypot, pi, radians
+
+import numpy as np
+import pytest
+
+from nclient.errors import StartError
+from nserver_emu.simulation.company import NEAR_IN, neighbours
+from nserver_emu.simulation.models import N150, N200, SCOUT
+from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from worlds.world import StartPose, World
+
+TOUCHING = 2.0 * N150.body.radius_in
+
+
+def two(room: World, gap_in: float, setup: RobotSetup = IDEAL) -> Simulation:
+    """Two N150 on the x axis, face to face, so far apart."""
+    simulation = Simulation(room)
+    away = 0.5 * (gap_in + TOUCHING)
+    simulation.add_robot(1, StartPose(-away, 0.0), setup=setup)
+    simulation.add_robot(2, StartPose(away, 0.0, pi, pi), setup=setup)
+    return simulation
+
+
+def apart(simulation: Simulation) -> float:
+    """Least gap between two robots, inches."""
+    discs = [robot.disc for robot in simulation.robots.values()]
+    return min(hypot(x - u, y - v) - r - s for (x, y, r), (u, v, s) in combinations(discs, 2))
+
+
+def test_a_robot_stops_at_one_that_stands(room: World) -> None:
+    simulation = two(room, 40.0)
+    first, second = simulation.robots.values()
+    first.set_velocities(20.0, 0.0, 0.0)
+    simulation.step(1.9)
+    assert first.bumpers == second.bumpers == 0
+    simulation.step(3.0)
+    assert apart(simulation) == pytest.approx(0.0, abs=1e-9)
+    assert not first.moving[0]
+    assert (first.bumpers, second.bumpers) == (1 << 0, 1 << 10)
+    assert second.actual.x_in == pytest.approx(0.5 * (40.0 + TOUCHING))
+    first.set_velocities(5.0, 0.0, 0.0)
+    simulation.step(0.5)
+    assert not first.moving[0]
+    second.set_velocities(-10.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert apart(simulation) == pytest.approx(10.0)
+    assert (first.bumpers, second.bumpers) == (0, 0)
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.0137, 1.0])
+def test_two_that_meet_stop_in_the_middle_and_never_overlap(room: World, step_s: float) -> None:
+    simulation = two(room, 40.0)
+    for robot in simulation.robots.values():
+        robot.set_velocities(10.0, 0.0, 0.0)
+    for _ in range(round(4.0 / step_s)):
+        simulation.step(step_s)
+        assert apart(simulation) >= -1e-9
+    first, second = simulation.robots.values()
+    assert apart(simulation) == pytest.approx(0.0, abs=1e-9)
+    assert not first.moving[0]
+    assert not second.moving[0]
+    assert first.actual.x_in + second.actual.x_in == pytest.approx(0.0, abs=0.21)
+
+
+def test_a_crowd_never_overlaps_and_runs_the_same_twice(room: World) -> None:
+    def run() -> list[tuple[float, ...]]:
+        simulation, chance = Simulation(room, 3), np.random.default_rng(4)
+        for number in range(6):
+            model = (N150, N200, SCOUT)[number % 3]
+            simulation.add_robot(number + 1, StartPose(-60.0 + 24.0 * number, 5.0 * number), model, NOISY)
+        for _ in range(40):
+            for robot in simulation.robots.values():
+                first, second = chance.uniform(-15.0, 15.0, 2).tolist()
+                robot.set_velocities(first, second, 0.0)
+            simulation.step(0.25)
+            assert apart(simulation) >= -1e-6
+        return [robot.actual for robot in simulation.robots.values()]
+
+    assert run() == run()
+
+
+def test_sonars_see_the_others(room: World) -> None:
+    simulation = two(room, 40.0)
+    first, second = simulation.robots.values()
+    simulation.step(1.0)
+    seen = 40.0 + N150.body.radius_in - N150.body.sonar_ring_radius_in
+    assert first.sonar.readings_in[0] == second.sonar.readings_in[0] == round(seen)
+    assert first.sonar.readings_in[8] == second.sonar.readings_in[8] < 65
+    second.place(0.5 * (40.0 + TOUCHING), 60.0, pi, pi)
+    simulation.step(1.0)
+    assert first.sonar.readings_in[0] > 100
+
+
+def test_a_robot_is_seen_from_its_first_moment_and_sees(room: World) -> None:
+    simulation = two(room, 40.0)
+    assert simulation.robots[2].sonar.readings_in[0] == 41
+    assert simulation.robots[1].sonar.readings_in[0] == round(100.0 + 0.5 * (40.0 + TOUCHING) - 9.06)
+
+
+def test_a_moving_robot_is_seen_where_it_was_a_hundredth_of_a_second_ago_however_time_is_cut(room: World) -> None:
+    readings = []
+    for step_s in (0.5, 0.01, 0.007):
+        simulation = two(room, 60.0)
+        simulation.robots[1].configure_sonars(5, (0, 255))
+        simulation.robots[2].set_velocities(20.0, 0.0, 0.0)
+        while simulation.time_s < 1.5 - 1e-9:
+            simulation.step(min(step_s, 1.5 - simulation.time_s))
+        readings.append(simulation.robots[1].sonar.readings_in[0])
+        fired = simulation.robots[1].sonar.stamps[0].sensor_time_s
+        assert readings[-1] == pytest.approx(60.66 - 20.0 * fired, abs=0.71)
+    assert len(set(readings)) == 1
+
+
+def test_starts_keep_clear_of_other_robots(room: World) -> None:
+    simulation = Simulation(room)
+    simulation.add_robot(2, StartPose(0.0, 0.0))
+    with pytest.raises(StartError, match="touches robot 2, which stands at"):
+        simulation.add_robot(1, StartPose(15.0, 0.0))
+    simulation.add_robot(1, StartPose(20.0, 0.0))
+    assert list(simulation.robots) == [1, 2]
+    with pytest.raises(StartError, match="robot 1"):
+        simulation.require_free(15.0, 0.0, 9.72, robot_id=2)
+    simulation.require_free(-1.0, 0.0, 9.72, robot_id=2)
+
+
+def test_neighbours_by_their_gaps() -> None:
+    discs = np.array([[0.0, 0.0, 9.0], [18.0 + NEAR_IN - 0.1, 0.0, 9.0], [0.0, 17.0 + NEAR_IN + 0.1, 8.0]])
+    assert neighbours(discs) == {0: [1], 1: [0]}
+
+
+def test_a_copy_of_a_crowd_goes_on_bit_for_bit(room: World) -> None:
+    simulation = two(room, 20.0, NOISY)
+    for robot in simulation.robots.values():
+        robot.set_velocities(6.0, 0.05, radians(10.0))
+    simulation.step(0.777)
+    twin = copy.deepcopy(simulation)
+    for one in (simulation, twin):
+        one.step(2.0)
+    for robot, other in zip(simulation.robots.values(), twin.robots.values(), strict=True):
+        assert (robot.actual, robot.encoder, robot.bumpers) == (other.actual, other.encoder, other.bumpers)
+        assert robot.sonar.readings_in == other.sonar.readings_in
+
+
+def test_a_change_of_the_world_keeps_the_company(room: World) -> None:
+    simulation = two(room, 1.0)
+    simulation.step(0.1)
+    simulation.change_world(simulation.world.with_obstacles(()))
+    simulation.robots[1].set_velocities(20.0, 0.0, 0.0)
+    simulation.step(0.5)
+    assert apart(simulation) == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,98 @@
+"""The compass: ten readings a second, deviation, and the turn that takes it away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi, radians, sin, tau
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.compass import INTERVAL_PS, TRUE_NEEDLE, Compass, CompassMode, CompassNoise
+from nserver_emu.simulation.instants import to_ps
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from worlds.world import StartPose
+
+Lone = Callable[..., tuple[Simulation, SimulatedRobot]]
+IRON = CompassNoise(deviation_rad=radians(6.0))
+
+
+def compass(noise: CompassNoise = TRUE_NEEDLE) -> Compass:
+    return Compass(noise, 0.0, 0, np.random.default_rng(2))
+
+
+def test_a_reading_is_due_every_tenth_of_a_second_and_the_last_one_counts() -> None:
+    needle = compass()
+    assert needle.due(INTERVAL_PS - 1) is None
+    assert needle.due(INTERVAL_PS) == INTERVAL_PS
+    assert needle.due(to_ps(0.78)) == 7 * INTERVAL_PS
+    needle.take(7 * INTERVAL_PS, 1.0, 1.0)
+    assert (needle.direction_rad, needle.taken_ps, needle.due(to_ps(0.78))) == (1.0, 7 * INTERVAL_PS, None)
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.037, 0.5, 3.0])
+def test_it_shows_where_the_turret_pointed_at_the_last_tenth_however_time_is_cut(lone: Lone, step_s: float) -> None:
+    simulation, robot = lone()
+    robot.set_velocities(0.0, 0.0, 0.7)
+    for _ in range(round(3.0 / step_s)):
+        simulation.step(step_s)
+    simulation.step(3.05 - simulation.time_s)
+    assert robot.compass.direction_rad == pytest.approx(0.7 * 3.0)
+    assert robot.actual.turret_rad == pytest.approx(0.7 * 3.05)
+
+
+def test_it_follows_a_turn_that_ends_in_between_and_a_robot_put_elsewhere(lone: Lone) -> None:
+    simulation, robot = lone(StartPose(0.0, 0.0, 0.0, 0.5), RobotSetup("r", True, IDEAL.motion, IDEAL.sonar))
+    assert robot.compass.direction_rad == 0.5
+    robot.configure_sonars(15, ())
+    robot.move_relative(0.0, 0.0, 0.3)
+    simulation.step(20.0)
+    assert robot.compass.direction_rad == pytest.approx(0.8)
+    robot.place(0.0, 0.0, 0.0, 2.0)
+    simulation.step(0.1)
+    assert robot.compass.direction_rad == pytest.approx(2.0)
+
+
+def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() -> None:
+    needle = compass(IRON)
+
+    def turn(count: int) -> None:
+        start = needle.taken_ps // INTERVAL_PS
+        for number in range(start + 1, start + 1 + count):
+            needle.take(number * INTERVAL_PS, (0.1 * number) % tau, 0.1 * number)
+
+    turn(10)
+    assert needle.direction_rad == pytest.approx(1.0 + radians(6.0) * sin(1.0 + IRON.phase_rad))
+    turn(70)
+    needle.configure(2)
+    turn(62)
+    assert (needle.calibrated, needle.mode) == (False, CompassMode.CALIBRATING)
+    turn(2)
+    assert (needle.calibrated, needle.mode) == (True, CompassMode.ON)
+    turn(1)
+    assert needle.direction_rad == pytest.approx(14.5 - 2 * tau)
+
+
+def test_switched_off_it_keeps_its_reading_and_no_mode_is_refused() -> None:
+    needle = compass()
+    needle.take(INTERVAL_PS, 1.0, 1.0)
+    needle.configure(0)
+    needle.take(2 * INTERVAL_PS, 2.0, 2.0)
+    assert needle.direction_rad == 1.0
+    with pytest.raises(ValueError, match="7"):
+        needle.configure(7)
+
+
+def test_noise_has_its_spread_and_each_reading_its_own_whether_looked_at_or_not() -> None:
+    noise = CompassNoise(std_rad=0.01)
+    each, last = compass(noise), compass(noise)
+    read = []
+    for number in range(1, 2001):
+        each.take(number * INTERVAL_PS, pi, 0.0)
+        read.append(each.direction_rad)
+    last.take(2000 * INTERVAL_PS, pi, 0.0)
+    assert last.direction_rad == each.direction_rad
+    assert np.mean(read) == pytest.approx(pi, abs=0.001)
+    assert np.std(read) == pytest.approx(0.01, rel=0.08)

@@ -1,0 +1,106 @@
+"""The infrared ring: steps, reach, history, instants, and that looking changes nothing."""
+
+from __future__ import annotations
+
+from math import cos, radians, sqrt
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
+from nserver_emu.simulation.instants import NEVER_PS
+from nserver_emu.simulation.poses import Pose, Stamp
+from nserver_emu.simulation.sonar import Eye
+from worlds.bodies import N200
+
+HERE = Eye(0.0, 0.0, 0.0)
+ALL = tuple(range(16))
+
+
+def stamp(time_s: float = 0.0) -> Stamp:
+    return Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), time_s, time_s)
+
+
+def wall(gap: float, slant_rad: float = 0.0) -> np.ndarray:
+    """Before sensor 0, a wall whose point on the axis is that far from the body."""
+    middle, way = np.array([N200.radius_in + gap, 0.0]), np.array([-np.sin(slant_rad), np.cos(slant_rad)])
+    return np.array([[*(middle - way), *(middle + way)]])
+
+
+def ring(walls: np.ndarray, noise: InfraredNoise = CLEAR_SIGHT) -> InfraredRing:
+    return InfraredRing(N200, noise, walls, 0, np.random.default_rng(5))
+
+
+@pytest.mark.parametrize(("gap", "reading"), [(0.0, 0), (0.4, 0), (7.6, 8), (14.4, 14), (14.6, 15), (24.5, 15)])
+def test_readings_are_whole_inches_from_the_body_and_15_is_nothing(gap: float, reading: int) -> None:
+    sensors = ring(wall(gap))
+    assert sensors.readings == (15,) * 16
+    sensors.flash_due(HERE, stamp())
+    assert sensors.readings == (reading, *[15] * 15)
+
+
+def test_the_ring_flashes_every_60_ms_and_is_off_without_sensors() -> None:
+    sensors = ring(wall(5.0))
+    sensors.configure(0, ALL, 7)
+    for number in range(3):
+        assert sensors.due_ps == 7 + number * INTERVAL_PS
+        sensors.flash_due(HERE, stamp(number))
+    assert sensors.stamps == (stamp(2),) * 16
+    sensors.configure(0, (255, 0), 9)
+    assert sensors.due_ps == NEVER_PS
+    assert sensors.readings[0] == 5
+
+
+def test_sensors_that_are_not_in_the_order_keep_their_readings() -> None:
+    sensors = ring(wall(5.0))
+    sensors.configure(0, (1, 2, 255, 0), 0)
+    sensors.flash_due(HERE, stamp(3.0))
+    assert sensors.readings[0] == 15
+    assert [sensors.stamps[number].sensor_time_s for number in (0, 1, 2, 3)] == [0.0, 3.0, 3.0, 0.0]
+
+
+@pytest.mark.parametrize("history", [0, 3, 9, 10, 12])
+def test_history_is_the_share_of_the_reading_before(history: int) -> None:
+    sensors = ring(wall(5.0))
+    sensors.configure(history, ALL, 0)
+    share = min(history, 10) / 10
+    for flashes in range(1, 8):
+        sensors.flash_due(HERE, stamp())
+        level = 5.0 + (15.0 - 5.0) * share**flashes
+        assert sensors.readings[0] == pytest.approx(level, abs=0.5 + 1e-9)
+
+
+def test_looking_often_or_late_gives_the_same_readings() -> None:
+    walls = np.array([[-20.0, -20.0, 20.0, -20.0], [20.0, -20.0, 20.0, 20.0]])
+    often, late = ring(walls, InfraredNoise(0.1)), ring(walls, InfraredNoise(0.1))
+    for sensors in (often, late):
+        sensors.configure(8, ALL, 0)
+    for number in range(150):
+        for sensors in (often, late):
+            sensors.flash_due(Eye(0.01 * number, 0.0, 0.1 * number), stamp())
+        seen = often.readings
+    assert late.readings == seen
+
+
+def test_a_flash_meets_the_walls_of_its_instant_and_other_robots() -> None:
+    sensors = ring(wall(5.0))
+    sensors.flash_due(HERE, stamp())
+    sensors.surround(np.empty((0, 4)))
+    assert sensors.readings[0] == 5
+    others = np.array([[0.0, 0.0, 9.0], [26.0, 0.0, 9.0]])
+    sensors.flash_due(Eye(0.0, 0.0, 0.0, others, 0), stamp())
+    assert sensors.readings[0] == 8
+
+
+def test_slanted_walls_look_farther_and_ranges_are_noisy_as_told() -> None:
+    slant = radians(50.0)
+    sensors = ring(wall(8.0, slant), InfraredNoise(slanted=True))
+    sensors.flash_due(HERE, stamp())
+    assert sensors.readings[0] == round(8.0 / sqrt(cos(slant)))
+    noisy = ring(wall(8.0), InfraredNoise(std_share=0.1))
+    readings = []
+    for _ in range(2000):
+        noisy.flash_due(HERE, stamp())
+        readings.append(noisy.readings[0])
+    assert np.mean(readings) == pytest.approx(8.0, abs=0.08)
+    assert np.var(readings) == pytest.approx(0.8**2 + 1.0 / 12.0, rel=0.15)

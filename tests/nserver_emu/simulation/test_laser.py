@@ -1,0 +1,96 @@
+"""The laser: reach, columns, the robot's frame, and lines against the walls and against an eigenvector."""
+
+from __future__ import annotations
+
+from math import cos, inf, pi, radians, sin
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, thinned
+from nserver_emu.simulation.sonar import Eye
+from worlds.bodies import N200
+
+RADIUS = N200.radius_in
+HERE = Eye(0.0, 0.0, 0.0)
+
+
+def ahead(gap: float, half: float = 500.0) -> np.ndarray:
+    return np.array([[RADIUS + gap, -half, RADIUS + gap, half]])
+
+
+def test_a_wall_ahead_is_seen_from_6_to_180_in_by_every_column_in_reach() -> None:
+    for gap in (6.01, 60.0, 155.0):
+        assert ranges(HERE, ahead(gap), N200) == pytest.approx(gap / np.cos(ANGLES_RAD))
+    assert (ranges(HERE, ahead(5.0), N200)[240:242] == inf).all()
+    far = ranges(HERE, ahead(170.0), N200)
+    assert ((far < inf) == (170.0 / np.cos(ANGLES_RAD) <= 180.0)).all()
+    assert (ranges(HERE, np.empty((0, 4)), N200) == inf).all()
+    assert (len(ANGLES_RAD), ANGLES_RAD[0], ANGLES_RAD[-1]) == (COLUMNS, -pi / 6, pi / 6)
+
+
+def test_points_lie_on_the_wall_in_the_frame_of_the_turret() -> None:
+    turret, x, y = 2.0, 30.0, -20.0
+    normal, distance = np.array([cos(2.2), sin(2.2)]), 90.0
+    along = np.array([-normal[1], normal[0]]) * 400.0
+    foot = np.array([x, y]) + distance * normal
+    found = points(ranges(Eye(x, y, turret), np.array([[*(foot - along), *(foot + along)]]), N200), N200)
+    assert len(found) == COLUMNS
+    back = np.array([[cos(turret), sin(turret)], [-sin(turret), cos(turret)]])
+    assert (found @ back) @ normal == pytest.approx(np.full(COLUMNS, distance))
+    assert (np.diff(found[:, 1]) > 0.0).all()
+
+
+def test_another_robot_is_seen() -> None:
+    discs = np.array([[0.0, 0.0, 9.0], [0.0, 50.0, 9.0]])
+    seen = ranges(Eye(0.0, 0.0, pi / 2, discs, 0), np.empty((0, 4)), N200)
+    assert seen.min() == pytest.approx(50.0 - 18.0, abs=1e-3)
+
+
+def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:
+    rows = pixels(ranges(HERE, ahead(6.5, 1.0), N200))
+    assert max(rows) == round(2880 / 6.5)
+    assert rows[0] == 0
+    seen = ranges(HERE, ahead(60.0), N200)
+    for most in (1, 7, 100, 481):
+        assert (thinned(seen, most) < inf).sum() == most
+    assert thinned(seen, 0) is seen
+
+
+def test_a_room_corner_and_a_gap_become_three_lines() -> None:
+    walls = np.array(
+        [[109.0, -80.0, 109.0, -10.0], [109.0, 20.0, 109.0, 40.0], [109.0, 40.0, 69.0, 80.0]]
+    )
+    found = lines(points(ranges(HERE, walls, N200), N200), LineFit())
+    assert len(found) == 3
+    assert found[0][[0, 2]] == pytest.approx([109.0, 109.0], abs=1e-6)
+    assert found[0][3] == pytest.approx(-10.0, abs=0.5)
+    assert found[1] == pytest.approx([109.0, 20.0, 109.0, 40.0], abs=0.5)
+    assert found[2][:2] == pytest.approx([109.0, 40.0], abs=0.5)
+    assert found[2][0] + found[2][1] == pytest.approx(149.0, abs=1e-2)
+
+
+def test_settings_decide_what_is_a_line() -> None:
+    found = points(ranges(HERE, np.array([[60.0, -9.0, 60.0, -3.0], [60.0, 3.0, 60.0, 9.0]]), N200), N200)
+    assert len(lines(found, LineFit(gap_in=5.0))) == 2
+    assert len(lines(found, LineFit(gap_in=7.0))) == 1
+    assert len(lines(found, LineFit(gap_in=5.0, min_points=len(found)))) == 0
+    bent = np.array([[float(x), abs(x) / 10.0] for x in range(-20, 21)])
+    assert len(lines(bent, LineFit(threshold_in=2.1))) == 1
+    assert len(lines(bent, LineFit(threshold_in=1.9))) == 2
+    assert lines(np.empty((0, 2)), LineFit()).shape == (0, 4)
+    assert len(lines(np.ones((9, 2)), LineFit())) == 1
+
+
+@pytest.mark.parametrize("turn", [0.0, 40.0, 90.0, 133.0, 270.0])
+def test_a_line_is_the_one_of_least_squared_distances(turn: float) -> None:
+    rng = np.random.default_rng(1)
+    way = np.array([cos(radians(turn)), sin(radians(turn))])
+    found = 50.0 + np.outer(np.linspace(0.0, 40.0, 60), way) + rng.normal(0.0, 0.2, (60, 2))
+    (line,) = lines(found, LineFit(threshold_in=5.0))
+    values, vectors = np.linalg.eigh(np.cov(found.T))
+    fitted = line[2:] - line[:2]
+    assert abs(fitted @ vectors[:, 1]) == pytest.approx(np.hypot(*fitted))
+    assert values[1] > values[0]
+    assert fitted @ way > 0.0
+    assert abs((line[:2] - found.mean(axis=0)) @ vectors[:, 0]) < 1e-9

@@ -1,0 +1,156 @@
+"""Systematic errors: squares after Borenstein and Feng's UMBmark come out as the parameters say; slip; the turret."""
+
+from __future__ import annotations
+
+from cmath import exp, phase
+from math import pi, radians, sin
+
+import pytest
+
+from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN, RobotModel
+from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
+from nserver_emu.simulation.odometry import Odometry
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import SonarNoise
+from worlds.world import StartPose, World
+
+LEG_IN = 60.0
+CCW, CW = 1, -1
+
+
+def erring(odometry: Odometry, ramps: bool = True, motion: MotionNoise = NO_NOISE) -> RobotSetup:
+    return RobotSetup("erring", ramps, motion, SonarNoise(), odometry=odometry)
+
+
+def robot_with(
+    room: World, odometry: Odometry, model: RobotModel = N150, start: StartPose | None = None
+) -> tuple[Simulation, SimulatedRobot]:
+    simulation = Simulation(room)
+    return simulation, simulation.add_robot(1, start, model, erring(odometry))
+
+
+def square(room: World, odometry: Odometry, model: RobotModel, way: int) -> tuple[complex, float]:
+    """(place, turn) at the end of the actual robot, after four legs and four quarter turns back by its encoders."""
+    corner = StartPose(-LEG_IN / 2, -way * LEG_IN / 2)
+    simulation, robot = robot_with(room, odometry, model, corner)
+    wheel = way * radians(90.0) * SCOUT_TRACK_IN / 2
+    legs = (LEG_IN, LEG_IN, 0.0) if model is SCOUT else (LEG_IN, 0.0, 0.0)
+    turns = (wheel, -wheel, 0.0) if model is SCOUT else (0.0, way * pi / 2, 0.0)
+    for _ in range(4):
+        for motion in (legs, turns):
+            robot.move_relative(*motion)
+            simulation.step(6.0)
+            assert robot.still((0, 1, 2))
+    assert robot.encoder[:2] == pytest.approx((corner.x_in, corner.y_in), abs=1e-9)
+    actual = robot.actual
+    return complex(actual.x_in - corner.x_in, actual.y_in - corner.y_in), actual.steering_rad
+
+
+def composed(steps: list[tuple[complex, float]]) -> tuple[complex, float]:
+    """Motions (displacement ahead, turn) put one after another in the plane of complex numbers."""
+    place, turn = 0j, 0.0
+    for displacement, turned in steps * 4:
+        place += displacement * exp(1j * turn)
+        turn += turned
+    return place, turn
+
+
+def arc(way: float, turn: float) -> tuple[complex, float]:
+    """The end of an arc of this length and turn, started along the x axis."""
+    return (way * (exp(1j * turn) - 1.0) / (1j * turn) if turn else complex(way)), turn
+
+
+@pytest.mark.parametrize("way", [CCW, CW])
+def test_an_exact_square_closes(room: World, way: int) -> None:
+    place, _ = square(room, Odometry(), N150, way)
+    assert abs(place) < 1e-9
+
+
+@pytest.mark.parametrize("way", [CCW, CW])
+def test_a_synchro_square_is_the_closed_form(room: World, way: int) -> None:
+    odometry = Odometry(scales=(1.02, 0.99, 1.0), drifts=(radians(0.05), 0.004))
+    place, turn = square(room, odometry, N150, way)
+    leg = arc(1.02 * LEG_IN, radians(0.05) * LEG_IN)
+    corner = (0j, way * (0.99 + 0.004) * pi / 2)
+    expected, turned = composed([leg, corner])
+    assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
+    assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("way", [CCW, CW])
+def test_a_scouts_square_is_the_closed_form(room: World, way: int) -> None:
+    right, left, share = 1.006, 0.997, 0.98
+    outward = (1.0 / share - 1.0) / SCOUT_TRACK_IN
+    place, turn = square(room, Odometry((right, left, 1.0), (outward, -outward)), SCOUT, way)
+    counted = way * pi / 2 * SCOUT_TRACK_IN / 2
+    track = SCOUT_TRACK_IN
+    leg = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
+    corner = arc(counted * (right - left) / 2, counted * (right + left) / track + outward * 2.0 * counted)
+    expected, turned = composed([leg, corner])
+    assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
+    assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("diameters", "share"), [(1.004, 1.0), (1.0, 0.99), (0.998, 1.006)])
+def test_umbmark_finds_the_diameters_and_the_wheelbase_again(room: World, diameters: float, share: float) -> None:
+    """Its formulas hold for small errors: alpha by the sum, beta by the difference of the two centres of gravity."""
+    outward = (1.0 / share - 1.0) / SCOUT_TRACK_IN
+    mean = (diameters + 1.0) / 2.0
+    odometry = Odometry((diameters / mean, 1.0 / mean, 1.0), (outward, -outward))
+    errors = {way: square(room, odometry, SCOUT, way)[0] for way in (CCW, CW)}
+    alpha = (errors[CW].real + errors[CCW].real) / (-4.0 * LEG_IN)
+    beta = (errors[CW].real - errors[CCW].real) / (-4.0 * LEG_IN)
+    across = 2.0 * sin(beta / 2.0) / LEG_IN
+    half = SCOUT_TRACK_IN / 2.0
+    assert (1.0 + half * across) / (1.0 - half * across) == pytest.approx(diameters, abs=1e-4)
+    assert (pi / 2) / (pi / 2 - alpha) == pytest.approx(share, abs=5e-4)
+
+
+def test_slip_is_what_the_encoders_count_beyond_the_wall(room: World) -> None:
+    simulation, robot = robot_with(room, Odometry(slip_in=0.4))
+    robot.define_angles(pi / 2, 0.0)
+    robot.set_velocities(10.0, 0.0, 0.0)
+    simulation.step(20.0)
+    reach = 100.0 - N150.body.radius_in
+    assert robot.actual[:2] == pytest.approx((reach, 0.0))
+    assert robot.encoder[:2] == pytest.approx((0.0, reach + 0.4))
+    assert not robot.moving[0]
+    robot.set_velocities(-10.0, 0.0, 0.0)
+    simulation.step(25.0)
+    assert robot.actual.x_in == pytest.approx(-reach)
+    assert robot.encoder.y_in == pytest.approx(reach + 0.4 - 2.0 * reach - 0.4)
+
+
+def test_a_turret_whose_gears_err_is_right_again_at_its_zero(room: World) -> None:
+    simulation, robot = robot_with(room, Odometry(scales=(1.0, 1.0, 1.05)))
+    robot.move_relative(0.0, 0.0, 1.0)
+    simulation.step(5.0)
+    assert robot.encoder.turret_rad == pytest.approx(1.0)
+    assert robot.actual == pytest.approx((0.0, 0.0, 0.0, 1.05))
+    robot.zero()
+    simulation.step(5.0)
+    assert (robot.encoder.turret_rad, robot.actual.turret_rad) == pytest.approx((0.0, 0.0))
+
+
+def test_a_wall_is_met_where_the_body_really_is(room: World) -> None:
+    simulation, robot = robot_with(room, Odometry(scales=(1.25, 1.0, 1.0)))
+    robot.set_velocities(8.0, 0.0, 0.0)
+    simulation.step(20.0)
+    reach = 100.0 - N150.body.radius_in
+    assert robot.actual.x_in == pytest.approx(reach)
+    assert robot.encoder.x_in == pytest.approx(reach / 1.25)
+
+
+def test_a_scout_that_turns_astray_on_the_spot_is_held_by_the_wall_but_turns_on(room: World) -> None:
+    start = StartPose(100.0 - SCOUT.body.radius_in, 0.0, radians(180.0))
+    simulation, robot = robot_with(room, Odometry(scales=(1.2, 0.8, 1.0)), SCOUT, StartPose(0.0, 0.0))
+    robot.place(start.x_in, start.y_in, start.steering_rad, 0.0)
+    robot.move_relative(-30.0, 30.0, 0.0)
+    simulation.step(0.8)
+    assert robot.moving == (True, True, False)
+    assert robot.actual.x_in <= start.x_in + 1e-9
+    simulation.step(3.0)
+    assert robot.still((0, 1))
+    assert robot.encoder.steering_rad != pytest.approx(start.steering_rad)
