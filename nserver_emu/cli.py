@@ -16,7 +16,9 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from difflib import get_close_matches
 from importlib.metadata import version
+from itertools import zip_longest
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,9 +27,10 @@ from nserver_emu.server import snapshot
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
-from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Setting, pose_from_text
+from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Placed, Setting, pose_from_text
 from nserver_emu.server.setup_files import read_setups
 from nserver_emu.server.stage import Allowed
+from nserver_emu.simulation.setup import SETUPS
 from worlds.files import load_world, world_names
 
 log = logging.getLogger(__name__)
@@ -38,6 +41,7 @@ MAX_SPEED = "max"
 LONGEST_LOCKSTEP_S = 10.0
 SETUP_SUFFIX = ".setup"
 MOST_SETUPS = 2
+MOST_ROBOTS = 1000
 OLD_OPTIONS = ("help", "noisy", "port")
 """What the original took after a single dash, by as few first letters as one likes."""
 
@@ -48,6 +52,7 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     options = parser.parse_args([_as_value(_as_long_option(word)) for word in words])
     options.world, options.setups = _sorted_files(parser, options.files)
+    _refuse_unknown_models(parser, options)
     logging.basicConfig(
         level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -68,7 +73,7 @@ def main(argv: list[str] | None = None) -> int:
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
-    emulator = _emulator(options, options.robot or setups.robot or READY_MODELS[0])
+    emulator = _emulator(options, setups.robot or READY_MODELS[0])
     daemon = Daemon(emulator, options.speed)
     stop = asyncio.Event()
     stop_on_signals(stop)
@@ -81,10 +86,30 @@ async def _serve(options: argparse.Namespace) -> int:
     return 0
 
 
+def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Wrong usage, where no file could know the model."""
+    for name in options.robot or ():
+        if options.model_file is None and name.lower() not in READY_MODELS:
+            near = get_close_matches(name.lower(), READY_MODELS, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
+
+
+def _robots(options: argparse.Namespace, default: str) -> list[Placed]:
+    """The robots that the options ask for: the last model counts for the rest, who has no start gets a free one."""
+    models = options.robot or [default]
+    starts = [pose_from_text(text) for text in options.start or ()]
+    count = max(len(models), len(starts), options.robots)
+    models = [*models, *[models[-1]] * (count - len(models))]
+    return list(zip_longest(models, starts))
+
+
 def _emulator(options: argparse.Namespace, robot: str) -> Emulator:
     """The simulation as the options say, or as a snapshot has it."""
-    start = pose_from_text(options.start) if options.start else None
-    setting = Setting(options.world, robot, start, options.seed, options.noisy)
+    (model, start), *others = _robots(options, robot)
+    setting = Setting(
+        options.world, model, start, options.seed, options.noisy, options.setup, tuple(others), options.model_file
+    )
     pace = Pace(options.speed, options.paused, options.lockstep)
     allowed = Allowed(quit=options.allow_quit, control=options.allow_control)
     emulator = Emulator(setting.simulation(), pace=pace, allowed=allowed)
@@ -125,8 +150,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--port", type=_port, help=f"default {DEFAULT_PORT}; 0 takes a free one")
     parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
                         help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
-    parser.add_argument("--robot", choices=READY_MODELS, help=f"the robot's model (default {READY_MODELS[0]})")
-    parser.add_argument("--start", metavar="X,Y,STEER,TURRET", help="start pose in inches and degrees")
+    parser.add_argument("--robot", action="append", metavar="MODEL",
+                        help=f"the robot's model: {', '.join(READY_MODELS)} or one of --model-file (default "
+                        f"{READY_MODELS[0]}); once more for robot 2, and so on")
+    parser.add_argument("--robots", type=_robot_count, default=1, metavar="N",
+                        help="how many robots, numbers 1 to N; clients find the second at nserver://HOST/2")
+    parser.add_argument("--model-file", type=Path, metavar="FILE",
+                        help="a TOML file of models that override or add to the known ones")
+    parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
+                        help="start pose in inches and degrees; once more for robot 2, and so on")
     parser.add_argument("--seed", type=_seed, default=0, help="seed of all noise (default 0)")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
                         help=f"simulated seconds a second, {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED} (default 1)")
@@ -137,6 +169,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
     parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was")
     parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
+    parser.add_argument("--setup", choices=tuple(SETUPS), default="",
+                        help="how real: ideal, noisy, or measured (sonars like a Polaroid ring, compass errs too)")
     parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
@@ -182,6 +216,10 @@ def _lockstep(text: str) -> float:
     if not 0.0 < step_s <= LONGEST_LOCKSTEP_S:
         raise argparse.ArgumentTypeError(f"a step is more than 0 and at most {LONGEST_LOCKSTEP_S:.0f} s")
     return step_s
+
+
+def _robot_count(text: str) -> int:
+    return _number(text, int, (1, MOST_ROBOTS), f"robots are 1 to {MOST_ROBOTS}")
 
 
 def _port(text: str) -> int:

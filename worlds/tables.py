@@ -84,6 +84,13 @@ class Table:
             self.fail(key, f"expected at least {least} points, found {len(rows)}")
         return tuple(self._point(f"{key}[{number}]", row, scale) for number, row in enumerate(rows))
 
+    def table(self, key: str) -> Table:
+        """The table written as [key] inside this one, which is there."""
+        row = self.values[key]
+        if not isinstance(row, dict):
+            self.fail(key, f"expected a table, found {found(row)}")
+        return Table(self.file, f"{self.path}.{key}" if self.path else key, row)
+
     def tables(self, key: str) -> Iterator[Table]:
         """The tables written as [[key]], in their order; none where there is no such key."""
         rows = self.values.get(key, [])

@@ -18,7 +18,7 @@ from nclient.protocol.units import heading_tenths, rad_from_tenths, tenths
 from nserver_emu.server.collision import Arc, arc_hit, line_hit
 from nserver_emu.server.session import BAD_VALUES, REFUSED, Visit, error_reply
 from nserver_emu.server.stage import Stage
-from nserver_emu.server.state_reply import state_slots
+from nserver_emu.server.state_reply import state_slots, with_laser
 from nserver_emu.simulation.company import discs_of
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL
@@ -30,6 +30,9 @@ MOST_OBSTACLES: Final = 1000
 
 MOST_ROBOTS_TOLD: Final = 341
 """What a reply to get_rpx can carry: 1 + 3 x 341 of 1024 words."""
+
+EDGE_IN: Final = 1e5
+"""The map ends here in every direction: rays are exact so far, and all numbers fit into their words."""
 
 TOUCH_IN: Final = 1e-3
 """A robot may touch what it stands beside: an obstacle this little inside its rim does not stand in it."""
@@ -73,7 +76,7 @@ def move_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
     if number is None:
         return error_reply(BAD_VALUES)
     moved = obstacles[number].moved(dx / 10, dy / 10)
-    if _stands_in_a_robot(stage, moved):
+    if not _sound(moved) or _stands_in_a_robot(stage, moved):
         return error_reply(BAD_VALUES)
     obstacles[number] = moved
     stage.simulation.change_world(stage.simulation.world.with_obstacles(obstacles))
@@ -88,12 +91,14 @@ def new_world(stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 def place_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     """Put the robot somewhere; a place where it would touch a wall or another robot is refused."""
-    robot, (x, y, steering, turret) = stage.robot_of(visit), args
+    robot, place = stage.robot_of(visit), _start(args)
+    if max(abs(place.x_in), abs(place.y_in)) > EDGE_IN:
+        return error_reply(BAD_VALUES)
     try:
-        stage.simulation.require_free(x / 10, y / 10, robot.model.body.radius_in, visit.robot_id)
+        stage.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, visit.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
-    robot.place(x / 10, y / 10, rad_from_tenths(steering), rad_from_tenths(turret))
+    robot.place(place.x_in, place.y_in, place.steering_rad, place.turret_rad)
     return done()
 
 
@@ -119,7 +124,8 @@ def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     there = SimulatedRobot(
         robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, others=(seen, len(others))
     )
-    return Reply("prediction", values=tuple(state_slots(there, stage.pace.speed_tenths)[:_PREDICTED]))
+    slots, laser = with_laser(there, visit.terms, state_slots(there, stage.pace.speed_tenths))
+    return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)
 
 
 def motion_check(stage: Stage, _visit: Visit, args: tuple[float, ...]) -> Reply:
@@ -158,10 +164,11 @@ def _polygon(corners: _Corners) -> Polygon:
 
 
 def _sound(polygon: Polygon) -> bool:
-    """Whether the corners go round some area without crossing their own way."""
+    """Whether the corners go round some area of the map without crossing their own way."""
     edges = polygon.segments()
     return (
         len(edges) >= 3
+        and float(abs(edges).max()) <= EDGE_IN
         and bool(lengths(edges).all())
         and crossing(edges) is None
         and abs(area(polygon.corners_in)) > 0.0

@@ -26,6 +26,7 @@ LONGEST_STEP_MS: Final = 60_000
 
 PAUSE, RESUME, SPEED, STEP = 1, 2, 3, 4
 _RINGS, _GAP_IN = 12, 1.0
+_INT32_MAX = 0x7FFFFFFF
 
 
 def connect_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
@@ -89,7 +90,7 @@ def sim_control(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
     else:
         return error_reply(BAD_VALUES)
     speed = 0 if pace.factor is None or pace.lockstep_s is not None else round(10 * pace.factor)
-    return Reply("control", values=(1, stage.clock_ms, speed, int(pace.paused)))
+    return Reply("control", values=(1, stage.clock_ms & _INT32_MAX, speed, int(pace.paused)))
 
 
 def free_place(simulation: Simulation, radius_in: float) -> StartPose | None:

@@ -18,10 +18,11 @@ from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Session
 from nserver_emu.server.setting import DEFAULT_WORLD, Setting, pose_from_text
 from nserver_emu.server.stage import Allowed
+from nserver_emu.simulation.setup import SETUPS
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1
-_OPTIONS = ("robot", "seed", "noisy", "start", "step_s")
+_OPTIONS = ("robot", "seed", "noisy", "setup", "start", "step_s")
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
@@ -59,8 +60,8 @@ def open_address(address: str) -> InProcess:
     """The simulation that an address names.
 
     `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; the world is a shipped name or a file, every
-    option may be left out. `step_s`: simulated seconds an exchange, 0.001 to 10. Raises AddressError naming the
-    option and the nearest known, WorldFileError or StartError.
+    option may be left out. `step_s`: simulated seconds an exchange, 0.001 to 10; `setup`: ideal, noisy or measured, and
+    counts before `noisy`. Raises AddressError naming the option and the nearest known, WorldFileError or StartError.
     """
     path, _, query = address.removeprefix(f"{SCHEME}:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
@@ -76,6 +77,7 @@ def open_address(address: str) -> InProcess:
         start=pose_from_text(start) if start is not None else None,
         seed=_seed(address, options.get("seed", "0")),
         noisy=_flag(address, options.get("noisy", "0")),
+        setup=_setup(address, options.get("setup", "")),
     )
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
     return InProcess(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
@@ -92,6 +94,12 @@ def _flag(address: str, text: str) -> bool:
         return _FLAGS[text.lower()]
     except KeyError:
         raise AddressError(f"{address}: noisy is 1 or 0, not {text!r}") from None
+
+
+def _setup(address: str, text: str) -> str:
+    if text and text not in SETUPS:
+        raise AddressError(f"{address}: setup is one of {', '.join(SETUPS)}, not {text!r}")
+    return text
 
 
 def _step(address: str, text: str) -> float:

@@ -62,10 +62,10 @@ def arm_ws(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply | Later:
     if not _has_arm(stage, visit):
         return error_reply(NOT_AVAILABLE)
     lift, grip, timeout_ms = args
-    end_ms = stage.clock_ms + timeout_ms
+    end_s = stage.simulation.time_s + timeout_ms / 1000
 
     def waited() -> Reply | None:
-        left_ms = end_ms - stage.clock_ms
+        left_ms = round(1000 * (end_s - stage.simulation.time_s))
         if _arm(stage, visit).still(bool(lift), bool(grip)):
             return _packet(WAIT_PACKET, _SUCCEEDED, max(left_ms, 0))
         return None if left_ms > 0 else _packet(WAIT_PACKET, _FAILED, 0)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
-from nclient.errors import AddressError
-from nclient.protocol.models import model_named
-from nserver_emu.simulation.models import MODELS
-from nserver_emu.simulation.setup import IDEAL, NOISY
+from nclient.errors import AddressError, StartError
+from nserver_emu.server.hosting import free_place
+from nserver_emu.simulation.model_files import load_models
+from nserver_emu.simulation.models import MODELS, RobotModel
+from nserver_emu.simulation.setup import IDEAL, NOISY, SETUPS
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
 from worlds.world import StartPose
@@ -19,23 +22,49 @@ READY_MODELS = tuple(MODELS)
 """The robots that can be simulated."""
 
 
+Placed = tuple[str, StartPose | None]
+"""A robot by its model, and where it starts; None: where there is room."""
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """World by name or file, robot by model, where it starts (None: where the world says), noise and seed."""
+    """World by name or file, robot by model, where it starts (None: where the world says), noise and seed.
+
+    setup         how real: ideal, noisy or measured; "": as `noisy` says
+    others        the robots with the numbers from 2 on
+    model_file    models that override or add to those there are
+    """
 
     world: str = DEFAULT_WORLD
     robot: str = "n150"
     start: StartPose | None = None
     seed: int = 0
     noisy: bool = False
+    setup: str = ""
+    others: tuple[Placed, ...] = ()
+    model_file: Path | None = None
 
     def simulation(self) -> Simulation:
         """The simulation as set. Raises WorldFileError, AddressError (model) or StartError, naming the remedy."""
-        model = model_named(self.robot)
+        models = load_models(self.model_file) if self.model_file else MODELS
         simulation = Simulation(load_world(self.world), seed=self.seed)
-        setup = NOISY if self.noisy else IDEAL
-        simulation.add_robot(FIRST_ROBOT, self.start, MODELS[model.name], setup)
+        setup = SETUPS[self.setup or (NOISY.name if self.noisy else IDEAL.name)]
+        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup)
+        for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
+            model = _model(models, name)
+            place = start or free_place(simulation, model.body.radius_in)
+            if place is None:
+                raise StartError(f"no room for robot {robot_id} near the starts of {self.world}; give it a --start")
+            simulation.add_robot(robot_id, place, model, setup)
         return simulation
+
+
+def _model(models: Mapping[str, RobotModel], name: str) -> RobotModel:
+    """The model of that name. Raises AddressError, naming the models there are."""
+    try:
+        return models[name.lower()]
+    except KeyError:
+        raise AddressError(f"no robot model {name!r}; there are {', '.join(models)}") from None
 
 
 def pose_from_text(text: str) -> StartPose:

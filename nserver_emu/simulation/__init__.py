@@ -3,5 +3,5 @@
 simulation > company > robot                  who is near whom
              robot > drive > axis             what was told        > stretch    the path that comes of it
                    > encoders | chassis       believed | true      > contact, bumpers
-                   > sonar                    what is seen         noise, odometry, setup, models: how real, and which robot
+                   > sonar                    what is seen         noise, odometry, setup: how real; models: which robot
 """

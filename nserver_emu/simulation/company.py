@@ -22,7 +22,7 @@ TICK_PS: Final = PS_PER_S // 100
 """A hundredth of a second: a robot at 20 in/s is seen 0.2 in from where it is at most, a fifth of what sonars tell."""
 
 NEAR_IN: Final = 2.0
-"""Gap below which two robots are near: at twice 39 in/s they close 0.8 in within a tick; noise is far below the rest."""
+"""Gap below which two robots are near: at twice 39 in/s they close 0.8 in within a tick; noise is far below that."""
 
 
 def discs_of(robots: Mapping[int, SimulatedRobot]) -> FloatArray:

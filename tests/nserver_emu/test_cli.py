@@ -80,3 +80,28 @@ def test_usage_errors_say_what_is_wanted(capsys: pytest.CaptureFixture[str]) -> 
         with pytest.raises(SystemExit):
             cli.main(argv)
         assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (["--robots", "60"], "no room for robot"),
+        (["--start", "0,0", "--start", "5,0"], "touches robot 1"),
+        (["--model-file", "nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["--model-file", "nowhere.toml", "--robot", "mine"], "nowhere.toml: cannot be read"),
+    ],
+)
+def test_what_hinders_several_robots_or_new_models_exits_1(
+    argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(argv) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_an_unknown_model_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["--robot", "skout"])
+    assert "no model 'skout'; there are n150, n200, scout; did you mean scout?" in capsys.readouterr().err
+    for count in ("0", "1001"):
+        with pytest.raises(SystemExit):
+            cli.main(["--robots", count])

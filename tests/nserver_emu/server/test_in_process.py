@@ -113,3 +113,10 @@ def test_the_client_controls_the_time_and_a_paused_simulation_answers_no_wait() 
     assert client.ask("gs").clock == 100
     end.send(language.tcp_request(Call("ws", (1, 1, 1, 1))))
     assert end.receive() == b""
+
+
+def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
+    for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
+        assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
+    with pytest.raises(AddressError, match="setup is one of ideal, noisy, measured"):
+        open_address("sim:?setup=perfect")

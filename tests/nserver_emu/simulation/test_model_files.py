@@ -1,0 +1,110 @@
+"""Model files: what they change, what they leave, and how they are refused."""
+
+from __future__ import annotations
+
+from math import degrees, radians
+from pathlib import Path
+
+import pytest
+
+from nclient.errors import WorldFileError
+from nserver_emu.simulation.drive import DifferentialDrive
+from nserver_emu.simulation.model_files import load_models, parse_models
+from nserver_emu.simulation.models import MODELS, N150, N200, SCOUT
+
+GOOD = """
+[[model]]
+name = "n150"
+radius_cm = 25.4
+
+[[model]]
+name = "tortoise"
+like = "n150"
+bumpers = 8
+sonar_ring_radius_in = 9.5
+[model.translation]
+top_speed_in = 5
+acceleration_cm = 25.4
+[model.turret]
+top_speed_deg = 90
+speed_deg = 30
+
+[[model]]
+name = "wide"
+like = "scout"
+track_in = 16
+[model.right]
+top_speed_in = 20
+"""
+
+
+def test_known_models_stay_and_new_ones_are_made_from_them() -> None:
+    models = parse_models(GOOD, "mine.toml")
+    assert list(models) == ["n150", "n200", "scout", "tortoise", "wide"]
+    assert (models["n200"], models["scout"]) == (N200, SCOUT)
+    assert MODELS["n150"] is N150
+
+
+def test_an_override_keeps_all_that_it_does_not_name() -> None:
+    model = parse_models(GOOD, "mine.toml")["n150"]
+    assert model.body.radius_in == pytest.approx(10.0)
+    assert model.body.sonar_ring_radius_in == N150.body.sonar_ring_radius_in
+    assert (model.axes, model.family) == (N150.axes, "n150")
+
+
+def test_a_new_model_is_of_the_family_of_the_one_above_it() -> None:
+    model = parse_models(GOOD, "mine.toml")["tortoise"]
+    assert (model.name, model.body.name, model.family) == ("tortoise", "tortoise", "n150")
+    assert model.body.radius_in == pytest.approx(10.0)
+    assert model.body.sonar_ring_radius_in == 9.5
+    assert [degrees(angle) for angle in model.body.bumper_angles_rad] == pytest.approx([45.0 * i for i in range(8)])
+    translation, steering, turret = model.axes
+    assert (translation.top_speed, translation.speed, translation.acceleration) == pytest.approx((5.0, 5.0, 10.0))
+    assert steering == N150.axes[1]
+    assert (turret.top_speed, turret.speed) == pytest.approx((radians(90.0), radians(30.0)))
+
+
+def test_a_differential_drive_has_wheels_and_a_track() -> None:
+    model = parse_models(GOOD, "mine.toml")["wide"]
+    drive = model.drive(ramps=False)
+    assert isinstance(drive, DifferentialDrive)
+    assert drive.track_in == 16.0
+    assert [axis.top_speed for axis in model.axes] == [20.0, 39.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", r"m: expected at least one \[\[model\]\]"),
+        ("x =", "m: is no TOML"),
+        ("modle = 1", "m: modle: unknown key.*did you mean model"),
+        ("[[model]]", r"model\[0\].name: expected a name in small letters"),
+        ('[[model]]\nname = "N150"', "name in small letters"),
+        ('[[model]]\nname = "snail"', r"model\[0\].name: expected a model to be made from"),
+        ('[[model]]\nname = "a"\nlike = "skout"', r"model\[0\].like: .*did you mean scout"),
+        ('[[model]]\nname = "n150"\nraduis_in = 3', r"raduis_in: unknown key.*did you mean radius_in"),
+        ('[[model]]\nname = "n150"\nradius_in = 0', r"radius_in: expected more than 0"),
+        ('[[model]]\nname = "n150"\nradius_in = 1\nradius_cm = 1', "expected exactly one of"),
+        ('[[model]]\nname = "n150"\nbumpers = 0', "bumpers: expected 1 to 24"),
+        ('[[model]]\nname = "n150"\nbumpers = 25', "whole number from 0 to 24"),
+        ('[[model]]\nname = "n150"\ntrack_in = 9', "track_in: unknown key"),
+        ('[[model]]\nname = "n150"\nturret = 3', r"model\[0\].turret: expected a table, found 3"),
+        ('[[model]]\nname = "n150"\n[model.turret]\ntop_speed_in = 3', r"model\[0\].turret.top_speed_in: unknown key"),
+        ('[[model]]\nname = "scout"\n[model.left]\nspeed_in = -3', r"model\[0\].left.speed_in: expected more than 0"),
+        ('[[model]]\nname = "n150"\n[[model]]\nname = "n150"', r"model\[1\].name: 'n150' is taken"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(text: str, words: str) -> None:
+    with pytest.raises(WorldFileError, match=words):
+        parse_models(text, "m")
+
+
+def test_files(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    with pytest.raises(WorldFileError, match="cannot be read: No such file"):
+        load_models(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(WorldFileError, match="UTF-8"):
+        load_models(path)
+    path.write_text(GOOD, encoding="utf-8")
+    assert load_models(path)["wide"].track_in == 16.0
