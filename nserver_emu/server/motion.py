@@ -17,8 +17,6 @@ from nserver_emu.server.stage import Stage
 _MV_LEAVE, _MV_HIGHEST = 0, 5
 _MV_MOTIONS = (1, 2, 3)
 """The modes of mv that move an axis or let it go; 4 and 5 only set its limits."""
-_FARTHEST = 10**9
-"""Tenths: from here a robot would drive for two months before its position no longer fits into a word."""
 _ROUNDING = 1e-9
 """Inches or radians: what a sum of ways strays by, and far less than a tenth of anything."""
 
@@ -109,9 +107,9 @@ def zr(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Later:
 
 
 def dp(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """What the encoders say of the position."""
-    x, y = (min(max(number, -_FARTHEST), _FARTHEST) for number in args)
-    stage.robot_of(visit).define_position(x / 10, y / 10)
+    """What the encoders say of the position; what goes beyond a word later shows as the farthest that it holds."""
+    robot = stage.robot_of(visit)
+    robot.define_position(args[0] / 10, args[1] / 10)
     return stage.state(visit)
 
 

@@ -90,7 +90,7 @@ def test_an_obstacle_is_not_moved_off_the_map() -> None:
 def test_a_position_beyond_all_bounds_is_clamped() -> None:
     client, _ = meet(open_field("n150"))
     slots = client.ask("dp", 2**31 - 1, -(2**31)).slots
-    assert (slots[34], slots[35]) == (10**9, -(10**9))
+    assert (slots[34], slots[35]) == (2**31 - 1, -(2**31))
 
 
 @pytest.mark.parametrize("days", [25, 50, 1000])
