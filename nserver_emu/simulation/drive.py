@@ -10,7 +10,8 @@ the wheels err. No noise, no contact, no clock.
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from copy import copy
+from typing import Final, NamedTuple, Self
 
 from nserver_emu.simulation.angles import short_way
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
@@ -38,7 +39,19 @@ class Rate(NamedTuple):
         return Rate(self.velocity * scale, self.acceleration * scale)
 
 
-class SynchroDrive:
+class Axles:
+    """What all drives share: axes among their attributes."""
+
+    def twin(self) -> Self:
+        """A drive in the same state, to be run ahead: an axis keeps only values, so that copies of them are enough."""
+        twin = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, Axis):
+                setattr(twin, name, copy(value))
+        return twin
+
+
+class SynchroDrive(Axles):
     """The drive of the N150 and N200.
 
     steering_rad, turret_rad    mechanical angles against the body, unwrapped; 0 is the bumpers' zero
@@ -113,7 +126,7 @@ class SynchroDrive:
         self.put(0.0, 0.0)
 
 
-class DifferentialDrive:
+class DifferentialDrive(Axles):
     """The drive of the Scout: two wheels side by side, their speeds v_r and v_l, `track_in` inches apart.
 
         speed = (v_r + v_l) / 2        turn rate = (v_r - v_l) / track

@@ -8,7 +8,6 @@ the caller's steps; in each piece first motion, then contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from copy import deepcopy
 from math import copysign
 
 from nserver_emu.simulation.axis import Command
@@ -324,7 +323,7 @@ class SimulatedRobot:
             return
         drive, left_s = self._drive, to_s(due_ps - self._time_ps)
         if any(self.moving):
-            drive = deepcopy(drive)
+            drive = drive.twin()
         while drive is not self._drive and left_s > 0.0:
             span_s = min(drive.stretch(left_s).duration_s, left_s)
             drive.advance(span_s)
