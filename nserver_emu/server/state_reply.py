@@ -10,6 +10,7 @@ last sent on that connection.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 from nclient.protocol.mask import LASER_SLOT, Position
 from nclient.protocol.replies import Reply
@@ -49,6 +50,7 @@ def robot_clock_ms(robot: SimulatedRobot, time_s: float) -> int:
     return clock_ms(time_s, robot.setup.clock_step_s)
 
 
+@lru_cache(maxsize=1)  # many who ask between two steps ask the same
 def volts_raw(time_s: float) -> tuple[int, int]:
     """The raw battery bytes, CPU and motors."""
     voltage = battery_v(time_s)
