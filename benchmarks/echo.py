@@ -9,6 +9,7 @@ Rules: no code of ours on the yardstick's side.
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
 import socket
@@ -110,6 +111,15 @@ def compare(sides: dict[str, Callable[[], None]], rounds: int, calls: int) -> di
         name: Pace(statistics.median(rates[name]), 1000 * statistics.quantiles(trips[name], n=100)[98])
         for name in sides
     }
+
+
+def parsed_options(description: str | None) -> argparse.Namespace:
+    """The options of a benchmark against this yardstick: rounds, calls, json."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7, help="rounds that count (default %(default)s)")
+    parser.add_argument("--calls", type=int, default=3000, help="round trips a round (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser.parse_args()
 
 
 def _timed(call: Callable[[], None]) -> float:

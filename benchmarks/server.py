@@ -8,11 +8,10 @@ into them, so what is measured is the daemon; both servers are processes of thei
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 
-from echo import Pinger, compare, start_echo, started
+from echo import Pinger, compare, parsed_options, start_echo, started
 
 from nclient.protocol import language
 from nclient.protocol.commands import Call
@@ -48,11 +47,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=7, help="rounds that count (default %(default)s)")
-    parser.add_argument("--calls", type=int, default=3000, help="round trips a round (default %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    options = parser.parse_args()
+    options = parsed_options(__doc__)
     result = measure(options.rounds, options.calls)
     if options.json:
         print(json.dumps(result))

@@ -1,4 +1,4 @@
-"""The bodies of the three robots: what filter, physics and page must agree on. Data of shared ROBOTS tables.
+"""The bodies of the three robots: what filter, physics and page must agree on. Numbers as in ROBOTS.md.
 
 Lives here: radii, where the sonars and the bumpers sit. Lives elsewhere: what the wire says of a model
 (nclient/protocol/models.py), speeds and limits (simulation). No arithmetic but degrees to radians.

@@ -2,7 +2,8 @@
 
 Two robots in one: the encoder robot is what the wheels were told and what State reports; the actual robot moves in the
 map and drives the sensors. Time is cut at firings, time-outs and changes of acceleration, so that no result depends on
-the caller's steps; in each piece first motion, then contact, then sensors.
+the caller's steps (with noise: only which numbers are drawn, not their spread); in each piece first motion, then
+contact, then sensors.
 """
 
 from __future__ import annotations

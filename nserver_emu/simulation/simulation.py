@@ -83,7 +83,8 @@ class Simulation:
             robot.enter(world.walls)
 
     def step(self, dt_s: float) -> None:
-        """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result, but for
+        """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result
+        without noise (with it another draw of the same spread), but for
         where robots meet that both move: there by what they drive within a tick."""
         end_ps = self._time_ps + to_ps(dt_s)
         while len(self.robots) > 1 and self._time_ps < end_ps:

@@ -8,9 +8,11 @@ import pytest
 from wire_client import WireClient
 
 from nclient.errors import AddressError, StartError, WorldFileError
-from nclient.protocol import language
+from nclient.protocol import language, models
 from nclient.protocol.commands import Call
 from nserver_emu.server.in_process import InProcess, open_address
+from nserver_emu.simulation import sonar
+from nserver_emu.simulation.instants import PS_PER_S
 
 
 def connected(address: str) -> tuple[WireClient, InProcess]:
@@ -120,3 +122,8 @@ def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
     with pytest.raises(AddressError, match="setup is one of ideal, noisy, measured"):
         open_address("sim:?setup=perfect")
+
+
+def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
+    assert (sonar.DEFAULT_ORDER, sonar.DEFAULT_RATE) == (models.DEFAULT_SONAR_ORDER, models.DEFAULT_SONAR_RATE)
+    assert pytest.approx(models.SONAR_RATE_STEP_S) == sonar.TICK_PS / PS_PER_S
