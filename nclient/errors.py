@@ -9,7 +9,8 @@
     ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
-    └── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
+    ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
+    └── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
 
 Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
 """
@@ -81,3 +82,7 @@ class SetupFileError(NomadError, ValueError):
 
 class SnapshotError(NomadError, ValueError):
     """A saved simulation that cannot be written or read back; the message names the file and what is wrong."""
+
+
+class RecordingError(NomadError, ValueError):
+    """A recording that cannot be written, read, or followed by a program that asks for something else."""
