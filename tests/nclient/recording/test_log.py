@@ -1,0 +1,98 @@
+"""The file: what is written is read back, and whatever is wrong with one is named with its line."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import pytest
+
+from nclient.errors import RecordingError
+from nclient.recording.log import Entry, LogWriter, parse_recording, read_recording
+
+HEADER = '{"format": "nomad recording", "version": 1, "seed": 7}\n'
+GS = '{"t": 0.25, "dir": "out", "bytes": "000f0000"}\n'
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    entries = [
+        Entry(0.0, "open", "a", more={"wire": "tcp", "model": "n150"}, line=2),
+        Entry(0.1, "out", "a", bytes(range(256)), ({"to": "robot", "call": "gs", "args": []},), line=3),
+        Entry(0.125, "in", "a", b"", line=4),
+        Entry(9.0, "time", more={"steps": [[0.1, 3]]}, line=5),
+        Entry(9.5, "close", "a", line=6),
+    ]
+    writer = LogWriter(path, {"seed": 7})
+    for entry in entries:
+        writer.write(entry)
+        assert len(path.read_text().splitlines()) == entry.line, "a line is on its way to the disk at once"
+    writer.close()
+    writer.close()
+    writer.write(entries[0])
+    found = read_recording(path)
+    assert found.header == {"format": "nomad recording", "version": 1, "seed": 7}
+    assert list(found.entries) == entries
+    assert (found.cut, found.connections()) == ("", ("a",))
+
+
+def test_a_line_stands_as_the_docs_say(tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "run.log", {})
+    writer.write(Entry(0.5, "in", "", b"\x01\xff", ({"error": "x"},)))
+    writer.close()
+    _, line = (tmp_path / "run.log").read_text().splitlines()
+    assert json.loads(line) == {"t": 0.5, "dir": "in", "bytes": "01ff", "decoded": [{"error": "x"}]}
+
+
+@pytest.mark.parametrize("cut_at", range(1, len(GS) - 1))
+def test_a_last_line_cut_anywhere_is_left_out_and_told(cut_at: int) -> None:
+    found = parse_recording(HEADER + GS + GS[:cut_at], "run.log")
+    assert [entry.data for entry in found.entries] == [b"\x00\x0f\x00\x00"]
+    assert found.cut == f"run.log, line 3: cut short after {cut_at} characters, and left out"
+
+
+def test_a_last_line_that_lacks_its_end_only_counts() -> None:
+    found = parse_recording(HEADER + GS + GS.rstrip(), "run.log")
+    assert (len(found.entries), found.cut) == (2, "")
+    assert parse_recording(HEADER.rstrip(), "run.log").entries == ()
+    assert parse_recording(HEADER + "\n" + GS, "run.log").entries[0].line == 3
+
+
+@pytest.mark.parametrize(("text", "told"), [
+    ("", "line 1: no recording; one begins with"),
+    ("not json\n", "line 1: no recording"),
+    ("[]\n", "line 1: no recording"),
+    ('{"format": "tape"}\n', "line 1: no recording"),
+    ('{"format": "nomad recording", "version": 2}\n', "line 1: version 2; this program reads version 1"),
+    (HEADER + "junk\n" + GS, "line 2: no entry of a recording .*; mend it or take it out"),
+    (HEADER + GS + '{"t": 1, "dir": "up", "bytes": ""}\n', "line 3: .*nothing is 'up'"),
+    (HEADER + '{"t": 1, "event": "out"}\n', "line 2: .*nothing is 'out'"),
+    (HEADER + '{"t": 1, "dir": "in", "bytes": "0g"}\n', "line 2: "),
+    (HEADER + '{"dir": "in", "bytes": ""}\n', "line 2: .*'t'"),
+    (HEADER + "[1]\n", "line 2: "),
+])
+def test_what_is_no_recording(text: str, told: str) -> None:
+    with pytest.raises(RecordingError, match=f"run.log, {told}"):
+        parse_recording(text, "run.log")
+
+
+def test_files_that_cannot_be(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be read"):
+        read_recording(tmp_path / "none.log")
+    with pytest.raises(RecordingError, match="cannot be written"):
+        LogWriter(tmp_path / "nowhere" / "run.log", {})
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_a_full_disk_is_told_once_and_the_run_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.ERROR):
+        writer = LogWriter(Path("/dev/full"), {})
+        for _ in range(3):
+            writer.write(Entry(0.0, "in", "", bytes(100_000)))
+        writer.close()
+        writer.close()
+    assert writer.failed
+    assert [record.message for record in caplog.records] == [
+        "/dev/full: no longer recorded: No space left on device; the run goes on, what was written can be read"
+    ]

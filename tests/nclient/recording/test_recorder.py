@@ -1,0 +1,178 @@
+"""Tapes: what goes by in any pieces is cut into frames and told, and time is whose clock one hands in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
+
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.hello import Hello, build_hello
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N150, N200
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import build_frame
+from nclient.protocol.terms import line_terms, tcp_terms
+from nclient.protocol.transcript import Transcript
+from nclient.recording.follower import Follower
+from nclient.recording.log import LogWriter, Recording, read_recording
+from nclient.recording.recorder import OFF, Recorder
+from nclient.recording.stream import RecordingStream
+from nclient.transports.byte_stream import Deadline
+from nclient.transports.memory import MemoryStream
+
+GS = language.tcp_request(Call("gs"))
+LINE_GS = language.line_request(Call("gs"), line_terms(N150))
+STATE = language.tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_terms(N150))
+LINE_STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), line_terms(N150))
+
+
+@pytest.mark.parametrize("session", TCP_SESSIONS)
+@pytest.mark.parametrize("piece", [1, 7, 100_000])
+def test_recorded_sessions_in_any_pieces_are_told_as_the_wire_tool_tells_them(session: str, piece: int) -> None:
+    follower, transcript = Follower("tcp", N150), Transcript("tcp", N150)
+    for exchange in exchanges(TCP[session], None):
+        for data, follow, tell in ((exchange.request, follower.to_robot, transcript.request),
+                                   (exchange.reply, follower.to_host, transcript.reply)):
+            found = [item for k in range(0, len(data), piece) for item in follow(data[k : k + piece])]
+            assert found == ([tell(data)] if data else [])
+
+
+@pytest.mark.parametrize("session", LINE_SESSIONS)
+def test_recorded_lines(session: str) -> None:
+    model = model_of(session)
+    follower, transcript = Follower("serial", model), Transcript("serial", model)
+    whole = [exchange for exchange in exchanges(SERIAL[session], model) if exchange.request]
+    assert len(whole) >= 5
+    for exchange in whole:
+        assert follower.to_robot(exchange.request) == [transcript.request(exchange.request)]
+        told = transcript.reply(exchange.reply)
+        assert [item for item in follower.to_host(exchange.reply) if "error" not in item] == (
+            [] if "error" in told else [told]
+        )
+
+
+def test_a_client_of_64_bits_is_known_by_its_first_request() -> None:
+    follower, transcript = Follower("tcp", N150), Transcript("tcp64", N150)
+    assert follower.to_robot(bytes.fromhex(LP64["exchanges"][0]["request"])[:3]) == []
+    assert follower.clock_s == 0.0
+    follower = Follower("tcp", N150)
+    for exchange in LP64["exchanges"]:
+        request, reply = bytes.fromhex(exchange["request"]), bytes.fromhex(exchange.get("reply", ""))
+        assert follower.to_robot(request) == [transcript.request(request)]
+        assert follower.to_host(reply) == ([transcript.reply(reply)] if reply else [])
+
+
+def test_stray_and_lost_bytes_are_told() -> None:
+    follower = Follower("serial", N150)
+    assert follower.to_robot(b"\xee\xee" + LINE_GS)[0] == {"error": "2 bytes that are no frame"}
+    stray, state = follower.to_host(b"\x77" + LINE_STATE)
+    assert stray == {"error": "1 bytes that are no frame"}
+    assert state["State"][34] == 7
+    assert follower.to_host(LINE_STATE[:-5]) == []
+    cut, call = follower.to_robot(LINE_GS)
+    assert cut == {"error": f"{len(LINE_STATE) - 5} bytes of an answer that never became whole"}
+    assert call["call"] == "gs"
+    assert follower.clock_s == 1.5
+    assert "type 99" in Follower("tcp", N150).to_robot(b"\x00\x63\x00\x00")[0]["error"]
+
+
+@pytest.mark.parametrize("cut", [0, 4, 11, 13])
+def test_the_eleven_bytes_that_come_first(cut: int) -> None:
+    hello = build_hello(Hello(EVERYTHING, 51)) + build_frame(8)
+    follower = Follower("hello", N200)
+    found = follower.to_host(hello[:cut]) + follower.to_host(hello[cut:])
+    assert [item["reply"] for item in found] == ["hello", "nak"]
+
+
+def recorded_by(path: Path, recorder: Recorder) -> Recording:
+    recorder.close()
+    return read_recording(path)
+
+
+def test_the_robots_own_clock_where_none_is_handed_in(tmp_path: Path) -> None:
+    recorder = Recorder(LogWriter(tmp_path / "a.log", {}))
+    tape = recorder.open("", "tcp", N150)
+    tape.to_robot(GS)
+    tape.to_host(STATE)
+    tape.to_robot(GS)
+    tape.close()
+    tape.close()
+    found = recorded_by(tmp_path / "a.log", recorder)
+    assert [(entry.kind, entry.time_s) for entry in found.entries] == [
+        ("open", 0.0), ("out", 0.0), ("in", 1.5), ("out", 1.5), ("close", 1.5)
+    ]
+    assert found.entries[0].more == {"wire": "tcp", "model": "n150"}
+
+
+def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> None:
+    ticks = iter(range(100))
+    recorder = Recorder(LogWriter(tmp_path / "a.log", {}), lambda: next(ticks) / 3)
+    for step in (0.1, 0.1, 0.05):
+        recorder.stepped(step)
+    one, two = recorder.open("one", "tcp", N150), recorder.open("two", "serial", N150)
+    one.to_robot(GS)
+    recorder.stepped(0.2)
+    two.to_robot(LINE_GS)
+    recorder.stepped(0.4)
+    found = recorded_by(tmp_path / "a.log", recorder)
+    assert [(entry.kind, entry.connection, entry.more.get("steps")) for entry in found.entries] == [
+        ("open", "one", [[0.1, 2], [0.05, 1]]), ("open", "two", None), ("out", "one", None),
+        ("out", "two", [[0.2, 1]]), ("time", "", [[0.4, 1]]),
+    ]
+    assert [entry.time_s for entry in found.entries[:2]] == [0.0, 0.333333]
+    assert found.connections() == ("one", "two")
+
+
+def test_a_daemon_that_nobody_visits_fills_no_memory(tmp_path: Path) -> None:
+    recorder = Recorder(LogWriter(tmp_path / "a.log", {}), lambda: 0.0)
+    for number in range(1001):
+        recorder.stepped(0.01 + number * 1e-6)
+    found = recorded_by(tmp_path / "a.log", recorder)
+    assert [len(entry.more["steps"]) for entry in found.entries] == [1000, 1]
+
+
+class Echo:
+    """Says what it heard, once."""
+
+    def __init__(self) -> None:
+        self.heard = b""
+
+    def send(self, data: bytes) -> None:
+        self.heard = data
+
+    def receive(self) -> bytes:
+        data, self.heard = self.heard, b""
+        return data
+
+    def close(self) -> None:
+        self.heard = b""
+
+
+def test_a_recorded_stream_is_the_stream(tmp_path: Path) -> None:
+    recorder = Recorder(LogWriter(tmp_path / "a.log", {}))
+    stream = RecordingStream(MemoryStream(Echo()), recorder.open("", "tcp", N150))
+    stream.send(GS)
+    assert stream.receive(Deadline.after(1)) == GS
+    with pytest.raises(ReplyTimeout):
+        stream.receive(Deadline.after(1))
+    stream.close()
+    stream.close()
+    with pytest.raises(ConnectionLost):
+        stream.send(b"\x00")
+    found = recorded_by(tmp_path / "a.log", recorder)
+    assert [(entry.kind, entry.data) for entry in found.entries] == [
+        ("open", b""), ("out", GS), ("in", GS), ("close", b""), ("out", b"\x00")
+    ]
+
+
+def test_off_is_nothing() -> None:
+    tape = OFF.open("a", "tcp", N150)
+    tape.to_robot(GS)
+    tape.to_host(GS)
+    tape.close()
+    OFF.stepped(0.1)
+    OFF.close()
