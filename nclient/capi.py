@@ -60,8 +60,8 @@ SERVER_MACHINE_NAME = ""
 """Host of the server, this machine when empty; or an address that is answered in this process: sim:thesis_room."""
 SERV_TCP_PORT = 7019
 """Port of the server."""
-ANSWER_TIMEOUT_S = 5.0
-"""How long the server may take to answer, in seconds."""
+ANSWER_TIMEOUT_S: float | None = None
+"""How long an answer may take, in seconds; None: 5 for a server, on a robot's own line as the C library waits."""
 
 State: list[int] = [0] * STATE_SIZE
 Smask: list[int] = list(EVERYTHING.smask)

@@ -27,6 +27,7 @@ from nclient.transports.memory import MemoryStream
 
 connecting = importlib.import_module("nclient.connect")
 """The module; the package's own name `connect` is the function."""
+schemes = importlib.import_module("nclient.schemes")
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def dialled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
         servers.append(ScriptedServer())
         return MemoryStream(servers[-1])
 
-    monkeypatch.setattr(connecting, "TcpStream", dial)
+    monkeypatch.setattr(schemes, "TcpStream", dial)
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     return calls
 
@@ -179,7 +180,7 @@ def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.M
             raise ConnectionLost(f"{host}:{port} within {timeout_s}")
         return MemoryStream(ScriptedServer())
 
-    monkeypatch.setattr(connecting, "TcpStream", dial)
+    monkeypatch.setattr(schemes, "TcpStream", dial)
     monkeypatch.setattr(connecting, "names_of_this_machine", lambda: ("localhost", "own_name"))
     assert open_machine("", 7019, Wanted()).port == 7019
     assert is_listening("", 7019)
