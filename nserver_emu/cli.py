@@ -16,6 +16,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime
 from difflib import get_close_matches
 from importlib.metadata import version
 from itertools import zip_longest
@@ -23,10 +24,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from nclient.errors import NomadError, SnapshotError
+from nclient.recording.log import read_recording
 from nserver_emu.server import snapshot
-from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
+from nserver_emu.server.daemon import LOOPBACK, REQUESTS_A_TURN, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
+from nserver_emu.server.recording import Beginning, header
+from nserver_emu.server.replay import replay
 from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Placed, Setting, pose_from_text
 from nserver_emu.server.setup_files import read_setups
 from nserver_emu.server.stage import Allowed
@@ -62,6 +66,8 @@ def main(argv: list[str] | None = None) -> int:
         if options.list_worlds:
             _list_worlds()
             return 0
+        if options.replay:
+            return _replay(options.replay)
         return asyncio.run(_serve(options))
     except NomadError as error:
         print(f"nserver: {error}", file=sys.stderr)
@@ -73,13 +79,16 @@ def main(argv: list[str] | None = None) -> int:
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
-    emulator = _emulator(options, setups.robot or READY_MODELS[0])
+    beginning = _beginning(options, setups.robot or READY_MODELS[0])
+    emulator = beginning.emulator()
     daemon = Daemon(emulator, options.speed)
     stop = asyncio.Event()
     stop_on_signals(stop)
     if options.save:
         _save_on_signal(emulator, options.save)
     port = await daemon.listen(options.bind, port)
+    if options.record:
+        daemon.record(options.record, header(beginning, _now(), port=port, requests_a_turn=REQUESTS_A_TURN))
     host = f"[{options.bind}]" if ":" in options.bind else options.bind
     print(f"listening nserver {host}:{port}", flush=True)
     await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
@@ -104,7 +113,7 @@ def _robots(options: argparse.Namespace, default: str) -> list[Placed]:
     return list(zip_longest(models, starts))
 
 
-def _emulator(options: argparse.Namespace, robot: str) -> Emulator:
+def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
     """The simulation as the options say, or as a snapshot has it."""
     (model, start), *others = _robots(options, robot)
     setting = Setting(
@@ -112,12 +121,25 @@ def _emulator(options: argparse.Namespace, robot: str) -> Emulator:
     )
     pace = Pace(options.speed, options.paused, options.lockstep)
     allowed = Allowed(quit=options.allow_quit, control=options.allow_control)
-    emulator = Emulator(setting.simulation(), pace=pace, allowed=allowed)
-    if options.restore:
-        snapshot.restore(emulator, options.restore)
     if options.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
-    return emulator
+    return Beginning(setting, pace, allowed, options.restore)
+
+
+def _replay(path: Path) -> int:
+    """Ask a fresh emulator what a recording asked; 1 where it says something else."""
+    recording = read_recording(path)
+    if recording.cut:
+        log.warning("%s", recording.cut)
+    outcome = replay(recording)
+    print(f"{outcome.answers} answers, {outcome.size} bytes as recorded{', then not' if outcome.difference else ''}")
+    if outcome.difference:
+        print(f"nserver: {outcome.difference}", file=sys.stderr)
+    return int(bool(outcome.difference))
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _save_on_signal(emulator: Emulator, path: Path) -> None:
@@ -169,6 +191,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
     parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was")
     parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
+    parser.add_argument("--record", type=Path, metavar="FILE",
+                        help="write down all that is said, with what it takes to have it said again")
+    parser.add_argument("--replay", type=Path, metavar="FILE",
+                        help="ask what a recording asked once more, compare every byte, and stop")
     parser.add_argument("--setup", choices=tuple(SETUPS), default="",
                         help="how real: ideal, noisy, or measured (sonars like a Polaroid ring, compass errs too)")
     parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")

@@ -45,10 +45,11 @@ class Recorder:
         self._clock = clock
         self._steps: list[tuple[float, int]] = []
 
-    def open(self, name: str, line: str, model: Model) -> Tape:
-        """A tape for a connection of that name. `line`: one of follower.LINES."""
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+        """A tape for a connection of that name. `line`: one of follower.LINES; `robot_id`: whose own line it is."""
         tape = _ConnectionTape(self, name, Follower(line, model))
-        self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name})
+        whose: dict[str, object] = {} if robot_id is None else {"robot_id": robot_id}
+        self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name} | whose)
         return tape
 
     def stepped(self, dt_s: float) -> None:
@@ -101,8 +102,8 @@ class _ConnectionTape:
 class _Off:
     """Records nothing."""
 
-    def open(self, name: str, line: str, model: Model) -> Tape:
-        del name, line, model
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+        del name, line, model, robot_id
         return self
 
     def to_robot(self, data: bytes) -> None: ...

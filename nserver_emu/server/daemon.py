@@ -14,10 +14,15 @@ import contextlib
 import logging
 import signal
 import socket
-from collections.abc import Callable
-from typing import cast
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast
 
 from nclient.errors import ConnectionLost
+from nclient.protocol.models import N150
+from nclient.recording.follower import TCP
+from nclient.recording.log import LogWriter
+from nclient.recording.recorder import OFF, AnyRecorder, Recorder
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Acquaintance, Session
 
@@ -61,6 +66,7 @@ class Connection(asyncio.BufferedProtocol):
         self.session = Session(
             self._daemon.emulator.answer, name, lambda: self._daemon.acquaintances.get(self._host)
         )
+        self._tape = self._daemon.recorder.open(name, TCP, N150)
         self._daemon.connections.add(self)
         log.info("%s: connected", self.session.name)
 
@@ -70,6 +76,7 @@ class Connection(asyncio.BufferedProtocol):
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
         self._daemon.emulator.leave(self.session.visit)
+        self._tape.close()
         self.session.closing = True
         log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
 
@@ -78,7 +85,9 @@ class Connection(asyncio.BufferedProtocol):
         return self._inbox
 
     def buffer_updated(self, nbytes: int) -> None:
-        self.session.receive(bytes(self._inbox[:nbytes]))
+        data = bytes(self._inbox[:nbytes])
+        self._tape.to_robot(data)
+        self.session.receive(data)
         self._answer()
 
     def pause_writing(self) -> None:
@@ -101,12 +110,15 @@ class Connection(asyncio.BufferedProtocol):
         self._pace()
 
     def _guarded(self, speak: Callable[[], bytes]) -> None:
+        asked = self.session.ready
         try:
             replies = speak()
         except Exception:
             log.exception("%s: closed because of a fault of ours", self.session.name)
             self._transport.abort()
             return
+        if asked or replies:
+            self._tape.to_host(replies)
         if self.session.met != self._met:
             self._met = self.session.met
             self._daemon.remember(self._host, self._met)
@@ -141,10 +153,11 @@ class Connection(asyncio.BufferedProtocol):
 
 class Daemon:
     """An Nserver on sockets. `speed`: simulated seconds a real second, None for as fast as it can; from then on the
-    emulator's pace says."""
+    emulator's pace says. `recorder` is told all that decides what the simulation does, in its order."""
 
     def __init__(self, emulator: Emulator, speed: float | None = 1.0) -> None:
         self.emulator = emulator
+        self.recorder: AnyRecorder = OFF
         self.connections: set[Connection] = set()
         self.acquaintances: dict[str, Acquaintance] = {}
         self._servers: list[asyncio.Server] = []
@@ -167,6 +180,10 @@ class Daemon:
                 self._servers.append(await loop.create_server(lambda: Connection(self), HOST_NAME_LOOPBACK, port))
         self.emulator.port = port
         return port
+
+    def record(self, path: Path, header: Mapping[str, Any]) -> None:
+        """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
+        self.recorder = Recorder(LogWriter(path, header), lambda: self.emulator.simulation.time_s)
 
     def remember(self, host: str, met: Acquaintance | None) -> None:
         """Note what the last CONNECT from an address agreed."""
@@ -208,11 +225,11 @@ class Daemon:
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.pace
         if pace.runs_alone and pace.factor is None:
-            self.emulator.simulation.step(FAST_STEP_S)
+            self._step(FAST_STEP_S)
         elif pace.runs_alone and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
-            self.emulator.simulation.step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
+            self._step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
         elif pace.asked_s:
             self._step_for_the_waiting(pace.asked_s)
         self._tick()
@@ -222,8 +239,12 @@ class Daemon:
         for _ in range(LOCKSTEPS_A_TURN):
             if not any(connection.session.waiting for connection in self.connections):
                 return
-            self.emulator.simulation.step(step_s)
+            self._step(step_s)
             self._tick()
+
+    def _step(self, dt_s: float) -> None:
+        self.recorder.stepped(dt_s)
+        self.emulator.simulation.step(dt_s)
 
     def _tick(self) -> None:
         for connection in tuple(self.connections):
@@ -235,6 +256,7 @@ class Daemon:
         for connection in tuple(self.connections):
             connection.close()
         await asyncio.sleep(0)
+        self.recorder.close()
 
 
 def stop_on_signals(stop: asyncio.Event) -> None:

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -105,3 +106,24 @@ def test_an_unknown_model_names_the_nearest(capsys: pytest.CaptureFixture[str]) 
     for count in ("0", "1001"):
         with pytest.raises(SystemExit):
             cli.main(["--robots", count])
+
+
+def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.log"
+    words = ["--noisy", "--lockstep", "0.1", "--port", "0", "--allow-quit", "--record", str(path)]
+    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout
+        port = int(daemon.stdout.readline().rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port), timeout=10) as client:
+            for call in (Call("connect_robot", (1, 1)), Call("vm", (100, 0, 0)), Call("gs"), Call("quit_server")):
+                client.sendall(language.tcp_request(call))
+                client.recv(4096)
+    assert cli.main(["--replay", str(path)]) == 0
+    assert re.fullmatch(r"4 answers, \d+ bytes as recorded\n", capsys.readouterr().out)
+    path.write_text(path.read_text().replace('"seed":0', '"seed":1', 1) + '{"t":')
+    assert cli.main(["--replay", str(path)]) == 1
+    told = capsys.readouterr()
+    assert "as recorded, then not" in told.out
+    assert re.search(r"run.log, line \d+: from byte \d+ on", told.err)
+    assert cli.main(["--record", str(tmp_path / "no" / "run.log"), "--port", "0"]) == 1
+    assert "cannot be written" in capsys.readouterr().err

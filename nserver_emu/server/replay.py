@@ -1,0 +1,136 @@
+"""A recording once more: a fresh emulator gets the recorded requests, and must say the recorded bytes.
+
+    steps ──> simulation     out ──> session.receive     in ──> session's answers, compared     close ──> leave
+
+Rules: entries in their order, since the daemon wrote them as it worked. A client's recording of `sim:` is followed as
+well. Nothing here knows a clock or a socket; the first difference ends it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from nclient.errors import RecordingError
+from nclient.recording.log import IN, OUT, Entry, Recording
+from nserver_emu.server.in_process import SCHEME, InProcess, open_address
+from nserver_emu.server.recording import DAEMON, beginning_of
+from nserver_emu.server.session import Acquaintance, Session
+
+_SHOWN = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How far the emulator said the same: answers and their bytes, and the first difference, empty for none."""
+
+    answers: int
+    size: int
+    difference: str = ""
+
+
+class Again(Protocol):
+    """What is asked once more: gives an answer at each entry that is one."""
+
+    def follow(self, entry: Entry) -> bytes: ...
+
+
+def replay(recording: Recording) -> Outcome:
+    """Ask an emulator as the recording's header describes it once more. Raises RecordingError where that cannot be."""
+    again = _emulator(recording)
+    answers = size = 0
+    for entry in recording.entries:
+        try:
+            said = again.follow(entry)
+        except KeyError:
+            raise RecordingError(
+                f"{recording.name}, line {entry.line}: connection {entry.connection!r} was never opened"
+            ) from None
+        if said != entry.data and entry.kind == IN:
+            return Outcome(answers, size, _difference(recording, entry, said))
+        answers += entry.kind == IN and bool(said)
+        size += len(said) if entry.kind == IN else 0
+    return Outcome(answers, size)
+
+
+def _emulator(recording: Recording) -> Again:
+    header = recording.header
+    if header.get("by") == DAEMON:
+        return _DaemonAgain(recording)
+    address = str(header.get("address", ""))
+    if address.startswith(f"{SCHEME}:"):
+        return _InProcessAgain(open_address(address))
+    raise RecordingError(
+        f"{recording.name}: recorded at {address or 'an unknown place'}, which no emulator can be again; "
+        f"`nomad play` answers as it did"
+    )
+
+
+class _DaemonAgain:
+    """Sessions around an emulator, stepped as the daemon stepped it."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._emulator = beginning_of(recording.header, recording.name).emulator()
+        self._emulator.port = recording.header["port"]
+        self._most = recording.header["requests_a_turn"]
+        self._sessions: dict[str, Session] = {}
+        self._acquaintances: dict[str, Acquaintance | None] = {}
+
+    def follow(self, entry: Entry) -> bytes:
+        for dt_s, count in entry.more.get("steps", ()):
+            for _ in range(count):
+                self._emulator.simulation.step(dt_s)
+        match entry.kind:
+            case "open":
+                self._open(entry)
+            case "out":
+                self._sessions[entry.connection].receive(entry.data)
+            case "in":
+                return self._turn(entry.connection)
+            case "close":
+                session = self._sessions.pop(entry.connection)
+                self._emulator.leave(session.visit)
+        return b""
+
+    def _open(self, entry: Entry) -> None:
+        host = _host(entry.connection)
+        self._sessions[entry.connection] = Session(
+            self._emulator.answer, entry.connection, lambda: self._acquaintances.get(host)
+        )
+
+    def _turn(self, name: str) -> bytes:
+        session = self._sessions[name]
+        before = session.met
+        said = session.tick() if session.waiting else session.answers(self._most)
+        if session.met != before:
+            self._acquaintances[_host(name)] = session.met
+        return said
+
+
+class _InProcessAgain:
+    """The emulator of a `sim:` address."""
+
+    def __init__(self, end: InProcess) -> None:
+        self._end = end
+
+    def follow(self, entry: Entry) -> bytes:
+        if entry.kind == OUT:
+            self._end.send(entry.data)
+        return self._end.receive() if entry.kind == IN else b""
+
+
+def _host(name: str) -> str:
+    return name.rpartition(":")[0]
+
+
+def _difference(recording: Recording, entry: Entry, said: bytes) -> str:
+    at = next((k for k, (a, b) in enumerate(zip(said, entry.data, strict=False)) if a != b),
+              min(len(said), len(entry.data)))
+    return (
+        f"{recording.name}, line {entry.line}: from byte {at} on {_hex(said, at)} instead of {_hex(entry.data, at)} "
+        f"({len(said)} and {len(entry.data)} bytes)"
+    )
+
+
+def _hex(data: bytes, at: int) -> str:
+    return data[at:][:_SHOWN].hex() or "nothing"

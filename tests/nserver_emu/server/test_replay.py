@@ -1,0 +1,259 @@
+"""A recording is asked once more, every byte is the same: lockstep, real time, noise, several robots and clients."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+from lockstep_run import request
+
+from nclient.errors import RecordingError
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.terms import tcp_terms
+from nclient.recording.log import LogWriter, Recording, read_recording
+from nclient.recording.recorder import Recorder
+from nclient.recording.stream import RecordingStream
+from nclient.transports.byte_stream import Deadline
+from nclient.transports.memory import MemoryStream
+from nserver_emu.server import snapshot
+from nserver_emu.server.daemon import REQUESTS_A_TURN, Daemon
+from nserver_emu.server.in_process import open_address
+from nserver_emu.server.pace import Pace
+from nserver_emu.server.recording import Beginning, beginning_of, header
+from nserver_emu.server.replay import replay
+from nserver_emu.server.setting import Setting, pose_from_text
+from nserver_emu.server.stage import Allowed
+
+LOCKSTEP = Beginning(Setting(noisy=True, seed=5), Pace(lockstep_s=0.1), Allowed())
+THREE = Setting(
+    world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, setup="measured",
+    others=(("n200", None), ("scout", pose_from_text("80,5,90,0"))),
+)  # fmt: skip
+
+
+class Client:
+    """Asks, and follows mask and laser shape as clients do."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+        self.terms = tcp_terms(N150)
+        self._framer = TcpFramer(reply_bounds, wide=False)
+        self._frames: list[TcpFrame] = []
+
+    async def ask(self, name: str, *args: int) -> Reply:
+        call = Call(name, args)
+        language.note(call, self.terms)
+        self.writer.write(language.tcp_request(call))
+        return await self.reply(name)
+
+    async def reply(self, name: str) -> Reply:
+        while not self._frames:
+            data = await self.reader.read(65536)
+            assert data, "the daemon closed the connection"
+            self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
+        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
+
+
+class House:
+    """A daemon that listens, and the clients that came."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self.writers: list[asyncio.StreamWriter] = []
+
+    async def knock(self) -> Client:
+        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
+        self.writers.append(writer)
+        return Client(reader, writer)
+
+    async def call(self) -> Client:
+        client = await self.knock()
+        assert (await client.ask("connect_robot", 1, 1)).values == (self.port,)
+        return client
+
+    async def see_out(self) -> None:
+        for writer in self.writers:
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+
+Visit = Callable[[House], Awaitable[None]]
+
+
+def recorded(path: Path, beginning: Beginning, visit: Visit, speed: float | None = 1.0) -> Recording:
+    """The recording of a daemon that was visited."""
+    async def evening() -> None:
+        daemon = Daemon(beginning.emulator(), speed)
+        port = await daemon.listen("127.0.0.1", 0)
+        daemon.record(path, header(beginning, "2026-01-01T00:00:00", port=port, requests_a_turn=REQUESTS_A_TURN))
+        house, stop = House(port), asyncio.Event()
+        serving = asyncio.create_task(daemon.serve(stop))
+        try:
+            async with asyncio.timeout(30):
+                await visit(house)
+        finally:
+            stop.set()
+            await serving
+            await house.see_out()
+
+    asyncio.run(evening())
+    return read_recording(path)
+
+
+async def converse(client: Client, first: int, count: int) -> None:
+    for number in range(first, first + count):
+        call = request(number)
+        await client.ask(call.name, *call.args)
+
+
+async def talk_of(house: House, robot_id: int, count: int) -> None:
+    client = await house.knock()
+    assert (await client.ask("connect_robot", robot_id, robot_id)).values == (house.port,)
+    await client.ask("vm", 60, 100 * robot_id, -50)
+    await converse(client, robot_id * 1000 + 1, count)
+
+
+async def three_at_once(house: House) -> None:
+    await asyncio.gather(*[talk_of(house, robot_id, 25) for robot_id in (1, 2, 3)])
+
+
+def test_a_lockstep_daemon_says_every_byte_again(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        await converse(await house.call(), 0, 120)
+
+    recording = recorded(tmp_path / "run.log", LOCKSTEP, visit)
+    outcome = replay(recording)
+    assert (outcome.answers, outcome.difference) == (121, "")
+    assert outcome.size == sum(len(entry.data) for entry in recording.entries if entry.kind == "in")
+
+
+@pytest.mark.parametrize(("pace", "speed"), [
+    (Pace(), 1.0), (Pace(factor=20.0), 20.0), (Pace(factor=None), None), (Pace(lockstep_s=0.05), 1.0),
+])
+def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Pace, speed: float | None) -> None:
+    recording = recorded(tmp_path / "run.log", Beginning(THREE, pace, Allowed()), three_at_once, speed)
+    outcome = replay(recording)
+    assert (outcome.answers, outcome.difference) == (3 * 27, "")
+    assert len(recording.connections()) == 3
+
+
+def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) -> None:
+    """One motion stops as its client vanishes, another's fifty requests wait their turn, a third knows the robot."""
+    async def visit(house: House) -> None:
+        driver, watcher = await house.call(), await house.call()
+        await driver.ask("vm", 100, 0, 0)
+        watcher.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2))) + language.tcp_request(Call("gs")) * 50)
+        driver.writer.close()
+        for name in ("ws", *["gs"] * 50):
+            await watcher.reply(name)
+        other = await house.knock()
+        assert (await other.ask("gs")).slots[38] == 0
+        watcher.writer.write(language.tcp_request(Call("disconnect_robot", (1, 1))))
+        assert await watcher.reader.read() == b""
+        await other.ask("gs")
+
+    for lockstep_s in (None, 0.1):
+        beginning = Beginning(Setting(noisy=True), Pace(factor=50.0, lockstep_s=lockstep_s), Allowed())
+        outcome = replay(recorded(tmp_path / "run.log", beginning, visit, 50.0))
+        assert outcome.answers > 5
+        assert outcome.difference == ""
+
+
+def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
+    emulator = LOCKSTEP.emulator()
+    emulator.simulation.robots[1].set_velocities(10.0, 0.1, 0.0)
+    emulator.simulation.step(1.0)
+    snapshot.save(emulator, tmp_path / "saved.json")
+
+    async def visit(house: House) -> None:
+        client = await house.call()
+        assert (await client.ask("gs")).slots[34] > 50
+        await converse(client, 0, 20)
+
+    beginning = dataclasses.replace(LOCKSTEP, restored=tmp_path / "saved.json")
+    assert replay(recorded(tmp_path / "run.log", beginning, visit)).difference == ""
+
+
+def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        await converse(await house.call(), 0, 60)
+
+    path = tmp_path / "run.log"
+    recorded(path, LOCKSTEP, visit)
+    path.write_text(path.read_text().replace('"seed":5', '"seed":6', 1))
+    outcome = replay(read_recording(path))
+    assert 0 < outcome.answers < 61
+    assert outcome.difference.startswith(f"{path}, line ")
+    assert " instead of " in outcome.difference
+
+
+def test_what_is_missing_in_the_end_is_a_difference_too(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        await house.call()
+
+    recording = recorded(tmp_path / "run.log", LOCKSTEP, visit)
+    (answer,) = (entry for entry in recording.entries if entry.kind == "in")
+    longer = dataclasses.replace(answer, data=answer.data + b"\x07")
+    changed = dataclasses.replace(recording, entries=tuple(
+        longer if entry is answer else entry for entry in recording.entries
+    ))
+    assert "from byte 8 on nothing instead of 07 (8 and 9 bytes)" in replay(changed).difference
+
+
+def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> None:
+    address = "sim:thesis_room?noisy=1&seed=4"
+    whole = []
+    for _ in range(2):
+        recorder = Recorder(LogWriter(tmp_path / "run.log", {"address": address}))
+        stream = RecordingStream(MemoryStream(open_address(address)), recorder.open("", "tcp", N150))
+        for call in (Call("connect_robot", (1, 1)), *map(request, range(50))):
+            stream.send(language.tcp_request(call))
+            stream.receive(Deadline.after(0))
+        stream.close()
+        recorder.close()
+        whole.append((tmp_path / "run.log").read_bytes())
+    assert whole[0] == whole[1]
+    outcome = replay(read_recording(tmp_path / "run.log"))
+    assert (outcome.answers, outcome.difference) == (51, "")
+
+
+def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    LogWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
+    with pytest.raises(RecordingError, match=r"recorded at serial:///dev/ttyUSB0.*`nomad play` answers as it did"):
+        replay(read_recording(path))
+    LogWriter(path, {"by": "nserver"}).close()
+    with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
+        replay(read_recording(path))
+    head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
+    recorder = Recorder(LogWriter(path, head), lambda: 0.0)
+    recorder.open("a", "tcp", N150).to_robot(b"")
+    recorder.close()
+    path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
+    with pytest.raises(RecordingError, match="line 3: connection 'a' was never opened"):
+        replay(read_recording(path))
+
+
+def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
+    saved, models = tmp_path / "saved.json", tmp_path / "models.toml"
+    beginning = Beginning(
+        dataclasses.replace(THREE, model_file=models), Pace(None, True, 0.25), Allowed(quit=True), saved
+    )
+    LogWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
+    assert beginning_of(read_recording(tmp_path / "run.log").header, "run.log") == beginning
+
+
+def test_a_world_file_is_found_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text("")
+    head = header(dataclasses.replace(LOCKSTEP, setting=Setting("mine.toml")), "", port=1, requests_a_turn=2)
+    assert head["setting"]["world"] == str(tmp_path / "mine.toml")
