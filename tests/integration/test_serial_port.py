@@ -1,0 +1,158 @@
+"""A real pseudo-terminal: bytes both ways, one program at a time, and what is said when it breaks."""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import subprocess
+import sys
+import threading
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.transports import serial_port
+from nclient.transports.byte_stream import Deadline
+from nclient.transports.serial_port import SerialStream
+
+
+class Pty:
+    """Both ends of a pseudo-terminal; the far one is a robot's."""
+
+    def __init__(self) -> None:
+        self.far, self._near = os.openpty()
+        tty.setraw(self._near)
+        self.name = os.ttyname(self._near)
+
+    def pull(self) -> None:
+        """What a cable does that is pulled."""
+        if self.far >= 0:
+            os.close(self.far)
+            os.close(self._near)
+            self.far = -1
+
+
+@pytest.fixture
+def pty() -> Iterator[Pty]:
+    made = Pty()
+    yield made
+    made.pull()
+
+
+def test_bytes_go_there_and_back_as_they_are(pty: Pty) -> None:
+    stream = SerialStream(pty.name)
+    every = bytes(range(256))
+    stream.send(every)
+    assert os.read(pty.far, 1024) == every
+    os.write(pty.far, every)
+    got = b""
+    while len(got) < len(every):
+        got += stream.receive(Deadline.after(5))
+    assert got == every
+    stream.close()
+
+
+def test_a_deadline_that_is_past_gives_what_has_come(pty: Pty) -> None:
+    stream = SerialStream(pty.name)
+    with pytest.raises(ReplyTimeout, match=f"{pty.name} was silent"):
+        stream.receive(Deadline.after(0))
+    os.write(pty.far, b"x")
+    assert select.select([stream._port.fileno()], [], [], 5)[0]
+    assert stream.receive(Deadline.after(0)) == b"x"
+    with pytest.raises(ReplyTimeout):
+        stream.receive(Deadline.after(0.03))
+    stream.close()
+
+
+def test_what_comes_while_one_waits(pty: Pty) -> None:
+    stream = SerialStream(pty.name)
+    later = threading.Timer(0.1, os.write, (pty.far, b"late"))
+    later.start()
+    assert b"late".startswith(stream.receive(Deadline.after(5)))
+    later.join()
+    stream.close()
+
+
+def test_closing_on_another_thread_ends_the_wait(pty: Pty) -> None:
+    stream = SerialStream(pty.name)
+    closing = threading.Timer(0.1, stream.close)
+    closing.start()
+    with pytest.raises(ConnectionLost, match="this end has closed"):
+        stream.receive(Deadline.after(30))
+    closing.join()
+    stream.close()
+    for use in (lambda: stream.send(b"x"), lambda: stream.receive(Deadline.after(1))):
+        with pytest.raises(ConnectionLost, match="this end has closed"):
+            use()
+
+
+def test_a_cable_that_is_pulled(pty: Pty) -> None:
+    stream = SerialStream(pty.name)
+    pulling = threading.Timer(0.1, pty.pull)
+    pulling.start()
+    with pytest.raises(ConnectionLost, match=f"{pty.name} is gone.*cable"):
+        stream.receive(Deadline.after(30))
+    pulling.join()
+    with pytest.raises(ConnectionLost, match="is gone"):
+        stream.send(b"x")
+    stream.close()
+
+
+def test_one_program_at_a_time_and_who_it_is(pty: Pty) -> None:
+    first = SerialStream(pty.name)
+    with pytest.raises(ConnectionLost, match=f"{pty.name} is in use by .*this very program"):
+        SerialStream(pty.name)
+    first.close()
+    SerialStream(pty.name).close()
+    holds = "import sys,serial; p=serial.Serial(sys.argv[1],exclusive=True); print(flush=True); sys.stdin.read()"
+    other = subprocess.Popen([sys.executable, "-c", holds, pty.name], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    with other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        with pytest.raises(ConnectionLost, match=rf"in use by .*\(process {other.pid}\); one program at a time"):
+            SerialStream(pty.name)
+        other.communicate(timeout=10)
+    SerialStream(pty.name).close()
+
+
+def test_no_such_port_names_those_there_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_port, "ports", lambda: ["/dev/ttyUSB7"])
+    with pytest.raises(ConnectionLost, match=r"there is no port .*plugged in.*Ports there are: /dev/ttyUSB7"):
+        SerialStream(str(tmp_path / "ttyUSB0"))
+    monkeypatch.setattr(serial_port, "ports", list)
+    with pytest.raises(ConnectionLost, match="none at all"):
+        SerialStream(str(tmp_path / "ttyUSB0"))
+
+
+def test_what_is_no_port_and_what_is_no_speed(tmp_path: Path, pty: Pty) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConnectionLost, match="file cannot be opened"):
+        SerialStream(str(tmp_path / "file"))
+    with pytest.raises(ConnectionLost, match=f"{pty.name} cannot be opened at -1 baud"):
+        SerialStream(pty.name, -1)
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (serial.SerialException(errno.EACCES, "could not open port"), "no permission.*dialout"),
+        (serial.SerialException(errno.EBUSY, "could not open port"), "in use by another program"),
+        (serial.SerialException(errno.EIO, "could not open port"), "cannot be opened: .*could not open port"),
+    ],
+)
+def test_what_else_the_system_says(monkeypatch: pytest.MonkeyPatch, error: Exception, told: str) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(ConnectionLost, match=told):
+        SerialStream("/dev/ttyUSB0")
+
+
+def test_the_ports_of_this_machine_are_names() -> None:
+    assert all(isinstance(name, str) for name in serial_port.ports())
