@@ -9,6 +9,8 @@
     ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
+    ├── FaultPlanError (ValueError)        a plan of faults that cannot be used: file, rule, key, what was expected
+    ├── ControlError (ValueError)          what a daemon's control socket was asked and cannot do
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
     └── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
 
@@ -78,6 +80,14 @@ class StartError(NomadError, ValueError):
 
 class SetupFileError(NomadError, ValueError):
     """An old robot.setup or world.setup that cannot be used; the message names file, line and what was expected."""
+
+
+class FaultPlanError(NomadError, ValueError):
+    """A plan of faults that cannot be used; the message names file, rule, key and what was expected."""
+
+
+class ControlError(NomadError, ValueError):
+    """What was asked of a daemon's control socket and cannot be done; the message says what would be right."""
 
 
 class SnapshotError(NomadError, ValueError):

@@ -1,0 +1,227 @@
+"""Plans of faults as values and as TOML: what is wrong is named, and what is written reads back the same."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nclient.errors import FaultPlanError
+from nclient.faults import plan_file
+from nclient.faults.kinds import (
+    BIT,
+    BYTE,
+    KINDS,
+    Corrupt,
+    Cut,
+    Delay,
+    Drop,
+    DropByte,
+    Fault,
+    HangUp,
+    Nak,
+    Noise,
+    Silence,
+    Stray,
+)
+from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
+from nclient.faults.plan_file import load_plan, parse_plan, plan_text
+
+EXAMPLE = Path(__file__).parents[3] / "docs" / "faults.toml"
+
+SECONDS = st.floats(0.0, 1000.0)
+PLACES = st.none() | st.integers(-300, 300)
+FAULTS: st.SearchStrategy[Fault] = st.one_of(
+    st.builds(Drop),
+    st.tuples(SECONDS, SECONDS).map(lambda pair: Delay(max(pair), min(pair))),
+    st.builds(Corrupt, st.sampled_from([BIT, BYTE]), PLACES),
+    st.builds(DropByte, PLACES),
+    st.builds(Stray, st.integers(1, 9), PLACES),
+    st.builds(Cut, st.none() | st.integers(0, 300)),
+    st.builds(Nak),
+    st.builds(Silence, SECONDS),
+    st.builds(HangUp, st.integers(0, 300)),
+    st.builds(Noise, st.floats(0.1, 30.0), st.floats(0.0, 30.0), st.floats(0.0, 30.0), st.sampled_from([BIT, BYTE])),
+)
+TIMES = st.tuples(SECONDS, st.floats(0.001, 10.0) | st.just(math.inf)).map(
+    lambda pair: {"from_s": pair[0], "until_s": pair[0] + pair[1]}
+)
+WAYS = st.one_of(
+    st.just({}),
+    st.fixed_dictionaries({"every": st.integers(1, 1000)}),
+    st.fixed_dictionaries({"percent": st.floats(0.0, 100.0)}),
+    st.fixed_dictionaries({"first": st.integers(1, 1000)}),
+    st.fixed_dictionaries({"at": st.lists(st.integers(1, 1000), min_size=1).map(tuple)}),
+)
+WHENS = st.builds(lambda way, times: When(**way, **times), WAYS, TIMES)
+NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1).filter(str.strip)
+RULES = st.builds(
+    Rule,
+    NAMES,
+    FAULTS.map(lambda fault: (fault,)) | st.just((Corrupt(), DropByte(), Stray())),
+    WHENS,
+    st.lists(st.sampled_from(["gs", "vm", "special_request", "hello"]), unique=True).map(tuple),
+    st.sampled_from([BOTH, frozenset({Direction.REQUEST}), frozenset({Direction.REPLY})]),
+    st.lists(st.sampled_from(["serial:1", "robotd", "nserver", "robotd:12"]), unique=True).map(tuple),
+)
+PLANS = st.builds(
+    Plan, st.lists(RULES, max_size=4, unique_by=lambda rule: rule.name).map(tuple), st.integers(0, 2**63)
+)
+
+
+@given(PLANS)
+def test_a_plan_reads_back_as_it_was_written(plan: Plan) -> None:
+    assert parse_plan(plan_text(plan)) == plan
+
+
+def test_the_example_in_the_documentation_is_a_plan_with_every_kind() -> None:
+    plan = load_plan(EXAMPLE)
+    assert {fault.kind for rule in plan.rules for fault in rule.faults} == set(KINDS)
+
+
+def test_a_plan_in_words() -> None:
+    plan = parse_plan("""
+        seed = 7
+        [[rule]]
+        do = ["corrupt", "drop_byte", "stray"]
+        every = 10
+        [[rule]]
+        name = "slow gs"
+        do = "delay"
+        delay_s = 0.2
+        jitter_s = 0.05
+        command = "gs"
+        direction = "both"
+        line = ["serial:1", "robotd"]
+        at = 3
+        until_s = 60
+        [[rule]]
+        do = "drop"
+        command = "all"
+        line = "all"
+    """)
+    one, two, three = plan.rules
+    assert plan.seed == 7
+    assert one == Rule("rule 1", (Corrupt(), DropByte(), Stray()), When(every=10))
+    assert two == Rule(
+        "slow gs", (Delay(0.2, 0.05),), When(at=(3,), until_s=60), ("gs",), BOTH, ("serial:1", "robotd")
+    )
+    assert three == Rule("rule 3", (Drop(),))
+
+
+def test_an_empty_plan_does_nothing() -> None:
+    assert parse_plan("") == Plan()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("rule = 3", r"p\.toml: rule: expected tables under \[\[rule\]\]"),
+        ("rule = [3]", r"rule: expected tables under \[\[rule\]\]"),
+        ("[[", "is no TOML"),
+        ("seed = -1", "seed: a whole number, 0 to 9223372036854775808, not -1"),
+        ("seed = true", "seed: a whole number"),
+        ("rules = []", "rules: unknown here; expected one of seed, rule; did you mean rule?"),
+        ("[[rule]]", "rule 'rule 1': do: at least one kind"),
+        ("[[rule]]\ndo = 'drp'", "rule 'rule 1': do: no kind of fault 'drp'; there are drop, .*; did you mean drop?"),
+        ("[[rule]]\ndo = 7", "do: expected a text or a list of texts, found 7"),
+        ("[[rule]]\ndo = ['drop', 7]", "do: expected a text or a list of texts"),
+        ("[[rule]]\nname = 5", "rule 1: name: expected a text, found 5"),
+        ("[[rule]]\nname = ' '", "rule 1: name: expected a text"),
+        ("[[rule]]\ndo = ['drop', 'drop']", "do: drop is named twice"),
+        ("[[rule]]\nname = 'x'\ndo = 'drop'\n[[rule]]\nname='x'\ndo = 'nak'", "rule 'x': name: an earlier rule"),
+        ("[[rule]]\ndo = 'drop'\ndelay_s = 1", "rule 'rule 1': delay_s: unknown here"),
+        ("[[rule]]\ndo = 'drop'\nevrey = 1", "evrey: unknown here; .*; did you mean every?"),
+        ("[[rule]]\ndo = 'delay'", "delay_s: is wanted by do = 'delay'"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = -1", "delay_s: a number, 0 to 86400, not -1"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = 1\njitter_s = 2.5", "jitter_s: at most delay_s, 1, since .* not 2.5"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = nan", "delay_s: a number, .* not nan"),
+        ("[[rule]]\ndo = 'delay'\ndelay_s = 'x'", "delay_s: a number, .* not 'x'"),
+        ("[[rule]]\ndo = 'silence'\nsilence_s = true", "silence_s: a number"),
+        ("[[rule]]\ndo = 'corrupt'\nchange = 'nibble'", "change: one of bit, byte, not 'nibble'"),
+        ("[[rule]]\ndo = 'corrupt'\nplace = 1.5", "place: a whole number, the index of a byte"),
+        ("[[rule]]\ndo = 'drop_byte'\nplace = true", "place: a whole number"),
+        ("[[rule]]\ndo = 'stray'\ncount = 0", "count: a whole number, 1 to 65535, not 0"),
+        ("[[rule]]\ndo = 'cut'\nkeep = -1", "keep: a whole number, 0 or more, not -1"),
+        ("[[rule]]\ndo = 'noise'", "corrupt_percent .* together more than 0 and at most 100, not 0"),
+        ("[[rule]]\ndo = 'noise'\ndrop_percent = 60\nadd_percent = 60", "together more than 0 and at most 100"),
+        ("[[rule]]\ndo = 'noise'\ndrop_percent = 101", "drop_percent: a number, 0 to 100, not 101"),
+        ("[[rule]]\ndo = 'drop'\nevery = 0", "every: a whole number, 1 or more, not 0"),
+        ("[[rule]]\ndo = 'drop'\nevery = 10\npercent = 1", "percent: every and percent count differently; keep one"),
+        ("[[rule]]\ndo = 'drop'\npercent = 150", "percent: a number, 0 to 100, not 150"),
+        ("[[rule]]\ndo = 'drop'\nfirst = 'x'", "first: a whole number"),
+        ("[[rule]]\ndo = 'drop'\nat = []", "at: the numbers of the frames"),
+        ("[[rule]]\ndo = 'drop'\nat = [0]", "at: a whole number, 1 or more, not 0"),
+        ("[[rule]]\ndo = 'drop'\nfrom_s = -1", "from_s: a number, 0 or more, not -1"),
+        ("[[rule]]\ndo = 'drop'\nfrom_s = 5\nuntil_s = 5", "until_s: later than from_s, 5, not 5"),
+        ("[[rule]]\ndo = 'drop'\ncommand = 'get_sm'", "command: no command 'get_sm'; did you mean get_s"),
+        ("[[rule]]\ndo = 'drop'\ncommand = 'arm_zr'", "on the wire arm_zr is a special_request; write that"),
+        ("[[rule]]\ndo = 'drop'\ncommand = 5", "rule 'rule 1': command: expected a text"),
+        ("[[rule]]\ndo = 'drop'\ndirection = 'up'", "direction: one of both, request, reply, not 'up'"),
+        ("[[rule]]\ndo = 'drop'\ndirection = []", r"direction: one of both, request, reply, not \[\]"),
+        ("[[rule]]\ndo = 'drop'\nline = 'seral:1'", "line: no line 'seral:1'; .* mean serial?"),
+        ("[[rule]]\ndo = 'drop'\nline = 'serial:x'", "line: no line 'serial:x'"),
+    ],
+)
+def test_what_is_wrong_is_named(text: str, words: str) -> None:
+    with pytest.raises(FaultPlanError, match=words) as caught:
+        parse_plan(text, "p.toml")
+    assert str(caught.value).startswith("p.toml: ")
+
+
+def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
+    with pytest.raises(FaultPlanError, match="place: is one for all kinds of a rule"):
+        Rule("x", (Corrupt(place=1), Stray(place=2)))
+    with pytest.raises(FaultPlanError, match="direction: request, reply or both is wanted"):
+        Rule("x", (Drop(),), directions=frozenset())
+
+
+def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(FaultPlanError, match=r"nowhere\.toml: cannot be read: No such file"):
+        load_plan(tmp_path / "nowhere.toml")
+    odd = tmp_path / "odd.toml"
+    odd.write_bytes(b"seed = 1 # \xff")
+    with pytest.raises(FaultPlanError, match=r"odd\.toml: expected text in UTF-8, found other bytes at 11"):
+        load_plan(odd)
+    monkeypatch.setattr(plan_file, "MOST_BYTES", 3)
+    with pytest.raises(FaultPlanError, match="too large"):
+        load_plan(odd)
+
+
+@pytest.mark.parametrize(
+    ("when", "struck"),
+    [
+        (When(), [1, 2, 3, 4, 5, 6]),
+        (When(every=2), [2, 4, 6]),
+        (When(first=2), [1, 2]),
+        (When(at=(5, 1)), [1, 5]),
+        (When(percent=50.0), [1, 2]),
+        (When(percent=100.0), [1, 2, 3, 4, 5, 6]),
+        (When(percent=0.0), []),
+    ],
+)
+def test_which_frames_a_rule_strikes(when: When, struck: list[int]) -> None:
+    draws = [0.0, 0.4999, 0.5, 0.7, 0.9, 0.99999]
+    assert [number for number, draw in enumerate(draws, start=1) if when.strikes(number, draw)] == struck
+
+
+def test_a_rule_is_in_force_from_one_moment_up_to_another() -> None:
+    when = When(from_s=1.0, until_s=2.0)
+    assert [when.covers(t) for t in (0.5, 1.0, 1.999, 2.0)] == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("lines", "acts_on"),
+    [
+        ((), {"serial:1", "serial:2", "robotd:1", "nserver", "serial"}),
+        (("serial:1",), {"serial:1"}),
+        (("serial",), {"serial:1", "serial:2", "serial"}),
+        (("nserver", "robotd:1"), {"nserver", "robotd:1"}),
+    ],
+)
+def test_lines_go_by_name_or_kind(lines: tuple[str, ...], acts_on: set[str]) -> None:
+    rule = Rule("x", (Drop(),), lines=lines)
+    assert {name for name in ("serial:1", "serial:2", "robotd:1", "nserver", "serial") if rule.acts_on(name)} == acts_on
