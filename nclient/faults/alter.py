@@ -25,9 +25,8 @@ def altered(data: bytes, fault: Corrupt | DropByte | Stray | Cut, chance: Random
         case Stray():
             place = _place(fault.place, len(data) + 1, chance)
             return data[:place] + chance.randbytes(fault.count) + data[place:]
-        case Cut():
-            most = len(data) - 1
-            return data[: chance.randint(min(1, most), most) if fault.keep is None else min(fault.keep, most)]
+    most = len(data) - 1
+    return data[: chance.randint(min(1, most), most) if fault.keep is None else min(fault.keep, most)]
 
 
 def with_noise(data: bytes, noise: Noise, chance: Random, tally: Counter[str]) -> bytes:

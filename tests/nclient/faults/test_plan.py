@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -49,7 +50,7 @@ FAULTS: st.SearchStrategy[Fault] = st.one_of(
 TIMES = st.tuples(SECONDS, st.floats(0.001, 10.0) | st.just(math.inf)).map(
     lambda pair: {"from_s": pair[0], "until_s": pair[0] + pair[1]}
 )
-WAYS = st.one_of(
+WAYS: st.SearchStrategy[dict[str, Any]] = st.one_of(
     st.just({}),
     st.fixed_dictionaries({"every": st.integers(1, 1000)}),
     st.fixed_dictionaries({"percent": st.floats(0.0, 100.0)}),

@@ -1,0 +1,99 @@
+"""A stream with faults: wraps any ByteStream, a real robot's as well as a simulated one's, and is a stream again.
+
+    send(frame)  ──> FaultyLine ──> the stream          receive  <── InTransit <── FaultyLine <── the stream
+
+Rules: what is sent at once ends with a frame. Waiting is done by the `sleep` that is handed in, on the clock `now`, so
+that simulated time serves as well as real. A stream outlives no hang-up; its injector, and so its counts, may.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.faults.faulty_line import FaultyLine, InTransit
+from nclient.faults.injector import Delivery
+from nclient.transports.byte_stream import ByteStream, Deadline
+
+NAP_S = 0.05
+"""The longest sleep at once, so that a close from another thread is soon seen."""
+_HUNG_UP = "the connection was hung up on purpose, by the plan of faults"
+
+
+class FaultyStream:
+    """See the head of this file. `now`: seconds on any clock; `sleep(seconds)`: lets that clock go on."""
+
+    def __init__(
+        self, stream: ByteStream, line: FaultyLine, now: Callable[[], float], sleep: Callable[[float], None]
+    ) -> None:
+        self._stream = stream
+        self._line = line
+        self._now = now
+        self._sleep = sleep
+        self._coming = InTransit()
+        self._over: str | None = None
+
+    def send(self, data: bytes) -> None:
+        """Send what the plan leaves of it, as late as the plan wants. Raises ConnectionLost."""
+        self._refuse_if_over()
+        for delivery in self._line.request(data, self._now(), whole=True):
+            if delivery.delay_s > 0.0:
+                self._sleep(delivery.delay_s)
+            if delivery.back:
+                self._coming.add([Delivery(0.0, delivery.data)], self._now())
+            elif delivery.data:
+                self._stream.send(delivery.data)
+            if delivery.hang_up:
+                self._hang_up()
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """At least one byte that the plan lets through. Raises ReplyTimeout, or ConnectionLost when it is over."""
+        while True:
+            if data := self._arrived():
+                return data
+            self._refuse_if_over()
+            if self._coming.next_s is None:
+                self._take_in(deadline)
+            else:
+                self._wait_until(self._coming.next_s, deadline.remaining())
+
+    def close(self) -> None:
+        """Let go; what waits in `receive` ends with ConnectionLost."""
+        self._over = self._over or "this end has closed the connection"
+        self._stream.close()
+
+    def _arrived(self) -> bytes:
+        """What has come, up to where the connection ends."""
+        data = b""
+        for delivery in self._coming.arrived(self._now()):
+            data += delivery.data
+            if delivery.hang_up:
+                self._hang_up()
+                break
+        return data
+
+    def _take_in(self, deadline: Deadline) -> None:
+        """Wait for the stream. What is no whole frame when the time is over comes as it is."""
+        try:
+            deliveries = self._line.reply(self._stream.receive(deadline), self._now())
+        except ReplyTimeout:
+            deliveries = self._line.rest_of_reply(self._now())
+            if not deliveries:
+                raise
+        self._coming.add(deliveries, self._now())
+
+    def _wait_until(self, moment_s: float, patience_s: float) -> None:
+        """Sleep until the moment. Raises ReplyTimeout when patience ends first."""
+        give_up_s = self._now() + patience_s
+        while not self._over and (left_s := min(moment_s, give_up_s) - self._now()) > 0.0:
+            self._sleep(min(left_s, NAP_S))
+        if not self._over and give_up_s < moment_s:
+            raise ReplyTimeout("what is on its way was delayed on purpose, by the plan of faults")
+
+    def _hang_up(self) -> None:
+        self._over = self._over or _HUNG_UP
+        self._stream.close()
+
+    def _refuse_if_over(self) -> None:
+        if self._over:
+            raise ConnectionLost(self._over)

@@ -1,0 +1,126 @@
+"""One connection under a plan: frames get their commands' names, on the line and over TCP, and keep their order."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nclient.faults.faulty_line import FaultyLine, InTransit
+from nclient.faults.injector import LINE_NAK, Delivery, Injector
+from nclient.faults.kinds import Delay, Drop, DropByte, Fault, Nak
+from nclient.faults.language import Language, LineLanguage, TcpLanguage
+from nclient.faults.plan import Direction, Plan, Rule, When
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import build_frame
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.terms import line_terms, tcp_terms
+
+REQUEST, REPLY = Direction.REQUEST, Direction.REPLY
+
+
+def faulty(
+    fault: Fault, command: str, spoken: Language, direction: Direction = REPLY, when: When | None = None
+) -> FaultyLine:
+    rule = Rule("it", (fault,), when or When(), (command,), frozenset({direction}))
+    return FaultyLine(spoken, Injector(Plan((rule,)), "serial:1"))
+
+
+def told(deliveries: list[Delivery]) -> bytes:
+    return b"".join(delivery.data for delivery in deliveries)
+
+
+def line_request(name: str, *args: int) -> bytes:
+    return language.line_request(Call(name, args), line_terms(N150))
+
+
+def tcp_reply(kind: str = "simple", wide: bool = False) -> bytes:
+    terms = tcp_terms(N150)
+    terms.wide = wide
+    row = BY_NAME["place_robot" if kind == "simple" else "gs"]
+    return language.tcp_reply(row, Reply(kind, values=(0,)), terms)
+
+
+def test_on_the_line_a_request_and_a_reply_name_their_command() -> None:
+    line = faulty(Drop(), "gs", LineLanguage(), REQUEST)
+    vm, gs = line_request("vm", 1, 2, 3), line_request("gs")
+    assert told(line.request(vm[:4], 0.0)) == b""
+    assert told(line.request(vm[4:] + gs + vm, 0.0)) == vm + vm
+    line = faulty(Drop(), "get_rc", LineLanguage())
+    pose, bumper = build_frame(21, bytes(8)), build_frame(27, bytes(7))
+    assert told(line.reply(pose + b"dirt" + bumper, 0.0)) == b"dirt" + bumper
+
+
+def test_on_the_line_a_nak_answers_what_was_asked_last() -> None:
+    line = faulty(Drop(), "gs", LineLanguage())
+    line.request(line_request("vm", 1, 2, 3), 0.0)
+    assert told(line.reply(LINE_NAK, 0.0)) == LINE_NAK
+    line.request(line_request("gs"), 0.0)
+    assert line.reply(LINE_NAK, 0.0) == []
+
+
+def test_a_greeting_has_a_name_of_its_own() -> None:
+    line = faulty(Drop(), "hello", LineLanguage(greets=True))
+    frame = build_frame(7)
+    assert told(line.reply(bytes(11) + frame, 0.0)) == frame
+
+
+def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
+    spoken = TcpLanguage(wide=False)
+    rules = (Rule("lost", (Drop(),), When(), ("vm",), frozenset({REQUEST})), Rule("it", (Drop(),), When(), ("gs",)))
+    line = FaultyLine(spoken, Injector(Plan(rules), "nserver"))
+    for name, args in (("st", ()), ("vm", (1, 2, 3)), ("gs", ()), ("lp", ())):
+        line.request(language.tcp_request(Call(name, args)), 0.0)
+    answered = [line.reply(tcp_reply(), 0.0) for _ in range(3)]
+    assert [bool(found) for found in answered] == [True, False, True]
+    assert told(line.reply(tcp_reply(), 0.0)) == tcp_reply()
+    unknown = b"\x03\xe7\x00\x00"
+    assert told(line.request(unknown, 0.0)) == unknown
+
+
+def test_over_tcp_a_nak_is_an_error_reply_as_wide_as_the_client() -> None:
+    for wide in (False, True):
+        line = faulty(Nak(), "vm", TcpLanguage(), REQUEST)
+        connect = language.tcp_request(Call("connect_robot", (1, 77)), wide=wide)
+        assert told(line.request(connect, 0.0)) == connect
+        (refusal,) = line.request(language.tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
+        assert refusal.back
+        (frame,) = TcpFramer(reply_bounds, wide).receive(refusal.data)
+        assert frame == TcpFrame(91, (5).to_bytes(4, "big"))
+        assert told(line.reply(tcp_reply(wide=wide), 0.0)) == tcp_reply(wide=wide)
+
+
+def test_what_is_no_whole_frame_is_kept_until_it_is_asked_for() -> None:
+    line = faulty(DropByte(0), "gs", LineLanguage())
+    request = line_request("gs")
+    assert line.request(request[:-1], 0.0) == []
+    assert told(line.rest_of_request(0.0)) == request[:-1]
+    assert told(line.request(request[:-1], 0.0, whole=True)) == request[:-1]
+    assert line.reply(request[:-1], 0.0) == []
+    assert told(line.rest_of_reply(0.0)) == request[:-1]
+    assert line.rest_of_reply(0.0) == []
+
+
+def test_a_delay_is_handed_on() -> None:
+    line = faulty(Delay(2.0), "gs", LineLanguage())
+    assert line.reply(build_frame(7), 0.0) == [Delivery(2.0, build_frame(7))]
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 3.0)), max_size=20))
+def test_nothing_overtakes_and_nothing_comes_early(steps: list[tuple[float, float]]) -> None:
+    transit, now_s = InTransit(), 0.0
+    due: list[float] = []
+    came: list[int] = []
+    for number, (pause_s, delay_s) in enumerate(steps):
+        now_s += pause_s
+        came += [delivery.data[0] for delivery in transit.arrived(now_s)]
+        transit.add([Delivery(delay_s, bytes((number,)))], now_s)
+        due.append(max([now_s + delay_s, *due]))
+        assert transit.next_s == (due[len(came)] if len(came) <= number else None)
+        assert all(due[k] <= now_s for k in came)
+    came += [delivery.data[0] for delivery in transit.arrived(10_000.0)]
+    assert came == list(range(len(steps)))
+    assert transit.next_s is None

@@ -1,0 +1,114 @@
+"""Cutting a stream into frames: no byte is lost or added, whatever comes, and the frames are those that were sent."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import cuts, in_pieces
+
+from nclient.faults.frames import Frames, LineFrames, Piece, TcpFrames
+from nclient.protocol import tcp_frame
+from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
+
+quick = settings(max_examples=80, deadline=None)
+sent_frames = st.lists(st.builds(build_frame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
+dirt = st.binary(max_size=20)
+likely = st.lists(st.sampled_from([0, 1, 2, 3, 5, 8, 0x5C]) | st.integers(0, 255), max_size=60).map(bytes)
+words = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=8).map(
+    lambda numbers: b"".join(number.to_bytes(4, "big", signed=True) for number in numbers)
+)
+messages = st.tuples(st.sampled_from([12, 15, 16, 102, 300, 80, 91, 999]), words)
+
+
+def pieces_of(frames: Frames, data: bytes, places: list[int]) -> list[Piece]:
+    return [piece for part in in_pieces(data, places) for piece in frames.receive(part)]
+
+
+def whole(pieces: list[Piece]) -> list[bytes]:
+    return [piece.data for piece in pieces if piece.type is not None]
+
+
+def everything(pieces: list[Piece]) -> bytes:
+    return b"".join(piece.data for piece in pieces)
+
+
+@quick
+@given(sent_frames, cuts)
+def test_the_frames_of_a_clean_line(sent: list[bytes], places: list[int]) -> None:
+    frames = LineFrames()
+    found = pieces_of(frames, b"".join(sent), places)
+    assert found == [Piece(frame, frame[3]) for frame in sent]
+    assert frames.rest() == []
+
+
+@quick
+@given(st.lists(st.tuples(dirt | likely, sent_frames), max_size=4), dirt | likely, cuts)
+def test_on_a_dirty_line_they_are_what_the_line_s_own_framer_finds(
+    stretches: list[tuple[bytes, list[bytes]]], end: bytes, places: list[int]
+) -> None:
+    data = b"".join(noise + b"".join(sent) for noise, sent in stretches) + end
+    frames, framer = LineFrames(), SerialFramer()
+    found = pieces_of(frames, data, places) + frames.rest()
+    assert everything(found) == data
+    assert [build_frame(*frame) for frame in framer.receive(data) + framer.expire()] == whole(found)
+
+
+@quick
+@given(likely, cuts)
+def test_no_byte_is_lost_of_what_makes_no_sense(data: bytes, places: list[int]) -> None:
+    for frames in (LineFrames(), LineFrames(HOST_LIMIT), LineFrames(bare=11), TcpFrames(), TcpFrames(None)):
+        assert everything(pieces_of(frames, data, places) + frames.rest()) == data
+
+
+def test_bytes_before_the_first_frame_are_one_piece() -> None:
+    frames = LineFrames(bare=11)
+    frame = build_frame(7)
+    hello = bytes.fromhex("01080005640032800000ff")
+    assert frames.receive(hello[:5]) == []
+    assert frames.receive(hello[5:] + frame) == [Piece(hello, None), Piece(frame, 7)]
+
+
+def test_a_length_beyond_the_limit_begins_no_frame() -> None:
+    long = build_frame(5, bytes(300))
+    assert whole(LineFrames().receive(long)) == [long]
+    assert whole(LineFrames(HOST_LIMIT).receive(long)) == []
+
+
+def test_what_is_kept_of_a_frame_is_given_up_when_asked() -> None:
+    frames = LineFrames()
+    good = build_frame(9, b"\x05")
+    assert frames.receive(b"\x01\x20\x00\x07" + good) == []
+    assert frames.rest() == [Piece(b"\x01\x20\x00\x07", None), Piece(good, 9)]
+
+
+@quick
+@given(st.lists(messages, max_size=6), cuts, st.booleans(), st.booleans())
+def test_the_messages_of_a_connection(
+    sent: list[tuple[int, bytes]], places: list[int], wide: bool, replies: bool
+) -> None:
+    built = [tcp_frame.build_frame(number, payload, wide=wide, reply=replies) for number, payload in sent]
+    frames = TcpFrames(wide)
+    found = pieces_of(frames, b"".join(built), places)
+    assert found == [Piece(data, number) for data, (number, _) in zip(built, sent, strict=True)]
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@given(cuts)
+def test_a_connect_tells_the_width(wide: bool, places: list[int]) -> None:
+    connect = tcp_frame.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
+    gs = tcp_frame.build_frame(15, b"", wide=wide)
+    frames = TcpFrames(None)
+    assert pieces_of(frames, connect + gs, places) == [Piece(connect, 102), Piece(gs, 15)]
+    assert frames.wide is wide
+
+
+def test_after_a_count_that_no_message_has_all_passes_as_it_comes() -> None:
+    frames = TcpFrames()
+    assert frames.receive(b"\x00\x0f\xff\xff") == [Piece(b"\x00\x0f\xff\xff", None)]
+    assert frames.receive(b"\x00\x0f\x00\x00") == [Piece(b"\x00\x0f\x00\x00", None)]
+
+
+def test_a_framer_s_frame_is_rebuilt_to_the_same_bytes() -> None:
+    frame = build_frame(21, bytes(range(8)))
+    assert SerialFramer().receive(frame) == [SerialFrame(21, bytes(range(8)))]
