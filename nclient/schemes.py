@@ -12,16 +12,21 @@ is not 0. All that is wrong with an address is said before anything is opened.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from nclient import address as text
 from nclient.address import Address, nearest
 from nclient.backends.backend import Backend
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.errors import AddressError
+from nclient.errors import AddressError, RecordingError
 from nclient.protocol.models import N150, Model, model_named
+from nclient.recording.follower import TCP
+from nclient.recording.stream import ProgramsRecording, Recorded
 from nclient.transports import memory
 from nclient.transports.byte_stream import ByteStream
 from nclient.transports.tcp import CONNECT_TIMEOUT_S, TcpStream
@@ -120,6 +125,8 @@ class Scheme:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     reads_the_rest: bool = False
     """Whether who answers reads the options that are not ours, and has its own to say about them."""
+    line: str = TCP
+    """The language as recordings name it (nclient.recording.follower.LINES)."""
 
 
 def opening_of(given: str, wanted: Wanted) -> Opening:
@@ -188,14 +195,39 @@ def _robot_id(opening: Opening) -> int:
     return int(number)
 
 
+def _of_every_scheme() -> list[str]:
+    return [option.name for option in OPTIONS if option.schemes is None]
+
+
 def _memory_stream(opening: Opening) -> ByteStream:
     """scheme:anything; the opener reads it, without the options that are the client's."""
-    ours = [option.name for option in OPTIONS if option.schemes is None]
-    return memory.open_in_process(opening.address.scheme, opening.address.without(ours))
+    return memory.open_in_process(opening.address.scheme, opening.address.without(_of_every_scheme()))
 
 
 def _memory_talk(stream: ByteStream, opening: Opening) -> Backend:
     return open_nserver(stream, opening.wanted, opening.model)
+
+
+def _recorded(stream: ByteStream, path: str, opening: Opening) -> ByteStream:
+    """The innermost wrapper: what really went over the line. The same file however often the stream is opened."""
+    recording = opening.kept.get("record")
+    if recording is None:
+        try:
+            recording = opening.kept["record"] = _recording(Path(path), opening)
+        except RecordingError:
+            stream.close()
+            raise
+    recorded: ByteStream = recording.around(stream)
+    return recorded
+
+
+def _recording(path: Path, opening: Opening) -> ProgramsRecording:
+    """Who answers in this process has a time of its own, which the robot's clock tells."""
+    what = Recorded(opening.address.without(_of_every_scheme()), opening.scheme.line, opening.model)
+    if opening.scheme is _IN_PROCESS:
+        return ProgramsRecording(path, what)
+    start_s = time.monotonic()
+    return ProgramsRecording(path, what, lambda: time.monotonic() - start_s, datetime.now(UTC))
 
 
 SCHEMES: dict[str, Scheme] = {
@@ -210,5 +242,6 @@ OPTIONS: tuple[Option, ...] = (
     Option("timeout_s", text.seconds, schemes=_NSERVER),
     Option("model", model_named, schemes=_NSERVER),
     # around the stream, inside out
+    Option("record", text.path, stream=_recorded),
     # around the backend, inside out
 )

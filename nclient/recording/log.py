@@ -14,6 +14,7 @@ is left out and remarked upon. A disk that fills up costs the recording, never t
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import threading
@@ -79,6 +80,7 @@ class LogWriter:
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         self.path = path
         self.failed = False
+        self._over = False
         self._lock = threading.Lock()
         try:
             self._file = path.open("w", encoding="utf-8")
@@ -92,28 +94,32 @@ class LogWriter:
 
     def close(self) -> None:
         """Let the file go. Twice is fine; what is written afterwards is lost."""
+        self._over = True
+        self.rest()
+
+    def rest(self) -> None:
+        """Let the file go until there is something to write again."""
         with self._lock:
-            self._give_up() if self.failed else self._file.close()
+            self._let_go()
 
     def _line(self, whole: Mapping[str, Any]) -> None:
         with self._lock:
-            if self.failed or self._file.closed:
+            if self.failed or self._over:
                 return
             try:
+                if self._file.closed:
+                    self._file = self.path.open("a", encoding="utf-8")
                 self._file.write(json.dumps(whole, separators=(",", ":")) + "\n")
                 self._file.flush()
             except OSError as error:
                 self.failed = True
                 log.error("%s: no longer recorded: %s; the run goes on, what was written can be read",
                           self.path, error.strerror)
-                self._give_up()
+                self._let_go()
 
-    def _give_up(self) -> None:
-        """Close without another word: what is still buffered cannot be written."""
-        try:
+    def _let_go(self) -> None:
+        with contextlib.suppress(OSError):  # what a full disk still owes cannot be written, and was told
             self._file.close()
-        except OSError:
-            return
 
 
 def as_object(entry: Entry) -> dict[str, Any]:

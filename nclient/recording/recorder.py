@@ -71,6 +71,10 @@ class Recorder:
         self._steps.clear()
         self._log.write(Entry(now_s, kind, name, data, decoded, (more or {}) | passed))
 
+    def rest(self) -> None:
+        """Let the file go until there is something to write again."""
+        self._log.rest()
+
     def close(self) -> None:
         """Write what time passed last, and let the file go."""
         if self._steps:

@@ -1,0 +1,92 @@
+"""record=FILE in an address: the run is the same, the file too where time is simulated, and no file is left open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from answering import ScriptedServer, by_script, on_socket
+
+from nclient import RecordingError, connect
+from nclient.protocol.models import N150
+from nclient.recording.log import read_recording
+from nclient.recording.stream import ProgramsRecording, Recorded
+from nclient.schemes import Wanted, opening_of
+from nclient.transports.byte_stream import Deadline
+from nclient.transports.memory import MemoryStream
+
+
+def drive(address: str) -> tuple[int, ...]:
+    with connect(address) as robot:
+        robot.drive(translation_in_s=5)
+        robot.wait_until_still(1)
+        return robot.refresh().raw
+
+
+def test_a_recorded_run_is_the_run_and_the_file_the_same_each_time(tmp_path: Path) -> None:
+    address, files = "sim:thesis_room?noisy=1&seed=3", []
+    for _ in range(2):
+        assert drive(f"{address}&record={tmp_path}/run.log") == drive(address)
+        files.append((tmp_path / "run.log").read_bytes())
+    assert files[0] == files[1]
+    recording = read_recording(tmp_path / "run.log")
+    assert recording.header["address"] == address
+    assert recording.header["started"] is None
+    assert recording.entries[-1].time_s == pytest.approx(1.5)
+    calls = [entry.decoded[0]["call"] for entry in recording.entries if entry.kind == "out"]
+    assert calls == ["connect_robot", "ct", "vm", "ws", "gs", "st", "disconnect_robot"]
+
+
+def test_over_a_socket_time_is_the_clocks(tmp_path: Path) -> None:
+    server = ScriptedServer()
+    with on_socket(by_script(server, calls=3)) as port, connect(
+        f"nserver://127.0.0.1:{port}/1?record={tmp_path}/run.log&model=scout"
+    ) as robot:
+        robot.refresh()
+    header, *_ = (tmp_path / "run.log").read_text().splitlines()
+    assert '"started":"20' in header
+    assert '"model":"scout"' in header
+    times = [entry.time_s for entry in read_recording(tmp_path / "run.log").entries]
+    assert times == sorted(times)
+    assert 0 <= times[0] < 5
+
+
+def test_a_file_that_cannot_be_written_is_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be written"):
+        connect(f"sim:thesis_room?record={tmp_path}/no/run.log")
+
+
+def test_a_connection_made_anew_goes_on_in_the_same_file(tmp_path: Path) -> None:
+    opening = opening_of(f"sim:thesis_room?record={tmp_path}/run.log", Wanted())
+    for _ in range(2):
+        opening.backend().close()
+    entries = read_recording(tmp_path / "run.log").entries
+    assert [(entry.kind, entry.connection) for entry in entries if entry.kind in ("open", "close")] == [
+        ("open", "1"), ("close", "1"), ("open", "2"), ("close", "2")
+    ]
+
+
+class Silent:
+    """Says one byte whatever it hears."""
+
+    def send(self, data: bytes) -> None:
+        del data
+
+    def receive(self) -> bytes:
+        return b"\x01"
+
+    def close(self) -> None: ...
+
+
+def test_a_file_that_can_no_longer_be_opened_costs_nothing_but_the_recording(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    recording = ProgramsRecording(folder / "run.log", Recorded("here", "serial", N150))
+    recording.around(MemoryStream(Silent())).close()
+    (folder / "run.log").unlink()
+    folder.rmdir()
+    stream = recording.around(MemoryStream(Silent()))
+    stream.send(b"\x00")
+    assert stream.receive(Deadline.after(0)) == b"\x01"
+    stream.close()
+    assert not folder.exists()
