@@ -51,9 +51,9 @@ def note(call: Call, terms: Terms) -> None:
             terms.note_mask(Mask(call.args))
         case "conf_ls":
             terms.note_laser_mode(call.args[0])
-        case "get_sg":
+        case "get_sg" if not terms.line:
             terms.laser_width = LINES
-        case "get_ls" if terms.laser_mode in TCP_LINE_MODES:
+        case "get_ls" if not terms.line and terms.laser_mode in TCP_LINE_MODES:
             terms.laser_width = POINTS
         case _:
             pass

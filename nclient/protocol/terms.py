@@ -33,13 +33,17 @@ def line_laser_width(mode: int) -> int:
 
 @dataclass(slots=True)
 class Terms:
-    """The state of a conversation that shapes its replies. `wide`: a 64-bit client, eight bytes a word."""
+    """The state of a conversation that shapes its replies.
+
+    `wide`: a 64-bit client over TCP, eight bytes a word. `line`: it is the robot's own line, with shapes of its own.
+    """
 
     model: Model
     mask: Mask
     laser_mode: int = DEFAULT_LASER_MODE
     laser_width: int = POINTS
     wide: bool = False
+    line: bool = False
 
     def copy(self) -> Terms:
         """These terms as they are now."""
@@ -52,11 +56,13 @@ class Terms:
     def note_laser_mode(self, mode: int) -> None:
         """A conf_ls request went over the wire: it sets mode and shape anew."""
         self.laser_mode = mode
-        self.laser_width = tcp_laser_width(mode)
+        self.laser_width = line_laser_width(mode) if self.line else tcp_laser_width(mode)
 
     @property
     def get_laser_width(self) -> int:
-        """Words a reading in the answer to get_ls over TCP: the mode's, but points in a line mode."""
+        """Numbers a reading in the answer to get_ls. Over TCP the mode's, but points in a line mode; else pixels."""
+        if self.line:
+            return PIXELS
         width = tcp_laser_width(self.laser_mode)
         return POINTS if width == LINES else width
 
@@ -68,4 +74,4 @@ def tcp_terms(model: Model) -> Terms:
 
 def line_terms(model: Model) -> Terms:
     """The terms of a fresh line to a robot: N150's and Scout's never change."""
-    return Terms(model, EVERYTHING if model.sends_mask else NO_MASK_MODELS)
+    return Terms(model, EVERYTHING if model.sends_mask else NO_MASK_MODELS, laser_width=PIXELS, line=True)

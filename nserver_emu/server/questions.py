@@ -33,6 +33,11 @@ def conf_sn(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     return stage.state(visit)
 
 
+def conf_ser(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
+    """The speed of another serial port of the robot: nothing is plugged in there, so nothing changes."""
+    return stage.state(visit)
+
+
 def ct(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     """The session has noted the mask; the reply shows it at work."""
     return stage.state(visit)

@@ -19,6 +19,8 @@ from nserver_emu.simulation.laser import LineFit
 
 _END_OF_ORDER = 255
 _HIGHEST_BYTE = 255
+CALIBRATED, NOT_CALIBRATED = (9, 9, 1), (0, 0, 0)
+"""Calibration scores."""
 
 
 def conf_ir(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
@@ -44,10 +46,17 @@ def get_ir(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 
 def conf_cp(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """The compass off, on, or calibrating, which a full turn of the turret completes."""
+    """The compass off, on, or calibrating, which a full turn of the turret completes.
+
+    On the robot's own line the answer is the three scores of the calibration (decision of ours, for no source says
+    what they mean: quality and surroundings 0..9, and how many there were, 0 or 1).
+    """
     if args[0] not in list(CompassMode):
         return error_reply(BAD_VALUES)
-    stage.robot_of(visit).compass.configure(args[0])
+    compass = stage.robot_of(visit).compass
+    compass.configure(args[0])
+    if visit.terms.line:
+        return Reply("compass", values=CALIBRATED if compass.calibrated else NOT_CALIBRATED)
     return stage.state(visit)
 
 

@@ -3,6 +3,8 @@
     receive(bytes) ──> framer ──> queue ──> answer(call, visit) ──> replies
                                                 └─ later: tick() asks again until there is one
 
+    Conversation    that course of things, in whatever language        Session    over TCP, with a CONNECT
+
 An old client may go on over a second connection without another CONNECT: it is then taken for the one that
 `acquaintance` knows, robot and word width. Its first message tells: it is a CONNECT or it is not.
 
@@ -14,10 +16,11 @@ Every bad request costs its sender an ERROR reply, or the connection once its st
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from nclient.errors import WireError
 from nclient.protocol import language
@@ -69,22 +72,20 @@ def error_reply(code: int) -> Reply:
     return Reply("error", values=(code,))
 
 
-class Session:
-    """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before."""
+Request = TypeVar("Request")
 
-    def __init__(
-        self, answer: Answer, name: str = "client", acquaintance: Callable[[], Acquaintance | None] = lambda: None
-    ) -> None:
-        self.visit = Visit()
+
+class Conversation(ABC, Generic[Request]):
+    """What a conversation is in either language: requests in their order, one answer that may come later."""
+
+    def __init__(self, answer: Answer, name: str, visit: Visit) -> None:
+        self.visit = visit
         self.name = name
         self.closing = False
         """Whether the connection is to be closed, once what was given back is sent."""
         self.refused = 0
         self._answer = answer
-        self._acquaintance = acquaintance
-        self._head: bytes | None = b""
-        self._framer = TcpFramer(request_bounds, gives_up=True)
-        self._queue: deque[TcpFrame | Refused] = deque()
+        self._queue: deque[Request] = deque()
         self._later: tuple[str, Later] | None = None
 
     @property
@@ -98,32 +99,23 @@ class Session:
         return len(self._queue) >= CROWD
 
     @property
-    def unfinished(self) -> int:
-        """Bytes of a request that is not whole yet."""
-        return self._framer.pending
-
-    @property
     def waiting(self) -> bool:
         """Whether an answer is outstanding that only time can bring."""
         return self._later is not None
 
     @property
     def met(self) -> Acquaintance | None:
-        """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
-        robot_id = self.visit.robot_id
-        return None if robot_id is None else Acquaintance(robot_id, self.visit.terms.wide)
+        """What the conversation has agreed that another connection may go on with; None for nothing."""
+        return None
 
+    @property
+    @abstractmethod
+    def unfinished(self) -> int:
+        """Bytes of a request that is not whole yet."""
+
+    @abstractmethod
     def receive(self, data: bytes) -> None:
         """Take in what the client sent; `answers` gives what there is to say to it."""
-        if self.closing:
-            return
-        if self._head is not None:
-            data = self._head = self._head + data
-            if len(data) < _TYPE_BYTES:
-                return
-            self._head = None
-            self._recognise(int.from_bytes(data[:_TYPE_BYTES], "big"))
-        self._queue.extend(self._framer.receive(data))
 
     def answers(self, most: int) -> bytes:
         """The replies to at most so many of the requests that wait."""
@@ -144,6 +136,57 @@ class Session:
         self._later = None
         return self._encode(name, reply)
 
+    def _say(self, name: str, answer: Reply | Later) -> bytes:
+        """An answer to a command: now, or when it is there."""
+        if isinstance(answer, Reply):
+            return self._encode(name, answer)
+        self._later = (name, answer)
+        return self.tick()
+
+    def _count_refusal(self, reason: str) -> None:
+        self.refused += 1
+        if self.refused == 1:
+            log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)
+
+    @abstractmethod
+    def _answer_one(self, request: Request) -> bytes: ...
+
+    @abstractmethod
+    def _encode(self, name: str, reply: Reply) -> bytes: ...
+
+
+class Session(Conversation[TcpFrame | Refused]):
+    """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before."""
+
+    def __init__(
+        self, answer: Answer, name: str = "client", acquaintance: Callable[[], Acquaintance | None] = lambda: None
+    ) -> None:
+        super().__init__(answer, name, Visit())
+        self._acquaintance = acquaintance
+        self._head: bytes | None = b""
+        self._framer = TcpFramer(request_bounds, gives_up=True)
+
+    @property
+    def unfinished(self) -> int:
+        return self._framer.pending
+
+    @property
+    def met(self) -> Acquaintance | None:
+        """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
+        robot_id = self.visit.robot_id
+        return None if robot_id is None else Acquaintance(robot_id, self.visit.terms.wide)
+
+    def receive(self, data: bytes) -> None:
+        if self.closing:
+            return
+        if self._head is not None:
+            data = self._head = self._head + data
+            if len(data) < _TYPE_BYTES:
+                return
+            self._head = None
+            self._recognise(int.from_bytes(data[:_TYPE_BYTES], "big"))
+        self._queue.extend(self._framer.receive(data))
+
     def _recognise(self, first_type: int) -> None:
         known = self._acquaintance() if first_type not in _CONNECT_TYPES else None
         if known is not None:
@@ -151,14 +194,14 @@ class Session:
             self.visit.robot_id = known.robot_id
             self._framer.wide = known.wide
 
-    def _answer_one(self, item: TcpFrame | Refused) -> bytes:
-        if isinstance(item, Refused):
-            self.closing = item.hopeless
-            if item.hopeless:
-                log.warning("%s: closed: %s", self.name, item.reason)
-            return self._refuse(item.code, item.reason)
+    def _answer_one(self, request: TcpFrame | Refused) -> bytes:
+        if isinstance(request, Refused):
+            self.closing = request.hopeless
+            if request.hopeless:
+                log.warning("%s: closed: %s", self.name, request.reason)
+            return self._refuse(request.code, request.reason)
         try:
-            call = language.tcp_call(item)
+            call = language.tcp_call(request)
         except WireError as error:
             return self._refuse(BAD_VALUES, str(error))
         row = BY_NAME[call.name]
@@ -170,10 +213,7 @@ class Session:
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""
-        if isinstance(answer, Reply):
-            return self._encode(call.name, answer)
-        self._later = (call.name, answer)
-        return self.tick()
+        return self._say(call.name, answer)
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
@@ -184,8 +224,3 @@ class Session:
         self._count_refusal(reason)
         self.visit.terms.wide = bool(self._framer.wide)
         return language.tcp_reply(BY_NAME["gs"], error_reply(code), self.visit.terms)
-
-    def _count_refusal(self, reason: str) -> None:
-        self.refused += 1
-        if self.refused == 1:
-            log.warning("%s: refused: %s (further refusals are counted, not logged)", self.name, reason)

@@ -4,7 +4,7 @@
     41 motors | 42 laser mode | 43 compass | 44 error
 
 Rules: reads a robot, changes nothing but what the connection keeps. A slot that the mask leaves out keeps the value
-last sent on that connection.
+last sent on that connection; on the robot's own line it is not sent at all.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[
     """The whole state of a robot, `slots` as of now, on the terms of this connection."""
     mask = visit.terms.mask
     slots, laser = with_laser(robot, visit.terms, slots, wanted=mask.has(LASER_SLOT))
-    if not mask.whole:
+    if not mask.whole and not visit.terms.line:
         kept = visit.kept
         slots = [
             value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)

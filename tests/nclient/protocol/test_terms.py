@@ -36,6 +36,16 @@ def test_what_each_question_does_to_the_shape_over_tcp() -> None:
     assert seen == [(2, 2), (4, 2), (4, 2), (4, 2), (2, 2), (4, 2), (1, 1), (1, 1)]
 
 
+def test_on_the_robots_own_line_the_mode_alone_says_the_shape_and_get_ls_gives_pixels() -> None:
+    terms = line_terms(N200)
+    seen = [(terms.laser_width, terms.get_laser_width)]
+    for call in (Call("get_sg"), Call("conf_ls", (33, 0, 0, 0, 0)), Call("get_ls"), Call("conf_ls", (51, 0, 0, 0, 0))):
+        language.note(call, terms)
+        seen.append((terms.laser_width, terms.get_laser_width))
+    assert seen == [(1, 1), (1, 1), (4, 1), (4, 1), (1, 1)]
+    assert terms.copy().line
+
+
 def test_terms_at_the_start_and_copies_of_them() -> None:
     assert line_terms(N200).mask == EVERYTHING
     assert line_terms(N150).mask == line_terms(SCOUT).mask == NO_MASK_MODELS

@@ -1,0 +1,71 @@
+"""A host for the tests of the robot's own line: calls in, replies out, over whatever takes bytes and gives bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.models import Model, model_named
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import SerialFrame, SerialFramer
+from nclient.protocol.terms import line_terms
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.line_session import LineSession
+from nserver_emu.server.pace import Pace
+from nserver_emu.simulation.models import MODELS
+from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from worlds.files import load_world
+from worlds.world import StartPose
+
+ORIGIN = StartPose(0.0, 0.0, 0.0, 0.0)
+
+
+class LineHost:
+    """`exchange` sends bytes and gives back what has been answered."""
+
+    def __init__(self, exchange: Callable[[bytes], bytes], model: Model) -> None:
+        self.terms = line_terms(model)
+        self._exchange = exchange
+        self._framer = SerialFramer()
+
+    def ask(self, name: str, *args: int | str) -> Reply:
+        """One call, one reply."""
+        return language.read_line_reply(self.frame(name, *args), self.terms)
+
+    def frame(self, name: str, *args: int | str) -> SerialFrame:
+        """One call, the frame that answers it."""
+        call = Call(name, args)
+        request = language.line_request(call, self.terms)
+        language.note(call, self.terms)
+        (frame,) = self.raw(request)
+        return frame
+
+    def raw(self, data: bytes) -> list[SerialFrame]:
+        """Any bytes; the frames that come back."""
+        found = self._framer.receive(self._exchange(data))
+        assert self._framer.pending == self._framer.skipped_bytes == 0
+        return found
+
+
+def emulated(
+    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: Pace | None = None
+) -> Emulator:
+    """An emulator with one robot of a model, number 1."""
+    made = Simulation(load_world("thesis_room"), seed=3)
+    made.add_robot(1, start, MODELS[model], setup)
+    return Emulator(made, pace=pace)
+
+
+def meet_on_line(emulator: Emulator, robot_id: int = 1) -> tuple[LineHost, LineSession]:
+    """A host and the session of that robot's line, in one process; the clock is the simulated time."""
+    simulation = emulator.simulation
+    model = model_named(simulation.robots[robot_id].model.family)
+    session = LineSession(emulator.answer, robot_id, model, lambda: simulation.time_s)
+
+    def exchange(data: bytes) -> bytes:
+        session.receive(data)
+        return session.answers(most=100) + session.tick()
+
+    return LineHost(exchange, model), session
