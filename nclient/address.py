@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote_plus, urlsplit
 
-from nclient.errors import AddressError
+from nclient.errors import AddressError, NomadError
 
 Reader = Callable[[str], Any]
 
@@ -62,7 +62,7 @@ class Address(NamedTuple):
     def _value(self, name: str, given: str, reader: Reader) -> Any:
         try:
             return reader(given)
-        except AddressError:
+        except NomadError:
             raise
         except ValueError as error:
             raise AddressError(f"{self.text!r}: {name} is {error}, not {given!r}") from None
@@ -111,6 +111,18 @@ def flag(text: str) -> bool:
     if text not in ("1", "0"):
         raise ValueError("1 or 0")
     return text == "1"
+
+
+def one_of(names: Iterable[str]) -> Reader:
+    """One of these words."""
+    known = tuple(names)
+
+    def read(text: str) -> str:
+        if text not in known:
+            raise ValueError(f"one of {', '.join(known)}")
+        return text
+
+    return read
 
 
 def path(text: str) -> str:

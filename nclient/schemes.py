@@ -1,6 +1,6 @@
 """What an address can say: a table of schemes and a table of options. The only file that knows every backend.
 
-    SCHEMES   nserver:, sim:             who is at the other end: how the stream is opened, what is spoken over it
+    SCHEMES   nserver:, sim:, replay:    who is at the other end: how the stream is opened, what is spoken over it
     OPTIONS   ?timeout_s=2&model=scout   what one says of it: how the text is read, which wrapper it puts on
 
     Robot ─> outermost backend wrapper ─> ... ─> backend ─> outermost stream wrapper ─> ... ─> stream
@@ -18,17 +18,28 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from nclient import address as text
 from nclient.address import Address, nearest
 from nclient.backends.backend import Backend
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
 from nclient.errors import AddressError, RecordingError
+from nclient.faults.faulty_line import FaultyLine
+from nclient.faults.injector import Injector
+from nclient.faults.language import LineLanguage, TcpLanguage
+from nclient.faults.plan import Plan
+from nclient.faults.plan_file import load_plan
+from nclient.faults.stream import FaultyStream
 from nclient.protocol.models import N150, Model, model_named
 from nclient.recording.follower import TCP
+from nclient.recording.log import read_recording
+from nclient.recording.player import ORDERS, STRICT, PlayedPeer, Player
+from nclient.recording.script import script_of
 from nclient.recording.stream import ProgramsRecording, Recorded
 from nclient.transports import memory
 from nclient.transports.byte_stream import ByteStream
+from nclient.transports.memory import MemoryStream
 from nclient.transports.tcp import CONNECT_TIMEOUT_S, TcpStream
 
 DEFAULT_PORT = 7019
@@ -224,24 +235,59 @@ def _recorded(stream: ByteStream, path: str, opening: Opening) -> ByteStream:
 def _recording(path: Path, opening: Opening) -> ProgramsRecording:
     """Who answers in this process has a time of its own, which the robot's clock tells."""
     what = Recorded(opening.address.without(_of_every_scheme()), opening.scheme.line, opening.model)
-    if opening.scheme is _IN_PROCESS:
+    if opening.scheme in (_IN_PROCESS, SCHEMES["replay"]):
         return ProgramsRecording(path, what)
     start_s = time.monotonic()
     return ProgramsRecording(path, what, lambda: time.monotonic() - start_s, datetime.now(UTC))
 
 
+def _faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:
+    """Around the recording: what the program gets to see. One count however often the stream is opened."""
+    kept = opening.kept
+    if "faults" not in kept:
+        kept["faults"] = Injector(plan, opening.address.scheme, time.monotonic())
+    greets = opening.address.scheme == "robotd" and opening.model.sends_mask
+    language = TcpLanguage(wide=False) if opening.scheme.line == TCP else LineLanguage(greets)
+    return FaultyStream(stream, FaultyLine(language, kept["faults"]), time.monotonic, time.sleep)
+
+
+def _replay_stream(opening: Opening) -> ByteStream:
+    """replay:FILE: the connection asked for, else the first, then the next each time that it is opened anew."""
+    path = unquote(opening.address.text.partition(":")[2].partition("?")[0])
+    recording = opening.kept.setdefault("recording", None) or read_recording(Path(path))
+    names, opened = recording.connections(), opening.kept.get("opened", 0)
+    name = opening.values.get("connection") or (names[min(opened, len(names) - 1)] if names else "")
+    script = script_of(recording, name)
+    opening.kept |= {"recording": recording, "opened": opened + 1, "script": script}
+    opening.values = {"model": script.model, **opening.values}
+    return MemoryStream(PlayedPeer(Player(script, opening.values.get("order", STRICT))))
+
+
+def _replay_talk(stream: ByteStream, opening: Opening) -> Backend:
+    """In the language that was recorded."""
+    script = opening.kept["script"]
+    if script.line != TCP:
+        return SCHEMES["serial"].talks(stream, opening)
+    return open_nserver(stream, Wanted(opening.timeout_s, script.robot_id), script.model)
+
+
 SCHEMES: dict[str, Scheme] = {
     "nserver": Scheme("nserver://host[:port]/id, " + EXAMPLES, _nserver_stream, _nserver_talk),
+    "replay": Scheme("replay:FILE", _replay_stream, _replay_talk),
 }
 """Schemes that this package serves by itself; others are entry points of what answers in this process."""
 _IN_PROCESS = Scheme("scheme:what", _memory_stream, _memory_talk, reads_the_rest=True)
 
 _NSERVER = frozenset({"nserver"})
+_REPLAY = frozenset({"replay"})
 
 OPTIONS: tuple[Option, ...] = (
     Option("timeout_s", text.seconds, schemes=_NSERVER),
     Option("model", model_named, schemes=_NSERVER),
+    Option("order", text.one_of(ORDERS), schemes=_REPLAY),
+    Option("connection", text.path, schemes=_REPLAY),
     # around the stream, inside out
     Option("record", text.path, stream=_recorded),
+    Option("faults", lambda path: load_plan(Path(text.path(path))), stream=_faulty),
     # around the backend, inside out
 )

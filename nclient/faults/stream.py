@@ -8,12 +8,15 @@ that simulated time serves as well as real. A stream outlives no hang-up; its in
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.faults.faulty_line import FaultyLine, InTransit
-from nclient.faults.injector import Delivery
+from nclient.faults.injector import Delivery, total
 from nclient.transports.byte_stream import ByteStream, Deadline
+
+log = logging.getLogger(__name__)
 
 NAP_S = 0.05
 """The longest sleep at once, so that a close from another thread is soon seen."""
@@ -32,6 +35,7 @@ class FaultyStream:
         self._sleep = sleep
         self._coming = InTransit()
         self._over: str | None = None
+        self._closed = False
 
     def send(self, data: bytes) -> None:
         """Send what the plan leaves of it, as late as the plan wants. Raises ConnectionLost."""
@@ -58,7 +62,10 @@ class FaultyStream:
                 self._wait_until(self._coming.next_s, deadline.remaining())
 
     def close(self) -> None:
-        """Let go; what waits in `receive` ends with ConnectionLost."""
+        """Let go; what waits in `receive` ends with ConnectionLost. The counts so far stand in the log."""
+        if not self._closed:
+            self._closed = True
+            log.info("faults on %s so far: %s", self._line.injector.line, dict(total(self._line.injector.counts)))
         self._over = self._over or "this end has closed the connection"
         self._stream.close()
 

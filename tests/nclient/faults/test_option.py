@@ -1,0 +1,87 @@
+"""`faults=FILE` in an address: the plan is read before anything is opened, and put around what the program sees."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+from pathlib import Path
+
+import pytest
+from answering import ScriptedServer
+
+from nclient import connect
+from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
+from nclient.protocol.commands import Call
+from nclient.transports.memory import MemoryStream
+
+schemes = importlib.import_module("nclient.schemes")
+
+PLAN = """
+[[rule]]
+name = "no sonars"
+do = "nak"
+direction = "request"
+command = "get_sn"
+first = 1
+[[rule]]
+name = "deaf"
+do = "drop"
+command = "vm"
+line = "nserver"
+[[rule]]
+name = "elsewhere"
+do = "drop"
+line = "serial"
+"""
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> ScriptedServer:
+    """Who answers at the other end of what would be a socket."""
+    server = ScriptedServer()
+    monkeypatch.setattr(schemes, "TcpStream", lambda *_: MemoryStream(server))
+    return server
+
+
+def test_the_plan_stands_between_program_and_robot(
+    server: ScriptedServer, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    with caplog.at_level(logging.INFO), connect(f"nserver://lab/1?faults={path}") as robot:
+        with pytest.raises(RobotRefused, match="get_sn was refused: refused by the setup"):
+            robot.read_sonars()
+        robot.read_sonars()
+        with pytest.raises(ReplyTimeout):
+            robot.drive(translation_in_s=1)
+    assert [name for name in server.names() if name in ("get_sn", "vm")] == ["get_sn", "vm"]
+    assert "faults on nserver so far: {'nak': 1, 'drop': 1}" in caplog.text
+
+
+def test_a_wrong_plan_is_told_before_anything_is_opened(server: ScriptedServer, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("[[rule]]\ndo = 'drp'")
+    with pytest.raises(FaultPlanError, match=r"plan\.toml: rule 'rule 1': do: no kind of fault 'drp'"):
+        connect(f"nserver://lab/1?faults={path}")
+    with pytest.raises(FaultPlanError, match="cannot be read"):
+        connect(f"nserver://lab/1?faults={tmp_path / 'nowhere.toml'}")
+    with pytest.raises(AddressError, match="faults is the name of a file, not ''"):
+        connect("nserver://lab/1?faults=")
+    assert server.calls == []
+
+
+def test_counting_goes_on_when_the_connection_is_made_anew(server: ScriptedServer, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'gs'\nevery = 3")
+    opening = schemes.opening_of(f"nserver://lab/1?faults={path}", schemes.Wanted())
+    answered = []
+    for _ in range(6):
+        backend = opening.talk()
+        try:
+            answered.append(bool(backend.execute(Call("gs"))))
+        except ReplyTimeout:
+            answered.append(False)
+        backend.close()
+    assert answered == [True, True, False, True, True, False]
+    assert opening.kept["faults"].counts == {"rule 1": {"seen": 6, "drop": 2}}
+    assert server.closed == 6
