@@ -234,7 +234,8 @@ def _recorded(stream: ByteStream, path: str, opening: Opening) -> ByteStream:
 
 def _recording(path: Path, opening: Opening) -> ProgramsRecording:
     """Who answers in this process has a time of its own, which the robot's clock tells."""
-    what = Recorded(opening.address.without(_of_every_scheme()), opening.scheme.line, opening.model)
+    line = opening.kept["script"].line if "script" in opening.kept else opening.scheme.line
+    what = Recorded(opening.address.without(_of_every_scheme()), line, opening.model)
     if opening.scheme in (_IN_PROCESS, SCHEMES["replay"]):
         return ProgramsRecording(path, what)
     start_s = time.monotonic()

@@ -15,7 +15,7 @@ from nclient.protocol import serial_frame, tcp_frame
 from nclient.protocol.hello import HELLO_SIZE
 from nclient.protocol.models import Model
 from nclient.protocol.serial_frame import HOST_LIMIT, SerialFramer
-from nclient.protocol.tcp_frame import TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.tcp_frame import Refused, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.transcript import Transcript
 
 TCP, SERIAL, HELLO_FIRST = "tcp", "serial", "hello"
@@ -34,20 +34,23 @@ class Frame(NamedTuple):
 class Ears(Protocol):
     """The framers of a language, both ways."""
 
+    wide: bool
+    """Whether the client is known to be one of 64 bits."""
+
     def to_robot(self, data: bytes) -> list[Frame]: ...
     def to_host(self, data: bytes) -> list[Frame]: ...
 
 
-def ears_for(line: str) -> Ears:
-    """What cuts the frames of one of LINES."""
-    return _TcpEars() if line == TCP else _LineEars(line == HELLO_FIRST)
+def ears_for(line: str, model: Model) -> Ears:
+    """What cuts the frames of one of LINES. Only a model that has a mask says hello with it."""
+    return _TcpEars() if line == TCP else _LineEars(line == HELLO_FIRST and model.sends_mask)
 
 
 class Follower:
     """One connection, heard from outside. `line`: one of LINES."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self._ears = ears_for(line)
+        self._ears = ears_for(line, model)
         self._line, self._model = line, model
         self._transcript: Transcript | None = None
 
@@ -72,8 +75,7 @@ class Follower:
     def _whole(self) -> Transcript:
         """A transcript in the language that is spoken; whether words are of 64 bits shows in the first request."""
         if self._transcript is None:
-            wide = isinstance(self._ears, _TcpEars) and self._ears.wide
-            wire = ("tcp64" if wide else TCP) if self._line == TCP else SERIAL
+            wire = SERIAL if self._line != TCP else "tcp64" if self._ears.wide else TCP
             self._transcript = Transcript(wire, self._model)
         return self._transcript
 
@@ -84,31 +86,29 @@ class _TcpEars:
     def __init__(self) -> None:
         self._requests = TcpFramer(request_bounds)
         self._replies = TcpFramer(reply_bounds, wide=False)
-
-    @property
-    def wide(self) -> bool:
-        """Whether the client is known to be one of 64 bits."""
-        return bool(self._requests.wide)
+        self.wide = False
 
     def to_robot(self, data: bytes) -> list[Frame]:
-        found = self._cut(self._requests, data, reply=False)
-        self._replies.wide = self.wide
-        return found
+        items = self._requests.receive(data)
+        self.wide = self._replies.wide = bool(self._requests.wide)
+        return self._frames(items, reply=False)
 
     def to_host(self, data: bytes) -> list[Frame]:
-        return self._cut(self._replies, data, reply=True)
+        return self._frames(self._replies.receive(data), reply=True)
 
-    def _cut(self, framer: TcpFramer, data: bytes, reply: bool) -> list[Frame]:
+    def _frames(self, items: list[TcpFrame | Refused], reply: bool) -> list[Frame]:
         return [
             Frame(tcp_frame.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
-            if isinstance(item, tcp_frame.TcpFrame)
+            if isinstance(item, TcpFrame)
             else Frame(b"", item.reason)
-            for item in framer.receive(data)
+            for item in items
         ]
 
 
 class _LineEars:
     """Frames on a robot's own line, among whatever else comes there. `greets`: eleven bare bytes come first."""
+
+    wide = False
 
     def __init__(self, greets: bool) -> None:
         self._requests = SerialFramer(HOST_LIMIT)

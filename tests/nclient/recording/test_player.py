@@ -1,0 +1,239 @@
+"""A player says what the robot said, and names the place where a program leaves the recorded path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recorded import LP64
+
+from nclient import RecordingError, Robot, connect
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.hello import Hello, build_hello
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N150, N200
+from nclient.protocol.replies import Reply
+from nclient.protocol.terms import line_terms, tcp_terms
+from nclient.recording.log import Entry, Recording
+from nclient.recording.player import LOOSE, STRICT, PlayedPeer, Player
+from nclient.recording.script import Asked, Piece, script_of
+from nclient.schemes import Wanted, opening_of
+
+SIM = "sim:thesis_room?noisy=1&seed=8"
+
+
+def run(robot: Robot) -> list[tuple[int, ...]]:
+    """A run with all that State can show; what it saw."""
+    with robot:
+        seen = [robot.drive(translation_in_s=6, steering_deg_s=10), robot.wait_until_still(1), robot.read_sonars()]
+        seen += [robot.refresh() for _ in range(5)]
+        robot.say("on my way")
+        return [state.raw for state in seen]
+
+
+def test_a_run_is_played_as_it_was_with_no_robot_there(tmp_path: Path) -> None:
+    path = tmp_path / "a run.log"
+    seen = run(connect(f"{SIM}&record={path}"))
+    assert run(connect(f"replay:{path}")) == seen
+    assert run(connect(f"replay:{str(path).replace(' ', '%20')}?order=loose")) == seen
+
+
+def test_a_played_run_can_be_recorded_and_is_the_same(tmp_path: Path) -> None:
+    run(connect(f"{SIM}&record={tmp_path}/one.log"))
+    run(connect(f"replay:{tmp_path}/one.log?record={tmp_path}/two.log"))
+    one, two = ((tmp_path / name).read_text().splitlines() for name in ("one.log", "two.log"))
+    assert one[1:] == two[1:]
+
+
+def test_who_asks_for_something_else_is_told_where(tmp_path: Path) -> None:
+    run(connect(f"{SIM}&record={tmp_path}/run.log"))
+    robot = connect(f"replay:{tmp_path}/run.log")
+    with pytest.raises(RecordingError, match=r"log, line 7: recorded was `vm 60 100 0`, the program asks `pr 30 0 0`"):
+        robot.move(translation_in=3)
+    assert robot.closed
+
+
+def test_an_unknown_order_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="order is one of strict, loose"):
+        connect(f"replay:{tmp_path}/run.log?order=lose")
+
+
+def recording(*entries: Entry, **header: str) -> Recording:
+    return Recording("run.log", header, entries)
+
+
+def ask(name: str, *args: int, at: float = 0.0, connection: str = "") -> Entry:
+    return Entry(at, "out", connection, language.tcp_request(Call(name, args)), line=round(10 * at) + 2)
+
+
+def answer(name: str, x: int, at: float = 0.0, connection: str = "") -> Entry:
+    reply = Reply("state", {34: x}) if BY_NAME[name].tcp_reply.kind == "state" else Reply("simple", values=(x,))
+    return Entry(at, "in", connection, language.tcp_reply(BY_NAME[name], reply, tcp_terms(N150)))
+
+
+def asked(player: Player, name: str, *args: int) -> bytes:
+    return b"".join(piece.data for piece in player.answers(language.tcp_request(Call(name, args))))
+
+
+FED = recording(
+    ask("conf_tm", 5), answer("conf_tm", 0), ask("vm", 1, 2, 3), answer("vm", 1), ask("gs"), answer("gs", 2),
+    ask("gs"), answer("gs", 3), ask("st", at=0.5), answer("st", 4, at=0.75), ask("gs"), answer("gs", 5),
+)
+
+
+def test_what_kept_the_robot_fed_may_be_left_out() -> None:
+    player = Player(script_of(FED))
+    assert asked(player, "vm", 1, 2, 3) == answer("vm", 1).data
+    assert asked(player, "gs") == answer("gs", 2).data
+    assert player.answers(language.tcp_request(Call("st"))) == [Piece(0.25, answer("st", 4).data)]
+    assert player.left == 1
+    with pytest.raises(RecordingError, match=r"run.log, line 2: recorded was `gs`, the program asks `st`"):
+        asked(player, "st")
+    assert asked(player, "gs") == answer("gs", 5).data
+    with pytest.raises(RecordingError, match=r"run.log: it ends here, and the program asks `gs`; record a longer run"):
+        asked(player, "gs")
+    assert asked(player, "disconnect_robot", 1, 77) == b"", "leaving is always allowed"
+
+
+def test_strict_leaves_nothing_else_out() -> None:
+    with pytest.raises(RecordingError, match="line 2: recorded was `vm 1 2 3`, the program asks `vm 1 2 4`"):
+        asked(Player(script_of(FED)), "vm", 1, 2, 4)
+    with pytest.raises(RecordingError, match="recorded was `vm 1 2 3`, the program asks `st`"):
+        asked(Player(script_of(FED)), "st")
+
+
+def test_loose_answers_as_the_next_like_it() -> None:
+    player = Player(script_of(FED), LOOSE)
+    assert asked(player, "gs") == answer("gs", 2).data
+    assert asked(player, "st") == answer("st", 4).data
+    with pytest.raises(RecordingError, match=r"run.log: `vm 1 2 3` was not asked again from line 2 on"):
+        asked(player, "vm", 1, 2, 3)
+
+
+def test_process_ids_do_not_count_and_pieces_do_not_matter() -> None:
+    player = Player(script_of(recording(ask("connect_robot", 3, 4711), answer("connect_robot", 7019))))
+    request = language.tcp_request(Call("connect_robot", (3, 5)))
+    assert player.answers(request[:5]) == []
+    assert player.answers(request[5:])[0].data == answer("connect_robot", 7019).data
+    assert script_of(recording(ask("connect_robot", 3, 4711))).robot_id == 3
+    assert script_of(FED).robot_id == 1
+
+
+def test_a_program_that_piled_up_its_questions_is_played_one_by_one() -> None:
+    piled = Entry(0.0, "out", "", ask("gs").data + ask("disconnect_robot", 1, 1).data + ask("st").data, line=2)
+    both = Entry(0.5, "in", "", answer("gs", 1).data + answer("st", 2).data[:9])
+    rest = Entry(0.7, "in", "", answer("st", 2).data[9:])
+    player = Player(script_of(recording(piled, both, rest)))
+    assert player.answers(ask("gs").data) == [Piece(0.5, answer("gs", 1).data)]
+    assert asked(player, "disconnect_robot", 1, 1) == b""
+    assert player.answers(ask("st").data) == [Piece(0.7, answer("st", 2).data)]
+
+
+def test_what_was_refused_is_refused_again() -> None:
+    unknown = b"\x00\x63\x00\x00"
+    refusal = language.tcp_reply(BY_NAME["gs"], Reply("error", values=(1,)), tcp_terms(N150))
+    bad = b"\x00\x27\x00\x04" + bytes(16)
+    script = script_of(recording(
+        Entry(0, "out", "", unknown, line=2), Entry(0, "in", "", refusal),
+        Entry(0, "out", "", bad, line=4), Entry(0, "in", "", answer("gs", 1).data),
+    ))
+    player = Player(script)
+    assert player.answers(unknown) == [Piece(0, refusal)]
+    with pytest.raises(RecordingError, match=r"line 4: recorded was `ws 0 0 0 0`, the program asks bytes that are no"):
+        player.answers(unknown)
+    assert str(Asked("ct", tuple(EVERYTHING.smask))) == "`ct`"
+
+
+def test_calls_that_make_no_sense_are_told_apart_by_their_bytes() -> None:
+    def odd(mark: int) -> bytes:
+        return b"\x01\x2c\x00\x04" + bytes((0xFF, 0xFF, 0xFF, 0xFF)) * 3 + bytes((0, 0, 0, mark))
+
+    (found,) = script_of(recording(Entry(0, "out", "", odd(1), line=2))).exchanges
+    assert found.asked.wrong
+    with pytest.raises(RecordingError, match="bytes that are no call"):
+        Player(script_of(recording(Entry(0, "out", "", odd(1), line=2)))).answers(odd(2))
+
+
+def test_a_client_of_64_bits() -> None:
+    wire = [(bytes.fromhex(e["request"]), bytes.fromhex(e.get("reply", ""))) for e in LP64["exchanges"]]
+    entries = [Entry(0, kind, "", data) for pair in wire for kind, data in zip(("out", "in"), pair, strict=True)]
+    player = Player(script_of(recording(*entries)))
+    assert [b"".join(p.data for p in player.answers(request)) for request, _ in wire] == [reply for _, reply in wire]
+
+
+LINE_STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}), line_terms(N150))
+LINE_GS = language.line_request(Call("gs"), line_terms(N150))
+
+
+def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() -> None:
+    entries = [
+        Entry(0, "open", "1", more={"wire": "serial", "model": "n150"}), Entry(0, "in", "1", b"\xee\xee"),
+        Entry(1.0, "out", "1", b"\x55" + LINE_GS), Entry(1.1, "in", "1", LINE_STATE[:9]),
+        Entry(1.3, "in", "1", LINE_STATE[10:]), Entry(2.0, "out", "1", LINE_GS), Entry(3.0, "out", "1", LINE_GS),
+        Entry(3.1, "in", "1", LINE_STATE), Entry(4, "close", "1"),
+    ]
+    player = Player(script_of(recording(*entries)))
+    assert player.greeting == [Piece(0.0, b"\xee\xee")]
+    first, second = player.answers(LINE_GS)
+    assert (first.data, second.data) == (LINE_STATE[:9], LINE_STATE[10:])
+    assert [first.after_s, second.after_s] == pytest.approx([0.1, 0.3])
+    assert player.answers(b"\x77\x01") == []
+    assert player.answers(LINE_GS) == []
+    assert [piece.data for piece in player.answers(LINE_GS)] == [LINE_STATE]
+
+
+def test_eleven_bytes_come_first() -> None:
+    hello = build_hello(Hello(EVERYTHING, 51))
+    header = {"wire": "hello", "model": "n200"}
+    script = script_of(recording(Entry(0, "in", "", hello), Entry(1, "out", "", LINE_GS), **header))
+    assert script.model is N200
+    peer = PlayedPeer(Player(script))
+    assert peer.receive() == hello
+    assert peer.receive() == b""
+    peer.send(LINE_GS)
+    assert peer.receive() == b""
+    peer.close()
+
+
+def test_one_of_several_connections(tmp_path: Path) -> None:
+    both = recording(
+        ask("gs", connection="a"), ask("gs", connection="b"), answer("gs", 2, connection="b"),
+        answer("gs", 1, connection="a"),
+    )
+    assert asked(Player(script_of(both)), "gs") == answer("gs", 1).data
+    assert asked(Player(script_of(both, "b"), STRICT), "gs") == answer("gs", 2).data
+    for _ in range(2):
+        run(connect(f"{SIM}&record={tmp_path}/run.log"))
+    assert run(connect(f"replay:{tmp_path}/run.log?connection=1"))
+    with pytest.raises(RecordingError, match="no connection '2'; there are 1"):
+        connect(f"replay:{tmp_path}/run.log?connection=2")
+
+
+@pytest.mark.parametrize(("broken", "told"), [
+    (recording(), "run.log: nothing was recorded in it"),
+    (recording(ask("gs"), wire="usb"), "a connection's wire is one of tcp, serial, hello, not 'usb'"),
+    (recording(ask("gs"), model="r2d2"), "run.log: no robot model 'r2d2'"),
+])
+def test_recordings_that_cannot_be_played(broken: Recording, told: str) -> None:
+    with pytest.raises(RecordingError, match=told):
+        script_of(broken)
+
+
+def test_each_time_it_is_opened_the_next_connection_is_played(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    taped = opening_of(f"{SIM}&record={path}", Wanted())
+    for turn in (1, 2):
+        backend = taped.backend()
+        backend.execute(Call("vm", (turn, 0, 0)))
+        backend.close()
+    played = opening_of(f"replay:{path}", Wanted())
+    for turn in (1, 2, 2):
+        backend = played.backend()
+        backend.execute(Call("vm", (turn, 0, 0)))
+        backend.close()
+
+
+def test_a_file_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be read"):
+        connect(f"replay:{tmp_path}/none.log")
