@@ -24,7 +24,7 @@ from nclient.recording.follower import TCP
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Acquaintance, Session
+from nserver_emu.server.session import Acquaintance, Host, Session
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class Connection(asyncio.BufferedProtocol):
         self._host = peer[0] if peer else ""
         name = f"{peer[0]}:{peer[1]}" if peer else "client"
         self.session = Session(
-            self._daemon.emulator.answer, name, lambda: self._daemon.acquaintances.get(self._host)
+            self._daemon.host.answer, name, lambda: self._daemon.acquaintances.get(self._host)
         )
         self._tape = self._daemon.recorder.open(name, TCP, N150)
         self._daemon.connections.add(self)
@@ -75,7 +75,7 @@ class Connection(asyncio.BufferedProtocol):
         if exc or self.session.unfinished:
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
-        self._daemon.emulator.leave(self.session.visit)
+        self._daemon.host.leave(self.session.visit)
         self._tape.close()
         self.session.closing = True
         log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
@@ -153,10 +153,12 @@ class Connection(asyncio.BufferedProtocol):
 
 class Daemon:
     """An Nserver on sockets. `speed`: simulated seconds a real second, None for as fast as it can; from then on the
-    emulator's pace says. `recorder` is told all that decides what the simulation does, in its order."""
+    emulator's pace says. `host`: who answers, where that is not the emulator itself. `recorder` is told all that
+    decides what the simulation does, in its order."""
 
-    def __init__(self, emulator: Emulator, speed: float | None = 1.0) -> None:
+    def __init__(self, emulator: Emulator, speed: float | None = 1.0, host: Host | None = None) -> None:
         self.emulator = emulator
+        self.host: Host = emulator if host is None else host
         self.recorder: AnyRecorder = OFF
         self.connections: set[Connection] = set()
         self.acquaintances: dict[str, Acquaintance] = {}
@@ -232,7 +234,7 @@ class Daemon:
             self._step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
         elif pace.asked_s:
             self._step_for_the_waiting(pace.asked_s)
-        self._tick()
+        self.tick()
 
     def _step_for_the_waiting(self, step_s: float) -> None:
         """In lockstep, who waits for ws or zr asks for time as long as the answer takes."""
@@ -240,13 +242,14 @@ class Daemon:
             if not any(connection.session.waiting for connection in self.connections):
                 return
             self._step(step_s)
-            self._tick()
+            self.tick()
 
     def _step(self, dt_s: float) -> None:
         self.recorder.stepped(dt_s)
         self.emulator.simulation.step(dt_s)
 
-    def _tick(self) -> None:
+    def tick(self) -> None:
+        """Answers that were to come later may be there."""
         for connection in tuple(self.connections):
             connection.tick()
 

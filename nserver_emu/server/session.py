@@ -20,7 +20,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from nclient.errors import WireError
 from nclient.protocol import language
@@ -58,6 +58,18 @@ Later = Callable[[], Reply | None]
 """An answer that is not there yet: ask again until it gives one."""
 Answer = Callable[[Call, Visit], Reply | Later]
 """Who answers: a reply, or a promise of one."""
+
+
+class Host(Protocol):
+    """Who answers all connections, and is told when one is gone."""
+
+    def answer(self, call: Call, visit: Visit) -> Reply | Later:
+        """What an Answer gives."""
+        ...
+
+    def leave(self, visit: Visit) -> None:
+        """The connection is gone; what it drove stops."""
+        ...
 
 
 class Acquaintance(NamedTuple):
