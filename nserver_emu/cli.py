@@ -26,7 +26,7 @@ from typing import TypeVar
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.log import read_recording
 from nserver_emu.server import snapshot
-from nserver_emu.server.daemon import LOOPBACK, REQUESTS_A_TURN, Daemon, stop_on_signals
+from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
 from nserver_emu.server.recording import Beginning, header
@@ -34,6 +34,7 @@ from nserver_emu.server.replay import replay
 from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Placed, Setting, pose_from_text
 from nserver_emu.server.setup_files import read_setups
 from nserver_emu.server.stage import Allowed
+from nserver_emu.server.talker import REQUESTS_A_TURN
 from nserver_emu.simulation.setup import SETUPS
 from worlds.files import load_world, world_names
 

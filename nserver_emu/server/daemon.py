@@ -1,7 +1,7 @@
-"""The daemon: sockets and the clock around sessions and the simulation. The only room here that knows either.
+"""The daemon: the clock around the simulation, and the doors that its clients come by.
 
-    Connection   one client's socket <-> its Session; answers a few requests a turn, so that nobody waits for another
     Daemon       listens, lets simulated time pass, stops cleanly
+    Connection   one client's socket (connection.py); a robot's own line is in lines.py
 
 Rules: no client can stop the daemon or stall another: a bounded number of requests a turn, reading stops while a
 client does not read its replies or waits for one, and whatever goes wrong in a session costs that connection only.
@@ -13,18 +13,17 @@ import asyncio
 import contextlib
 import logging
 import signal
-import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from nclient.errors import ConnectionLost
-from nclient.protocol.models import N150
-from nclient.recording.follower import TCP
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
+from nserver_emu.server.connection import Connection
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Acquaintance, Host, Session
+from nserver_emu.server.session import Acquaintance, Host
+from nserver_emu.server.talker import Talker
 
 log = logging.getLogger(__name__)
 
@@ -33,9 +32,6 @@ TICK_S = 0.01
 LONGEST_CATCH_UP_S = 0.25
 """Real time that is made up for when the machine was busy or asleep; the rest is lost to the simulation."""
 FAST_STEP_S = 0.1
-REQUESTS_A_TURN = 20
-READ_SIZE = 4096
-"""Bytes of one client that are looked at before it is the others' turn."""
 LOCKSTEPS_A_TURN = 100
 """Steps made at once for a client that waits in lockstep, before the others have their turn."""
 MOST_ACQUAINTANCES = 1000
@@ -44,111 +40,6 @@ LOOPBACK = "127.0.0.1"
 LOOPBACK_NAMES = (LOOPBACK, "localhost")
 HOST_NAME_LOOPBACK = "127.0.1.1"
 """Where Debian puts a machine's own host name, which old clients connect to when they are given no host."""
-
-
-class Connection(asyncio.BufferedProtocol):
-    """A client's socket."""
-
-    def __init__(self, daemon: Daemon) -> None:
-        self._daemon = daemon
-        self._loop = asyncio.get_running_loop()
-        self.blocked = False
-        self._inbox = bytearray(READ_SIZE)
-        self._turn: asyncio.Handle | None = None
-        self._met: Acquaintance | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        peer = transport.get_extra_info("peername")
-        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self._host = peer[0] if peer else ""
-        name = f"{peer[0]}:{peer[1]}" if peer else "client"
-        self.session = Session(
-            self._daemon.host.answer, name, lambda: self._daemon.acquaintances.get(self._host)
-        )
-        self._tape = self._daemon.recorder.open(name, TCP, N150)
-        self._daemon.connections.add(self)
-        log.info("%s: connected", self.session.name)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._daemon.connections.discard(self)
-        if exc or self.session.unfinished:
-            log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
-                        f": {exc}" if exc else "")
-        self._daemon.host.leave(self.session.visit)
-        self._tape.close()
-        self.session.closing = True
-        log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
-
-    def get_buffer(self, sizehint: int) -> bytearray:
-        del sizehint
-        return self._inbox
-
-    def buffer_updated(self, nbytes: int) -> None:
-        data = bytes(self._inbox[:nbytes])
-        self._tape.to_robot(data)
-        self.session.receive(data)
-        self._answer()
-
-    def pause_writing(self) -> None:
-        self.blocked = True
-        self._pace()
-
-    def resume_writing(self) -> None:
-        self.blocked = False
-        self._answer()
-
-    def tick(self) -> None:
-        """Time has passed: an answer may be there."""
-        if self.session.waiting:
-            self._guarded(self.session.tick)
-            self._answer()
-
-    def _answer(self) -> None:
-        if not self.blocked and self._turn is None:
-            self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
-        self._pace()
-
-    def _guarded(self, speak: Callable[[], bytes]) -> None:
-        asked = self.session.ready
-        try:
-            replies = speak()
-        except Exception:
-            log.exception("%s: closed because of a fault of ours", self.session.name)
-            self._transport.abort()
-            return
-        if asked or replies:
-            self._tape.to_host(replies)
-        if self.session.met != self._met:
-            self._met = self.session.met
-            self._daemon.remember(self._host, self._met)
-        if replies:
-            self._transport.write(replies)
-        if self.session.closing:
-            self._transport.close()
-
-    def _pace(self) -> None:
-        """Read on when what was read is answered; the rest of it gets its turn after the others'.
-
-        While an answer takes its time the reading goes on, up to a crowd, so that a client's leaving is seen.
-        """
-        ready = self.session.ready and not self.blocked
-        if ready and self._turn is None:
-            self._turn = self._loop.call_soon(self._next_turn)
-        if self._transport.is_closing():
-            return
-        if ready or self.blocked or self.session.crowded:
-            self._transport.pause_reading()
-        else:
-            self._transport.resume_reading()
-
-    def _next_turn(self) -> None:
-        self._turn = None
-        self._answer()
-
-    def close(self) -> None:
-        """Say nothing more."""
-        self._transport.close()
 
 
 class Daemon:
@@ -160,28 +51,31 @@ class Daemon:
         self.emulator = emulator
         self.host: Host = emulator if host is None else host
         self.recorder: AnyRecorder = OFF
-        self.connections: set[Connection] = set()
+        self.connections: set[Talker] = set()
         self.acquaintances: dict[str, Acquaintance] = {}
         self._servers: list[asyncio.Server] = []
         emulator.pace.factor = speed
 
     async def listen(self, host: str, port: int) -> int:
         """Open the door; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
-        loop = asyncio.get_running_loop()
+        port = await self.open_door(lambda: Connection(self), host, port, "--port")
+        if host in LOOPBACK_NAMES:
+            with contextlib.suppress(ConnectionLost):  # not every machine has it, and no client needs it but by name
+                await self.open_door(lambda: Connection(self), HOST_NAME_LOOPBACK, port, "--port")
+        self.emulator.port = port
+        return port
+
+    async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
+        """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
         try:
-            server = await loop.create_server(lambda: Connection(self), host, port)
+            server = await asyncio.get_running_loop().create_server(who, host, port)
         except OSError as error:
             raise ConnectionLost(
                 f"cannot listen on {host}:{port}: {error.strerror or error}; is another nserver running? "
-                "--port 0 takes a free port"
+                f"{option} 0 takes a free port"
             ) from error
         self._servers.append(server)
-        port = server.sockets[0].getsockname()[1]
-        if host in LOOPBACK_NAMES:
-            with contextlib.suppress(OSError):  # not every machine has it, and no client needs it but by host name
-                self._servers.append(await loop.create_server(lambda: Connection(self), HOST_NAME_LOOPBACK, port))
-        self.emulator.port = port
-        return port
+        return int(server.sockets[0].getsockname()[1])
 
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
@@ -210,7 +104,7 @@ class Daemon:
             try:
                 before_close()
             finally:
-                await self._close()
+                await self.close()
         if clock.done() and not clock.cancelled():
             clock.result()
 
@@ -253,7 +147,8 @@ class Daemon:
         for connection in tuple(self.connections):
             connection.tick()
 
-    async def _close(self) -> None:
+    async def close(self) -> None:
+        """Close everything. Twice is fine."""
         for server in self._servers:
             server.close()
         for connection in tuple(self.connections):

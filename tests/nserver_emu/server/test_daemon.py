@@ -21,11 +21,12 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.daemon import MOST_ACQUAINTANCES, REQUESTS_A_TURN, Daemon, stop_on_signals
+from nserver_emu.server.daemon import MOST_ACQUAINTANCES, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.session import Acquaintance
 from nserver_emu.server.stage import Allowed
+from nserver_emu.server.talker import REQUESTS_A_TURN
 
 GS = language.tcp_request(Call("gs"))
 

@@ -24,13 +24,14 @@ from nclient.recording.stream import RecordingStream
 from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
 from nserver_emu.server import snapshot
-from nserver_emu.server.daemon import REQUESTS_A_TURN, Daemon
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.in_process import open_address
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.recording import Beginning, beginning_of, header
 from nserver_emu.server.replay import replay
 from nserver_emu.server.setting import Setting, pose_from_text
 from nserver_emu.server.stage import Allowed
+from nserver_emu.server.talker import REQUESTS_A_TURN
 
 LOCKSTEP = Beginning(Setting(noisy=True, seed=5), Pace(lockstep_s=0.1), Allowed())
 THREE = Setting(

@@ -1,0 +1,94 @@
+"""One client's socket and the session behind it: an Nserver's client here, a robot's own line in lines.py."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections.abc import Callable
+from typing import TYPE_CHECKING, cast
+
+from nclient.protocol.models import N150
+from nclient.recording.follower import TCP
+from nserver_emu.server.session import Acquaintance, Session
+from nserver_emu.server.talker import READ_SIZE, Talker
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
+
+log = logging.getLogger(__name__)
+
+
+class Connection(Talker, asyncio.BufferedProtocol):
+    """A client's socket."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        super().__init__(daemon)
+        self._inbox = bytearray(READ_SIZE)
+        self._met: Acquaintance | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)
+        peer = transport.get_extra_info("peername")
+        transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        self._host = peer[0] if peer else ""
+        self._meet(f"{peer[0]}:{peer[1]}" if peer else "client")
+        self._daemon.connections.add(self)
+        log.info("%s: connected", self.session.name)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._silence()
+        self._daemon.connections.discard(self)
+        if exc or self.session.unfinished:
+            log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
+                        f": {exc}" if exc else "")
+        self._daemon.host.leave(self.session.visit)
+        self._tape.close()
+        self.session.closing = True
+        log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        del sizehint
+        return self._inbox
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self._came(bytes(self._inbox[:nbytes]))
+
+    def pause_writing(self) -> None:
+        self.blocked = True
+        self._pace()
+
+    def resume_writing(self) -> None:
+        self.blocked = False
+        self._answer()
+
+    def close(self) -> None:
+        self._transport.close()
+
+    def _meet(self, name: str) -> None:
+        """Begin the conversation."""
+        self.session = Session(self._daemon.host.answer, name, lambda: self._daemon.acquaintances.get(self._host))
+        self._tape = self._daemon.recorder.open(name, TCP, N150)
+
+    def _guarded(self, speak: Callable[[], bytes]) -> None:
+        super()._guarded(speak)
+        if self.session.met != self._met:
+            self._met = self.session.met
+            self._daemon.remember(self._host, self._met)
+
+    def _send(self, data: bytes) -> None:
+        self._transport.write(data)
+
+    def _listen(self, on: bool) -> None:
+        if self._transport.is_closing():
+            return
+        if on:
+            self._transport.resume_reading()
+        else:
+            self._transport.pause_reading()
+
+    def _hang_up(self) -> None:
+        self._transport.close()
+
+    def _abort(self) -> None:
+        self._transport.abort()

@@ -1,0 +1,148 @@
+"""One who talks with the server or with a robot, whatever port it comes by: its session asked a few requests a turn.
+
+    port ──> cable ──> session ──> cable ──> port        no cable: bytes pass in no time, as over TCP
+
+Rules: nobody waits for another: so many requests a turn, the rest after the others' turn; what goes wrong in a session
+costs that connection only. The port's own ways are its class's: Connection (TCP), SerialLine (a pseudo-terminal).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from nclient.recording.recorder import OFF, Tape
+from nserver_emu.server.cable import Cable
+from nserver_emu.server.session import Conversation
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
+
+log = logging.getLogger(__name__)
+
+REQUESTS_A_TURN = 20
+READ_SIZE = 4096
+"""Bytes of one client that are looked at before it is the others' turn."""
+
+
+class Talker(ABC):
+    """See the head of this file. `session` and `_tape` are there once the port is open."""
+
+    session: Conversation[Any]
+
+    def __init__(self, daemon: Daemon, cable: Cable | None = None) -> None:
+        self._daemon = daemon
+        self._loop = asyncio.get_running_loop()
+        self._cable = cable
+        self._tape: Tape = OFF
+        self.blocked = False
+        """Whether what is said is not taken at present."""
+        self._turn: asyncio.Handle | None = None
+        self._alarm: asyncio.TimerHandle | None = None
+        self._moment_s: float | None = None
+
+    def tick(self) -> None:
+        """Time has passed: an answer may be there."""
+        if self.session.waiting or self.session.unfinished:
+            self._guarded(self.session.tick)
+            self._answer()
+
+    def _came(self, data: bytes) -> None:
+        """Bytes from the port."""
+        if self._cable is None:
+            self._heard(data)
+            return
+        self._cable.to_robot(data, self._loop.time())
+        self._deliver()
+
+    def _say(self, data: bytes) -> None:
+        if self._cable is None:
+            self._send(data)
+            return
+        self._cable.to_host(data, self._loop.time() if self._moment_s is None else self._moment_s)
+        self._deliver()
+
+    def _heard(self, data: bytes) -> None:
+        self._tape.to_robot(data)
+        self.session.receive(data)
+        self._answer()
+
+    def _answer(self) -> None:
+        if not self.blocked and self._turn is None:
+            self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
+        self._pace()
+
+    def _guarded(self, speak: Callable[[], bytes]) -> None:
+        asked = self.session.ready
+        try:
+            replies = speak()
+        except Exception:
+            log.exception("%s: closed because of a fault of ours", self.session.name)
+            self._abort()
+            return
+        if asked or replies:
+            self._tape.to_host(replies)
+        if replies:
+            self._say(replies)
+        if self.session.closing:
+            self._hang_up()
+
+    def _pace(self) -> None:
+        """Read on when what was read is answered; the rest of it gets its turn after the others'.
+
+        While an answer takes its time the reading goes on, up to a crowd, so that a client's leaving is seen.
+        """
+        ready = self.session.ready and not self.blocked
+        if ready and self._turn is None:
+            self._turn = self._loop.call_soon(self._next_turn)
+        full = self._cable is not None and self._cable.full
+        self._listen(not (ready or self.blocked or full or self.session.crowded))
+
+    def _next_turn(self) -> None:
+        self._turn = None
+        self._answer()
+
+    def _deliver(self) -> None:
+        """What has come through the cable, to where it goes; for what is still on its way an alarm is set."""
+        cable = self._cable
+        while cable is not None and (arrival := cable.arrived(self._loop.time())):
+            if arrival.to_robot:
+                self._moment_s = arrival.at_s
+                self._heard(arrival.data)
+                self._moment_s = None
+            else:
+                self._send(arrival.data)
+        if self._alarm is not None:
+            self._alarm.cancel()
+        due_s = None if cable is None else cable.due_s
+        self._alarm = None if due_s is None else self._loop.call_at(due_s, self._deliver)
+
+    def _silence(self) -> None:
+        """Nothing more comes through the cable, and nobody gets a turn."""
+        for handle in (self._turn, self._alarm):
+            if handle is not None:
+                handle.cancel()
+        self._turn = self._alarm = None
+
+    @abstractmethod
+    def _send(self, data: bytes) -> None:
+        """Give these to the port; what it cannot take at once is the port's own matter."""
+
+    @abstractmethod
+    def _listen(self, on: bool) -> None:
+        """Read from the port, or let it wait."""
+
+    @abstractmethod
+    def _hang_up(self) -> None:
+        """End the connection, once what was said is sent."""
+
+    @abstractmethod
+    def _abort(self) -> None:
+        """End the connection now."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Say nothing more, for the daemon ends."""
