@@ -15,7 +15,7 @@ import logging
 import re
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from importlib.metadata import version
@@ -25,6 +25,11 @@ from typing import TypeVar
 
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.log import read_recording
+from nserver_emu.gateway import options as real_options
+from nserver_emu.gateway.gateway import Gateway
+from nserver_emu.gateway.keeping import kept
+from nserver_emu.gateway.options import model_of, reached
+from nserver_emu.gateway.side import RealSide
 from nserver_emu.server import snapshot
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
@@ -32,7 +37,7 @@ from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
 from nserver_emu.server.recording import Beginning, header
 from nserver_emu.server.replay import replay
 from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Placed, Setting, pose_from_text
-from nserver_emu.server.setup_files import read_setups
+from nserver_emu.server.setup_files import OldSetup, read_setups
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
 from nserver_emu.simulation.setup import SETUPS
@@ -58,6 +63,7 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args([_as_value(_as_long_option(word)) for word in words])
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
+    real_options.refuse(parser, options)
     logging.basicConfig(
         level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -79,10 +85,16 @@ def main(argv: list[str] | None = None) -> int:
 
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
+    with reached(options) as sides:
+        return await _serve_with(sides, setups, options)
+
+
+async def _serve_with(sides: Mapping[int, RealSide], setups: OldSetup, options: argparse.Namespace) -> int:
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
-    beginning = _beginning(options, setups.robot or READY_MODELS[0])
+    beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
     emulator = beginning.emulator()
-    daemon = Daemon(emulator, options.speed)
+    gateway = Gateway(emulator, sides, shadow=options.shadow)
+    daemon = Daemon(emulator, options.speed, gateway)
     stop = asyncio.Event()
     stop_on_signals(stop)
     if options.save:
@@ -92,7 +104,8 @@ async def _serve(options: argparse.Namespace) -> int:
         daemon.record(options.record, header(beginning, _now(), port=port, requests_a_turn=REQUESTS_A_TURN))
     host = f"[{options.bind}]" if ":" in options.bind else options.bind
     print(f"listening nserver {host}:{port}", flush=True)
-    await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
+    async with kept(gateway, daemon, options.shadow_every):
+        await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
     return 0
 
 
@@ -199,6 +212,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--setup", choices=tuple(SETUPS), default="",
                         help="how real: ideal, noisy, or measured (sonars like a Polaroid ring, compass errs too)")
     parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
+    real_options.add_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")

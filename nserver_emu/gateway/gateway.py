@@ -14,6 +14,7 @@ import logging
 from collections.abc import Mapping
 from functools import partial
 
+from nclient.errors import AddressError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.following import Follower
@@ -30,15 +31,22 @@ REAL, SIMULATED = "real_robot", "simulated_robot"
 
 
 class Gateway:
-    """`sides`: the real ones, by the numbers of their robots; `shadow`: whether the simulated ones follow them."""
+    """`sides`: the real ones, by the numbers of their robots; `shadow`: whether the simulated ones follow them.
+
+    Raises AddressError where the simulated robot of a number is of another model than the real one.
+    """
 
     def __init__(self, emulator: Emulator, sides: Mapping[int, RealSide], *, shadow: bool = False) -> None:
         self.sides = sides
         self._emulator = emulator
-        for robot_id, side in sides.items() if shadow else ():
-            simulated = partial(self._simulated, robot_id)
-            side.follower = Follower(emulator.answer, simulated, robot_id, side.robot.link)
-            side.refresh()
+        for robot_id, side in sides.items():
+            simulated, link = partial(self._simulated, robot_id), side.robot.link
+            if simulated().model.family != link.model.name:
+                raise AddressError(f"robot {robot_id} is a {simulated().model.family} in the simulation and really a "
+                                   f"{link.model.name}; model= in the address and --robot must say the same")
+            if shadow:
+                side.follower = Follower(emulator.answer, simulated, robot_id, link)
+                side.refresh()
 
     def answer(self, call: Call, visit: Visit) -> Reply | Later:
         """The reply to a call, or a promise of it: from the real robot, where the connection's robot is one."""

@@ -84,6 +84,7 @@ class RealRobot:
         self._row: deque[Ticket] = deque()
         self._refreshing: Ticket | None = None
         self._pause_s = 0.0
+        self._lost = False
         self._changed = threading.Condition()
         self._ending = False
         self._thread: threading.Thread | None = None
@@ -140,8 +141,10 @@ class RealRobot:
         return 0.0
 
     def close(self, *last_words: Call) -> None:
-        """Say the last words, if the robot still listens, and leave. Nothing else is said any more."""
+        """Say the last words, if the robot still listens, and leave. Nothing else is said any more. Twice is fine."""
         with self._changed:
+            if self._ending:
+                return
             self._fail_all()
             if not self.silent:
                 self._row.extend(Ticket((call,)) for call in last_words)
@@ -192,18 +195,20 @@ class RealRobot:
             self._fail_all()
 
     def _recover(self) -> bool:
-        """Try to reach it; first at once, for a line that lost one answer and is there."""
+        """Try to reach it; first at once, for a line that lost one answer and is there. Else it may have been off."""
         try:
-            again = self._backend.closed
-            if again:
+            if self._backend.closed:
+                self._lost = True
                 self._backend = self._opens()
+            if self._lost:
                 self._settle(again=True)
             self._backend.execute(REFRESH)
         except NomadError as error:
+            self._lost = True
             self._pause_s = min(max(2 * self._pause_s, FIRST_PAUSE_S), LONGEST_PAUSE_S)
             log.info("the real robot is still silent, next attempt in %g s: %s", self._pause_s, error)
             return False
-        self.silent = False
+        self.silent = self._lost = False
         log.warning("the real robot answers again")
         self.news()
         return True

@@ -132,9 +132,14 @@ class RealSide:
         if link.masks:
             yield Call("ct", EVERYTHING.with_position(self._position).smask)
 
+    @property
+    def last_words(self) -> tuple[Call, ...]:
+        """What a robot is told in the end: to stop, if it may be moved from here."""
+        return () if self.ownership.read_only else (STOP,)
+
     def close(self) -> None:
-        """Stop the robot, if it may be moved from here, and let it go."""
-        self.robot.close(*(() if self.ownership.read_only else (STOP,)))
+        """Stop the robot and let it go. Twice is fine."""
+        self.robot.close(*self.last_words)
         self.catch_up()
 
     def _submit(self, calls: tuple[Call, ...], meant: Call | None = None) -> Ticket:

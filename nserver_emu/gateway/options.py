@@ -1,0 +1,102 @@
+"""The command line of the gateway: its options, what does not go together, and the way to the robot they name.
+
+    nserver --real serial:///dev/ttyUSB0?model=n150 --max-speed 8 --shadow --shadow-report shadow.json
+
+Rules: the address is any that `connect` takes. What wrappers of the address would do on their own the gateway does
+itself: time-out, feeding and reconnecting are switched off there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from nclient.backends.backend import Backend
+from nclient.schemes import Wanted, opening_of
+from nserver_emu.gateway import report
+from nserver_emu.gateway.side import RealSide
+
+ROBOT_ID: Final = 1
+"""The robot whose real side --real names."""
+SUMMARY_S: Final = 60.0
+_OWN: Final = ("tm_s", "feed", "reconnect")
+_NEED_REAL: Final = ("real_read_only", "max_speed", "max_turn", "shadow")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of a gateway, in a group of their own."""
+    group = parser.add_argument_group("a real robot behind the server")
+    group.add_argument("--real", metavar="ADDRESS",
+                       help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
+                       "clients switch with real_robot and simulated_robot, real to begin with")
+    group.add_argument("--real-read-only", action="store_true",
+                       help="refuse (ERROR 5) all that would move or change the real robot; st works")
+    group.add_argument("--max-speed", type=_speed, metavar="IN_S", help="no faster than that, in inches a second")
+    group.add_argument("--max-turn", type=_speed, metavar="DEG_S",
+                       help="steering and turret no faster than that, in degrees a second")
+    group.add_argument("--shadow", action="store_true",
+                       help="let the simulation do what the real robot does, and log how far they differ")
+    group.add_argument("--shadow-report", type=Path, metavar="FILE",
+                       help="write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
+    group.add_argument("--shadow-every", type=_speed, default=SUMMARY_S, metavar="S",
+                       help=f"seconds from one logged summary to the next (default {SUMMARY_S:g})")
+
+
+def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Wrong usage: what makes no sense without a real robot, or with one."""
+    options.shadow = options.shadow or options.shadow_report is not None
+    for name in _NEED_REAL if options.real is None else ():
+        if getattr(options, name):
+            parser.error(f"--{name.replace('_', '-')} is about a real robot: name it with --real ADDRESS")
+    if options.real is not None:
+        if options.lockstep is not None:
+            parser.error("a real robot does not wait for clients: --lockstep and --real do not go together")
+        if options.record is not None:
+            parser.error("what a real robot answers cannot be computed again: record its line instead, with "
+                         "record=FILE in the address of --real")
+
+
+@contextlib.contextmanager
+def reached(options: argparse.Namespace) -> Iterator[dict[int, RealSide]]:
+    """The real sides by number: the robot of --real, if there is one; in the end stopped, let go, and reported on.
+
+    Raises what `connect` raises, and RecordingError where the report cannot be written.
+    """
+    if options.real is None:
+        yield {}
+        return
+    side = RealSide(_opener(options), time.monotonic, read_only=options.real_read_only)
+    try:
+        yield {ROBOT_ID: side}
+    finally:
+        side.close()
+    if side.follower is not None and options.shadow_report is not None:
+        report.write(side.follower.shadow, options.real, options.shadow_report)
+
+
+def model_of(sides: Mapping[int, RealSide]) -> str | None:
+    """The model of the real robot; None where there is none."""
+    return sides[ROBOT_ID].robot.link.model.name if sides else None
+
+
+def _opener(options: argparse.Namespace) -> Callable[[], Backend]:
+    """The way to the robot, the same one each time. An option of the address wins over one of the command line."""
+    opening = opening_of(options.real, Wanted())
+    caps = {"max_speed_in_s": options.max_speed, "max_turn_deg_s": options.max_turn}
+    opening.values = {**caps, **opening.values, **dict.fromkeys(_OWN)}
+    return opening.backend
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"a number above 0, not {text!r}")
+    return value
