@@ -23,6 +23,16 @@ class FaultyLine:
         self.injector = injector
         self._language = language
 
+    @property
+    def asking(self) -> bool:
+        """Whether a part of a request is kept that is not whole yet."""
+        return self._language.requests.pending > 0
+
+    @property
+    def patience_s(self) -> float | None:
+        """How long a part of a request may be kept; None: as long as it takes."""
+        return self._language.patience_s
+
     def request(self, data: bytes, now_s: float, whole: bool = False) -> list[Delivery]:
         """What arrives of bytes to the robot. `whole`: they end with a frame, so that none of them is kept back."""
         frames = self._language.requests
@@ -61,6 +71,8 @@ class InTransit:
     """Deliveries on their way: each arrives when its delay is over, and none before the one sent ahead of it."""
 
     def __init__(self) -> None:
+        self.size = 0
+        """Bytes on their way."""
         self._queue: deque[tuple[float, Delivery]] = deque()
 
     @property
@@ -75,10 +87,12 @@ class InTransit:
             if self._queue:
                 due_s = max(due_s, self._queue[-1][0])
             self._queue.append((due_s, delivery))
+            self.size += len(delivery.data)
 
-    def arrived(self, now_s: float) -> list[Delivery]:
-        """What has arrived by now, in order."""
-        found = []
-        while self._queue and self._queue[0][0] <= now_s:
-            found.append(self._queue.popleft()[1])
-        return found
+    def take(self, now_s: float) -> tuple[float, Delivery] | None:
+        """What has arrived next by now, and when it did; None: nothing more."""
+        if not self._queue or self._queue[0][0] > now_s:
+            return None
+        due_s, delivery = self._queue.popleft()
+        self.size -= len(delivery.data)
+        return due_s, delivery

@@ -30,6 +30,11 @@ class Piece(NamedTuple):
 class Frames(Protocol):
     """A stream in one direction, cut into pieces."""
 
+    @property
+    def pending(self) -> int:
+        """Bytes kept of a frame that is not whole yet."""
+        ...
+
     def receive(self, data: bytes) -> list[Piece]:
         """The pieces that these bytes complete, in order."""
         ...
@@ -46,6 +51,10 @@ class LineFrames:
         self._limit = limit
         self._bare = bare
         self._buffer = bytearray()
+
+    @property
+    def pending(self) -> int:
+        return len(self._buffer)
 
     def receive(self, data: bytes) -> list[Piece]:
         """As Frames says. The bare bytes at the start are one piece."""
@@ -112,6 +121,10 @@ class TcpFrames:
         self.wide = wide
         self._lost = False
         self._buffer = bytearray()
+
+    @property
+    def pending(self) -> int:
+        return len(self._buffer)
 
     def receive(self, data: bytes) -> list[Piece]:
         """As Frames says."""

@@ -27,6 +27,8 @@ class Language(Protocol):
 
     requests: Frames
     replies: Frames
+    patience_s: float | None
+    """How long a part of a request may be kept: on a line a frame may never become whole."""
 
     @property
     def nak(self) -> bytes:
@@ -50,6 +52,7 @@ class LineLanguage:
     """A robot's own line. `greets`: it begins with a hello, as an N200 does over TCP."""
 
     nak = LINE_NAK
+    patience_s: float | None = 0.25
 
     def __init__(self, greets: bool = False) -> None:
         self.requests: Frames = LineFrames(HOST_LIMIT)
@@ -72,6 +75,8 @@ class LineLanguage:
 
 class TcpLanguage:
     """Nserver's protocol. `wide`: whether the client is a 64-bit one, None until its CONNECT tells."""
+
+    patience_s: float | None = None
 
     def __init__(self, wide: bool | None = None) -> None:
         self.requests: Frames

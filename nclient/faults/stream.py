@@ -72,7 +72,8 @@ class FaultyStream:
     def _arrived(self) -> bytes:
         """What has come, up to where the connection ends."""
         data = b""
-        for delivery in self._coming.arrived(self._now()):
+        while arrived := self._coming.take(self._now()):
+            _, delivery = arrived
             data += delivery.data
             if delivery.hang_up:
                 self._hang_up()

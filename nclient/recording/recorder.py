@@ -61,6 +61,10 @@ class Recorder:
             self.write(TIME, "", 0.0)
         self._steps.append((dt_s, 1))
 
+    def paced(self, factor: float | None, paused: bool) -> None:
+        """Time goes otherwise from now on, by no request; State[0] shows it."""
+        self.write(TIME, "", 0.0, more={"pace": [factor, paused]})
+
     def write(
         self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
         decoded: tuple[dict[str, object], ...] = (), more: dict[str, object] | None = None,
@@ -115,6 +119,8 @@ class _Off:
     def to_host(self, data: bytes) -> None: ...
 
     def stepped(self, dt_s: float) -> None: ...
+
+    def paced(self, factor: float | None, paused: bool) -> None: ...
 
     def close(self) -> None: ...
 

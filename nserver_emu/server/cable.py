@@ -23,11 +23,12 @@ MOST_GIVEN_BACK_S: Final = 0.02
 
 
 class Arrival(NamedTuple):
-    """Bytes that came through, when they did, and to which end."""
+    """Bytes that came through, when they did, and to which end; and whether the connection ends with them."""
 
     at_s: float
     data: bytes
     to_robot: bool
+    hang_up: bool = False
 
 
 class Cable(Protocol):

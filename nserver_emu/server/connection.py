@@ -8,9 +8,10 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
+from nclient.faults.language import Language, TcpLanguage
 from nclient.protocol.models import N150
 from nclient.recording.follower import TCP
-from nserver_emu.server.session import Acquaintance, Session
+from nserver_emu.server.session import Acquaintance, Host, Session
 from nserver_emu.server.talker import READ_SIZE, Talker
 
 if TYPE_CHECKING:
@@ -22,8 +23,11 @@ log = logging.getLogger(__name__)
 class Connection(Talker, asyncio.BufferedProtocol):
     """A client's socket."""
 
+    line = "nserver"
+
     def __init__(self, daemon: Daemon) -> None:
         super().__init__(daemon)
+        self._behind: Host = daemon.host
         self._inbox = bytearray(READ_SIZE)
         self._met: Acquaintance | None = None
 
@@ -42,7 +46,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
         if exc or self.session.unfinished:
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
-        self._daemon.host.leave(self.session.visit)
+        self._behind.leave(self.session.visit)
         self._tape.close()
         self.session.closing = True
         log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
@@ -67,7 +71,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
 
     def _meet(self, name: str) -> None:
         """Begin the conversation."""
-        self.session = Session(self._daemon.host.answer, name, lambda: self._daemon.acquaintances.get(self._host))
+        self.session = Session(self._behind.answer, name, lambda: self._daemon.acquaintances.get(self._host))
         self._tape = self._daemon.recorder.open(name, TCP, N150)
 
     def _guarded(self, speak: Callable[[], bytes]) -> None:
@@ -75,6 +79,9 @@ class Connection(Talker, asyncio.BufferedProtocol):
         if self.session.met != self._met:
             self._met = self.session.met
             self._daemon.remember(self._host, self._met)
+
+    def _language(self) -> Language:
+        return TcpLanguage(None if self.session.met is None else self.session.met.wide)
 
     def _send(self, data: bytes) -> None:
         self._transport.write(data)

@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 import logging
 import signal
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from nclient.errors import ConnectionLost
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
 from nserver_emu.server.connection import Connection
+from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Acquaintance, Host
 from nserver_emu.server.talker import Talker
@@ -53,6 +55,9 @@ class Daemon:
         self.recorder: AnyRecorder = OFF
         self.connections: set[Talker] = set()
         self.acquaintances: dict[str, Acquaintance] = {}
+        self.faults = FaultDesk(time.monotonic)
+        self.places: dict[str, str] = {}
+        """Where each line is reached, by its name."""
         self._servers: list[asyncio.Server] = []
         emulator.pace.factor = speed
 
@@ -63,7 +68,24 @@ class Daemon:
             with contextlib.suppress(ConnectionLost):  # not every machine has it, and no client needs it but by name
                 await self.open_door(lambda: Connection(self), HOST_NAME_LOOPBACK, port, "--port")
         self.emulator.port = port
+        self.places[Connection.line] = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         return port
+
+    def lines(self) -> Mapping[str, str]:
+        """Where each line is reached, by its name."""
+        return self.places
+
+    def visitors(self) -> list[dict[str, Any]]:
+        """Who is connected: the name, the robot's number, whether it waits for an answer, how much it was refused."""
+        return [
+            {"name": session.name, "robot": session.visit.robot_id, "waiting": session.waiting,
+             "refused": session.refused}
+            for session in (talker.session for talker in self.connections)
+        ]  # fmt: skip
+
+    def paced(self) -> None:
+        """The emulator's pace was changed by who may, not by a client."""
+        self.recorder.paced(self.emulator.pace.factor, self.emulator.pace.paused)
 
     async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
@@ -121,11 +143,11 @@ class Daemon:
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.pace
         if pace.runs_alone and pace.factor is None:
-            self._step(FAST_STEP_S)
+            self.step(FAST_STEP_S)
         elif pace.runs_alone and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
-            self._step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
+            self.step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
         elif pace.asked_s:
             self._step_for_the_waiting(pace.asked_s)
         self.tick()
@@ -135,10 +157,11 @@ class Daemon:
         for _ in range(LOCKSTEPS_A_TURN):
             if not any(connection.session.waiting for connection in self.connections):
                 return
-            self._step(step_s)
+            self.step(step_s)
             self.tick()
 
-    def _step(self, dt_s: float) -> None:
+    def step(self, dt_s: float) -> None:
+        """Let simulated time pass."""
         self.recorder.stepped(dt_s)
         self.emulator.simulation.step(dt_s)
 

@@ -80,6 +80,8 @@ class _DaemonAgain:
         for dt_s, count in entry.more.get("steps", ()):
             for _ in range(count):
                 self._emulator.simulation.step(dt_s)
+        if "pace" in entry.more:
+            self._emulator.pace.factor, self._emulator.pace.paused = entry.more["pace"]
         match entry.kind:
             case "open":
                 self._open(entry)

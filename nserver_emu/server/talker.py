@@ -14,8 +14,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from nclient.faults.language import Language
 from nclient.recording.recorder import OFF, Tape
 from nserver_emu.server.cable import Cable
+from nserver_emu.server.faulty_cable import FaultyCable
 from nserver_emu.server.session import Conversation
 
 if TYPE_CHECKING:
@@ -32,11 +34,14 @@ class Talker(ABC):
     """See the head of this file. `session` and `_tape` are there once the port is open."""
 
     session: Conversation[Any]
+    line: str
+    """What a plan of faults calls this line."""
 
     def __init__(self, daemon: Daemon, cable: Cable | None = None) -> None:
         self._daemon = daemon
         self._loop = asyncio.get_running_loop()
         self._cable = cable
+        self._faulty = False
         self._tape: Tape = OFF
         self.blocked = False
         """Whether what is said is not taken at present."""
@@ -52,6 +57,7 @@ class Talker(ABC):
 
     def _came(self, data: bytes) -> None:
         """Bytes from the port."""
+        self._plug_in_faults()
         if self._cable is None:
             self._heard(data)
             return
@@ -59,6 +65,7 @@ class Talker(ABC):
         self._deliver()
 
     def _say(self, data: bytes) -> None:
+        self._plug_in_faults()
         if self._cable is None:
             self._send(data)
             return
@@ -109,7 +116,10 @@ class Talker(ABC):
         """What has come through the cable, to where it goes; for what is still on its way an alarm is set."""
         cable = self._cable
         while cable is not None and (arrival := cable.arrived(self._loop.time())):
-            if arrival.to_robot:
+            if arrival.hang_up:
+                log.info("%s: hung up on purpose", self.session.name)
+                self._hang_up()
+            elif arrival.to_robot:
                 self._moment_s = arrival.at_s
                 self._heard(arrival.data)
                 self._moment_s = None
@@ -120,12 +130,24 @@ class Talker(ABC):
         due_s = None if cable is None else cable.due_s
         self._alarm = None if due_s is None else self._loop.call_at(due_s, self._deliver)
 
+    def _plug_in_faults(self) -> None:
+        """From the first plan that acts on this line on, its faults lie between port and session."""
+        desk, line = self._daemon.faults, self.line
+        if self._faulty or self.session.unfinished or not desk.acts_on(line):
+            return
+        self._faulty = True
+        self._cable = FaultyCable(self._language(), lambda: desk.injector(line), self._cable)
+
     def _silence(self) -> None:
         """Nothing more comes through the cable, and nobody gets a turn."""
         for handle in (self._turn, self._alarm):
             if handle is not None:
                 handle.cancel()
         self._turn = self._alarm = None
+
+    @abstractmethod
+    def _language(self) -> Language:
+        """What is spoken here, for a plan of faults to know its frames; between two frames."""
 
     @abstractmethod
     def _send(self, data: bytes) -> None:

@@ -32,6 +32,15 @@ def told(deliveries: list[Delivery]) -> bytes:
     return b"".join(delivery.data for delivery in deliveries)
 
 
+def drained(transit: InTransit, now_s: float) -> list[int]:
+    found = []
+    while arrived := transit.take(now_s):
+        at_s, delivery = arrived
+        assert at_s <= now_s
+        found.append(delivery.data[0])
+    return found
+
+
 def line_request(name: str, *args: int) -> bytes:
     return language.line_request(Call(name, args), line_terms(N150))
 
@@ -96,7 +105,10 @@ def test_what_is_no_whole_frame_is_kept_until_it_is_asked_for() -> None:
     line = faulty(DropByte(0), "gs", LineLanguage())
     request = line_request("gs")
     assert line.request(request[:-1], 0.0) == []
+    kept = [line.asking]
     assert told(line.rest_of_request(0.0)) == request[:-1]
+    assert [*kept, line.asking] == [True, False]
+    assert (line.patience_s, faulty(Drop(), "gs", TcpLanguage()).patience_s) == (0.25, None)
     assert told(line.request(request[:-1], 0.0, whole=True)) == request[:-1]
     assert line.reply(request[:-1], 0.0) == []
     assert told(line.rest_of_reply(0.0)) == request[:-1]
@@ -116,11 +128,13 @@ def test_nothing_overtakes_and_nothing_comes_early(steps: list[tuple[float, floa
     came: list[int] = []
     for number, (pause_s, delay_s) in enumerate(steps):
         now_s += pause_s
-        came += [delivery.data[0] for delivery in transit.arrived(now_s)]
+        came += drained(transit, now_s)
         transit.add([Delivery(delay_s, bytes((number,)))], now_s)
         due.append(max([now_s + delay_s, *due]))
         assert transit.next_s == (due[len(came)] if len(came) <= number else None)
         assert all(due[k] <= now_s for k in came)
-    came += [delivery.data[0] for delivery in transit.arrived(10_000.0)]
+    assert transit.size == len(steps) - len(came)
+    came += drained(transit, 10_000.0)
+    assert transit.size == 0
     assert came == list(range(len(steps)))
     assert transit.next_s is None

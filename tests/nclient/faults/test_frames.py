@@ -66,6 +66,7 @@ def test_bytes_before_the_first_frame_are_one_piece() -> None:
     frame = build_frame(7)
     hello = bytes.fromhex("01080005640032800000ff")
     assert frames.receive(hello[:5]) == []
+    assert frames.pending == 5
     assert frames.receive(hello[5:] + frame) == [Piece(hello, None), Piece(frame, 7)]
 
 
@@ -99,6 +100,8 @@ def test_a_connect_tells_the_width(wide: bool, places: list[int]) -> None:
     connect = tcp_frame.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
     gs = tcp_frame.build_frame(15, b"", wide=wide)
     frames = TcpFrames(None)
+    frames.receive(b"")
+    assert frames.pending == 0
     assert pieces_of(frames, connect + gs, places) == [Piece(connect, 102), Piece(gs, 15)]
     assert frames.wide is wide
 

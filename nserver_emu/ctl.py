@@ -1,0 +1,165 @@
+"""`nserver ctl`: says one thing to a daemon that runs, over its control socket, and shows the answer.
+
+    nserver ctl [--control PATH] [--json] COMMAND [ARGUMENT]
+
+Rules: files are read here and named by their whole path, since the daemon may stand in another folder. Exit codes:
+0 done, 1 refused or nobody there (the reason on stderr), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.faults.plan_file import read_plan
+from nserver_emu.server.control import BY_NAME, COMMANDS
+from nserver_emu.server.control_socket import default_path
+
+PATIENCE_S: Final = 30.0
+_CHUNK: Final = 65536
+_GROUPS: Final = frozenset(row.name.partition(" ")[0] for row in COMMANDS if " " in row.name)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run `nserver ctl` with these arguments; the exit code."""
+    parser = _parser()
+    options = parser.parse_args(argv)
+    name, argument = _command(parser, options.words)
+    path = options.control or default_path(os.environ)
+    try:
+        said = ask(path, name, _argument(name, argument))
+    except NomadError as error:
+        print(f"nserver ctl: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(said, indent=2) if options.json else "\n".join(shown(said)))
+    return 0
+
+
+def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:
+    """What a daemon says to a command. Raises ConnectionLost where none answers, ControlError where it refuses."""
+    request = json.dumps({"command": name, "argument": argument}).encode() + b"\n"
+    answer = b""
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            line.settimeout(PATIENCE_S)
+            line.connect(str(path))
+            line.sendall(request)
+            while not answer.endswith(b"\n"):
+                piece = line.recv(_CHUNK)
+                if not piece:
+                    raise ConnectionLost(f"the daemon at {path} hung up; its own stderr says why")
+                answer += piece
+    except (TimeoutError, OSError) as error:
+        if isinstance(error, ConnectionLost):
+            raise
+        raise ConnectionLost(
+            f"no daemon answers at {path} ({error.strerror or error}); start it with nserver --control, "
+            "or say where it is: nserver ctl --control PATH"
+        ) from error
+    told = json.loads(answer)
+    if not told["ok"]:
+        raise ControlError(told["error"])
+    said: dict[str, Any] = told["said"]
+    return said
+
+
+def shown(said: dict[str, Any]) -> Iterator[str]:
+    """An answer for people to read."""
+    if "plan" in said:
+        yield said["plan"].rstrip()
+    elif "counts" in said:
+        yield from _counts(said["counts"])
+    elif "commands" in said:
+        yield from _rows({f"{name} {argument}".strip(): about for name, (argument, about) in said["commands"].items()})
+    elif "robots" in said:
+        yield from _status(said)
+    elif "time_s" in said:
+        yield _time(said)
+    else:
+        yield ", ".join(f"{name}: {value}" for name, value in said.items())
+
+
+def _status(said: dict[str, Any]) -> Iterator[str]:
+    yield f"nserver {said['version']}, {said['world']}, seed {said['seed']}"
+    yield _time(said)
+    for robot in said["robots"]:
+        touched = f", bumpers {robot['bumpers']:#x}" if robot["bumpers"] else ""
+        yield (
+            f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
+            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}"
+        )
+    for name, place in said["lines"].items():
+        yield f"line {name}: {place}"
+    for client in said["connections"]:
+        whose = "no robot yet" if client["robot"] is None else f"robot {client['robot']}"
+        yield f"client {client['name']}: {whose}, {client['refused']} refused{', waiting' if client['waiting'] else ''}"
+    struck = ", ".join(f"{kind} {count}" for kind, count in said["faults"]["struck"].items())
+    yield f"faults: {said['faults']['rules']} rules{f', so far {struck}' if struck else ''}"
+
+
+def _time(said: dict[str, Any]) -> str:
+    if said["paused"]:
+        pace = "paused"
+    elif said["lockstep_s"] is not None:
+        pace = f"lockstep, {said['lockstep_s']:g} s a request"
+    else:
+        pace = "as fast as it can" if said["speed"] == "max" else f"{said['speed']:g} x real time"
+    return f"time {said['time_s']:.3f} s, {pace}"
+
+
+def _counts(counts: dict[str, dict[str, dict[str, int]]]) -> Iterator[str]:
+    if not counts:
+        yield "no faults"
+    for line, rules in counts.items():
+        for rule, tally in rules.items():
+            yield f"{line}, {rule}: " + ", ".join(f"{kind} {count}" for kind, count in tally.items())
+
+
+def _rows(rows: dict[str, str]) -> Iterator[str]:
+    width = max(map(len, rows))
+    for left, right in rows.items():
+        yield f"{left:{width}}  {right}"
+
+
+def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, str | None]:
+    """The command among the words, and its argument."""
+    length = 2 if words[0] in _GROUPS else 1
+    name, arguments = " ".join(words[:length]), words[length:]
+    if name not in BY_NAME:
+        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}")
+    wanted = BY_NAME[name].argument
+    if len(arguments) != bool(wanted):
+        parser.error(f"{name} takes {wanted or 'no argument'}, not {' '.join(arguments) or 'nothing'}")
+    return name, arguments[0] if arguments else None
+
+
+def _argument(name: str, given: str | None) -> object:
+    """The argument as it is sent. Raises FaultPlanError for a plan that cannot be read."""
+    match name, given:
+        case "faults set", str():
+            return {"file": given, "text": read_plan(Path(given))}
+        case "save", str():
+            return str(Path(given).absolute())
+        case _:
+            return given
+
+
+def _parser() -> argparse.ArgumentParser:
+    commands = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
+    parser = argparse.ArgumentParser(
+        prog="nserver ctl",
+        description="Say something to a daemon that was started with --control.",
+        epilog=f"commands:\n{commands}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--control", type=Path, metavar="PATH", help="the daemon's socket (default: the user's own)")
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+    parser.add_argument("words", nargs="+", metavar="COMMAND", help="see below")
+    return parser
