@@ -5,6 +5,7 @@
     ├── ConnectionLost (ConnectionError)   the other end is gone, or was never there
     ├── ReplyTimeout (TimeoutError)        the other end is there and silent
     ├── RobotRefused                       an answer, and it is no: ERROR or NAK, with the command
+    ├── BumperHit                          a bumper touched while the robot moved, and it was stopped (bumper_stop=1)
     ├── WireError (ValueError)             bytes that are no message, or values that no message can carry
     ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
@@ -64,6 +65,27 @@ class RobotRefused(NomadError):
 
     def __reduce__(self) -> tuple[type[RobotRefused], tuple[str, int | None, str]]:
         return type(self), (self.command, self.code, self.reason)
+
+    @property
+    def is_nak(self) -> bool:
+        """Whether the robot said no on its own line; the C library takes that for done."""
+        return self.code is None and not self.reason
+
+
+class BumperHit(NomadError):
+    """A bumper began to touch while the robot moved, and st was sent at once; only where bumper_stop=1 is asked for.
+
+    `command` is the C name of the call that was answered so; `bumpers` the numbers of those that touch.
+    """
+
+    def __init__(self, command: str, bumpers: tuple[int, ...]) -> None:
+        self.command = command
+        self.bumpers = bumpers
+        numbers = ", ".join(map(str, bumpers))
+        super().__init__(f"{command}: bumper {numbers} touches; the robot was told to stop")
+
+    def __reduce__(self) -> tuple[type[BumperHit], tuple[str, tuple[int, ...]]]:
+        return type(self), (self.command, self.bumpers)
 
 
 class WireError(NomadError, ValueError):

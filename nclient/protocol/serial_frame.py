@@ -17,6 +17,8 @@ from nclient.errors import WireError
 START, END = 0x01, 0x5C
 _OVERHEAD = 4
 _SMALLEST_LENGTH = 2
+SMALLEST_FRAME = _OVERHEAD + _SMALLEST_LENGTH
+"""A frame without data."""
 HOST_LIMIT = 255
 """Hosts send less than 256 bytes a frame."""
 ROBOT_LIMIT = 5174
@@ -46,8 +48,8 @@ def only_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
     size = _OVERHEAD + int.from_bytes(data[1:3], "little")
     if len(data) < max(3, size):
         raise WireError(f"truncated: {len(data)} bytes of a frame of {size if len(data) > 2 else 'unknown length'}")
-    if not _OVERHEAD + _SMALLEST_LENGTH <= size <= limit:
-        raise WireError(f"a frame has {_OVERHEAD + _SMALLEST_LENGTH} to {limit} bytes, not {size}")
+    if not SMALLEST_FRAME <= size <= limit:
+        raise WireError(f"a frame has {SMALLEST_FRAME} to {limit} bytes, not {size}")
     if len(data) > size:
         raise WireError(f"{len(data) - size} bytes behind the frame: {data[size:][:8].hex()}")
     if data[-1] != END:

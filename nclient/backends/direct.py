@@ -1,0 +1,251 @@
+"""A robot on its own line: the direct language over a stream of bytes, which is never clean.
+
+    ct, or the hello of a N200 over TCP ──> command ──> the answer of its type, a NAK, or silence ──> command ...
+
+Rules: a command goes out once, after the input was emptied. A bad answer or none is ReplyTimeout, and the
+conversation stays usable, as with the C library. But a late answer is never taken for another command's
+(docs/decisions/012): while an answer of a command's type is owed, a question of another type is asked first, and
+once that is answered nothing of before can come. What a model's line does not have is refused here and not sent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from nclient.backends.line import Line
+from nclient.backends.plausible import Plausibility
+from nclient.backends.statistics import LinkStatistics
+from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.protocol import language
+from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
+from nclient.protocol.hello import HELLO_SIZE, adopt, read_hello
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import Model
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import SerialFrame
+from nclient.protocol.terms import Terms, line_terms
+from nclient.transports.byte_stream import ByteStream, Deadline
+
+QUICK_S = 1.0
+"""How long a host waits for what a robot answers at once."""
+HELLO_S = 5.0
+_GREETINGS = 3
+_PROBES = ("get_ra", "get_rv", "get_rc", "get_bp", "get_sn")
+"""Questions that every model answers, each with a type of its own, the shortest first."""
+_SHAPING = ("ct", "conf_ls")
+"""Commands that change the shape of the answers after them."""
+_AT_ONCE = frozenset({"st", "lp"})
+_NO_ANSWER = Reply("none")
+
+
+class DirectBackend:
+    """A conversation with a robot on its own line. `hello`: it says eleven bytes first (a N200 over TCP).
+
+    `timeout_s`: for what is answered at once, 1 s where None; zr 120 s, ws its own time more, special packets 30 s.
+    `checks`: answers that cannot be true count as corrupt. Raises ReplyTimeout or ConnectionLost when greeting fails.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        model: Model,
+        *,
+        hello: bool = False,
+        timeout_s: float | None = None,
+        checks: bool = True,
+        link: LinkStatistics | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.timeout_s = QUICK_S if timeout_s is None else timeout_s
+        self._link = link or LinkStatistics()
+        self._line = Line(stream, self._link, clock)
+        self._terms = line_terms(model)
+        self._plausible = Plausibility(model) if checks else None
+        self._shaped: dict[str, Call] = {}
+        self._doubtful_shapes: set[str] = set()
+        self._over: str | None = None
+        try:
+            if hello:
+                self._adopt_hello()
+            self._greeting = None if hello else self._send_mask()
+        except BaseException:
+            self._finish("connecting failed")
+            raise
+
+    @property
+    def terms(self) -> Terms:
+        """Model, mask and laser mode of this conversation."""
+        return self._terms
+
+    @property
+    def greeting(self) -> Reply | None:
+        """The state that a N200 answered to its mask; the others are not asked anything."""
+        return self._greeting
+
+    @property
+    def port(self) -> int:
+        """What connect_robot of the C library gives back."""
+        return 1
+
+    @property
+    def closed(self) -> bool:
+        """Whether the conversation is over."""
+        return self._over is not None
+
+    @property
+    def link(self) -> LinkStatistics:
+        """What the line has been through."""
+        return self._link
+
+    def execute(self, call: Call) -> Reply:
+        """The answer to a call. Raises ReplyTimeout, RobotRefused, WireError and stays usable, or ConnectionLost."""
+        if self._over is not None:
+            raise ConnectionLost(f"{call.name}: {self._over}; connect again")
+        row = language.row_named(call.name)
+        if row.name == "place_robot":
+            x, y, steering, turret = call.args
+            self.execute(Call("dp", (x, y)))
+            return self.execute(Call("da", (steering, turret)))
+        if row.name == "disconnect_robot":
+            self.close()
+            return _NO_ANSWER
+        self._refuse(row)
+        request = language.line_request(call, self._terms)
+        try:
+            self._settle(row, request)
+            return self._ask(row, call, request)
+        except ConnectionLost as error:
+            self._finish(str(error))
+            raise ConnectionLost(f"{row.name}: {self._over}") from error
+
+    def close(self) -> None:
+        """Leave; there is no word for it. What is in `execute` on another thread gets ConnectionLost."""
+        self._finish("this side closed the line")
+
+    def _finish(self, why: str) -> None:
+        if self._over is None:
+            self._over = why
+            self._line.close()
+
+    # one exchange
+
+    def _refuse(self, row: Command) -> None:
+        """What this model's line does not have is not sent."""
+        model = self._terms.model
+        if row.line_type is None:
+            raise RobotRefused(row.name, None, "exists only on an Nserver, not on a robot's own line")
+        if not on_line(row, model):
+            raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
+
+    def _ask(self, row: Command, call: Call, request: bytes) -> Reply:
+        before, shaped = self._terms.copy(), self._shaped.get(row.name)
+        self._agree(call)
+        frame = self._exchange(row, request, self._patience_s(row, call))
+        if frame.type == NAK_TYPE:
+            self._link.naks += 1
+            self._disagree(row.name, before, shaped)
+            raise RobotRefused(row.name, None)
+        reply = self._believed(row, frame)
+        self._doubtful_shapes.discard(row.name)
+        self._line.took()
+        return reply
+
+    def _exchange(self, row: Command, request: bytes, patience_s: float) -> SerialFrame:
+        assert row.line_type is not None
+        try:
+            return self._line.ask(row.line_type, request, patience_s)
+        except ReplyTimeout as error:
+            raise self._failed(f"{row.name}: {error}") from None
+
+    def _believed(self, row: Command, frame: SerialFrame) -> Reply:
+        """The reply in a frame. Raises ReplyTimeout for one that does not fit, or that cannot be true."""
+        try:
+            reply = language.read_line_reply(frame, self._terms)
+        except WireError as error:
+            self._link.misfits += 1
+            self._doubtful_shapes.update(self._shaped)
+            raise self._failed(f"{row.name} was answered by what does not fit it: {error}") from None
+        doubt = self._plausible.doubt(reply) if self._plausible else ""
+        if doubt:
+            self._link.implausible += 1
+            raise self._failed(f"{row.name}: the answer cannot be true, {doubt}; checks=0 turns such checks off")
+        return reply
+
+    def _failed(self, why: str) -> ReplyTimeout:
+        self._link.timeouts += 1
+        return ReplyTimeout(why)
+
+    def _patience_s(self, row: Command, call: Call) -> float:
+        own_s = float(call.args[3]) if row.name == "ws" else 0.0
+        return own_s + (self.timeout_s if row.line_timeout_s <= QUICK_S else max(self.timeout_s, row.line_timeout_s))
+
+    # before it
+
+    def _settle(self, row: Command, request: bytes) -> None:
+        """See to it that no answer owed to an earlier command can pass for this one's, and what shape answers have."""
+        assert row.line_type is not None
+        if self._line.owes(row.line_type) and row.name in _AT_ONCE:
+            self._line.send(row.line_type, request)
+        self._see_off(row, row)
+        for name in sorted(self._doubtful_shapes - {row.name}, key=_SHAPING.index):
+            again, shaping = self._shaped[name], language.row_named(name)
+            self._see_off(shaping, row)
+            self._ask(shaping, again, language.line_request(again, self._terms))
+
+    def _see_off(self, row: Command, wanted: Command) -> None:
+        """While an answer like this row's is owed, ask something of a type that is not; after that none can come."""
+        if self._line.owes(row.line_type):
+            self._line.empty_input()
+        if not self._line.owes(row.line_type):
+            return
+        probes = (language.row_named(name) for name in _PROBES)
+        probe = next((probe for probe in probes if not self._line.owes(probe.line_type)), None)
+        try:
+            if probe is None:
+                self._line.wait_for_quiet()
+            else:
+                self._exchange(probe, language.line_request(Call(probe.name), self._terms), self.timeout_s)
+                self._line.took()
+        except ReplyTimeout as error:
+            raise ReplyTimeout(
+                f"{wanted.name} was held back, since a late answer could have passed for its own: {error}"
+            ) from None
+
+    # what is agreed
+
+    def _send_mask(self) -> Reply | None:
+        """ct to a N200; N150 and Scout have a fixed mask and are told nothing."""
+        if not self._terms.model.sends_mask:
+            return None
+        for _ in range(_GREETINGS - 1):
+            try:
+                return self.execute(Call("ct", EVERYTHING.smask))
+            except ReplyTimeout:
+                continue
+        return self.execute(Call("ct", EVERYTHING.smask))
+
+    def _adopt_hello(self) -> None:
+        data = self._line.receive_bare(HELLO_SIZE, Deadline.after(HELLO_S))
+        if len(data) < HELLO_SIZE:
+            raise ReplyTimeout(f"a N200 says {HELLO_SIZE} bytes first, and {len(data)} came; is it another model?")
+        adopt(read_hello(data), self._terms)
+        self._shaped["ct"] = Call("ct", self._terms.mask.smask)
+
+    def _agree(self, call: Call) -> None:
+        """A call is about to go out: what it changes, it may change though no answer comes."""
+        language.note(call, self._terms)
+        if self._plausible:
+            self._plausible.note(call)
+        if call.name in _SHAPING:
+            self._shaped[call.name] = call
+            self._doubtful_shapes.add(call.name)
+
+    def _disagree(self, name: str, before: Terms, shaped: Call | None) -> None:
+        """The robot refused: all is as it was."""
+        self._line.took()
+        self._terms = before
+        self._doubtful_shapes.discard(name)
+        self._shaped.pop(name, None)
+        if shaped is not None:
+            self._shaped[name] = shaped

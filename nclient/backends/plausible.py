@@ -1,0 +1,127 @@
+"""Whether an answer can be true: the second net behind the checksum, whose eight bits let a few wrong frames through.
+
+    ranges    angles and compass 0..3599, sonars 0 (dead) or 6..255 in, bumper bits at rest, motor bits, speeds
+    changes   the clock goes forward; position, angles and battery no further than a robot gets in that time; no more
+              sonars changed than fired (where conf_sn has said how fast they do)
+
+Rules: pure; the robot's clock is the only time. A check must not shut out a robot that is odd: answers of one kind
+that fail three times in a row are the robot's way and not the line's, and are believed until one passes again. The
+same heals a clock that was reset and a robot that somebody carried away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from nclient.protocol.commands import Call
+from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT
+from nclient.protocol.models import SONAR_RATE_STEP_S, Model
+from nclient.protocol.replies import MOTOR_SLOT, Reply
+from nclient.protocol.units import FULL_TURN_TENTHS
+
+BELIEVED_AFTER = 3
+"""Doubtful answers of one kind in a row."""
+_ANGLES = {36: "steering", 37: "turret", COMPASS_SLOT: "compass"}
+_PLACE = (34, 35)
+_SONARS = range(17, 33)
+_MOVED = {"dp": range(34, 38), "da": range(34, 38), "zr": range(34, 38), "conf_sn": _SONARS}
+"""What a command sets, so that it is no jump."""
+_VELOCITIES = range(38, 41)
+_NEAREST_IN, _DEAD = 6, 0
+_TOP_RATE = 2000
+"""1/10 in/s and 1/10 deg/s: four times what any model does."""
+_TURRET_MOTORS, _SCOUT_MOTORS = 0x07, 0x7F
+_LONGEST_PAUSE_MS = 600_000
+"""The clock may jump so far: a program that slept ten minutes asks once more."""
+_WORD = 1 << 32
+_REACH = (60, 600)
+"""1/10 in that a position may differ, and more a second; a Scout does 390."""
+_SWING = (100, 1000)
+_SCOUT_SWING = (100, 4000)
+"""1/10 degree that an angle may differ, and more a second; the turret does 450, a Scout 3290."""
+_VOLT_STEP = 64
+"""Steps of 1/255 that a battery byte may differ: 1.8 V, what starting motors cost."""
+_MS = 1000
+
+
+class _Seen(NamedTuple):
+    """What was believed last."""
+
+    clock: int
+    slots: dict[int, int]
+    volts: tuple[int, int] | None
+
+
+class Plausibility:
+    """Judges the answers of one robot, in order."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._swing = _SWING if model.has_turret else _SCOUT_SWING
+        self._motors = _TURRET_MOTORS if model.has_turret else _SCOUT_MOTORS
+        self._seen: _Seen | None = None
+        self._firing_ms: float | None = None
+        self._doubted: dict[str, int] = {}
+
+    def note(self, call: Call) -> None:
+        """A request went out: what it moves without driving is no jump."""
+        moved = _MOVED.get(call.name)
+        if moved is not None and self._seen is not None:
+            kept = {slot: value for slot, value in self._seen.slots.items() if slot not in moved}
+            self._seen = self._seen._replace(slots=kept)
+        if call.name == "conf_sn":
+            self._firing_ms = max(1, call.args[0]) * SONAR_RATE_STEP_S * _MS
+
+    def doubt(self, reply: Reply) -> str:
+        """What cannot be true of an answer; "" for one to believe."""
+        found = next(self._doubts(reply), "")
+        count = self._doubted[reply.kind] = self._doubted.get(reply.kind, 0) + 1 if found else 0
+        if found and count < BELIEVED_AFTER:
+            return found
+        if reply.clock is not None:
+            slots = {**self._seen.slots, **reply.slots} if self._seen else dict(reply.slots)
+            self._seen = _Seen(reply.clock, slots, reply.volts or (self._seen.volts if self._seen else None))
+        return ""
+
+    def _doubts(self, reply: Reply) -> Iterator[str]:
+        yield from self._out_of_range(reply)
+        if self._seen is not None and reply.clock is not None:
+            passed_ms = (reply.clock - self._seen.clock) % _WORD
+            if passed_ms > _LONGEST_PAUSE_MS:
+                yield f"the clock goes from {self._seen.clock} to {reply.clock} ms"
+            yield from self._jumps(reply, self._seen, passed_ms)
+
+    def _out_of_range(self, reply: Reply) -> Iterator[str]:
+        for slot, value in reply.slots.items():
+            if slot in _ANGLES and not 0 <= value < FULL_TURN_TENTHS:
+                yield f"{_ANGLES[slot]} {value} is no angle in 1/10 degree"
+            elif slot in _SONARS and _DEAD < value < _NEAREST_IN:
+                yield f"sonar {slot - 17} reads {value}, and none reads below {_NEAREST_IN} in"
+            elif slot in _VELOCITIES and abs(value) > _TOP_RATE:
+                yield f"State[{slot}] is {value}, and no axis is that fast"
+            elif slot == BUMPER_SLOT and value & self._model.bumper_rest != self._model.bumper_rest:
+                yield f"bumper bits {value:06x} without those that always read 1"
+            elif slot == MOTOR_SLOT and value & ~self._motors:
+                yield f"motor status {value:02x} has bits that mean nothing"
+
+    def _jumps(self, reply: Reply, seen: _Seen, passed_ms: int) -> Iterator[str]:
+        for slot in reply.slots.keys() & seen.slots.keys():
+            step = abs(reply.slots[slot] - seen.slots[slot])
+            if slot in _PLACE and step > _way(_REACH, passed_ms):
+                yield f"State[{slot}] jumps from {seen.slots[slot]} to {reply.slots[slot]} in {passed_ms} ms"
+            elif slot in (36, 37) and min(step, FULL_TURN_TENTHS - step) > _way(self._swing, passed_ms):
+                yield f"{_ANGLES[slot]} jumps from {seen.slots[slot]} to {reply.slots[slot]} in {passed_ms} ms"
+        if self._firing_ms is not None:
+            known = reply.slots.keys() & seen.slots.keys() & set(_SONARS)
+            changed = sum(reply.slots[slot] != seen.slots[slot] for slot in known)
+            if changed > passed_ms / self._firing_ms + 2:
+                yield f"{changed} sonars changed in {passed_ms} ms, and one fires every {self._firing_ms:g}"
+        for old, new in zip(seen.volts or (), reply.volts or (), strict=False):
+            if abs(new - old) > _VOLT_STEP:
+                yield f"a battery byte goes from {old} to {new}"
+
+
+def _way(limit: tuple[int, int], passed_ms: int) -> float:
+    least, a_second = limit
+    return least + a_second * passed_ms / _MS

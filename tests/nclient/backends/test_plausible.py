@@ -1,0 +1,134 @@
+"""What no robot can have answered, and that a robot that is odd is believed in the end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from nclient.backends.plausible import Plausibility
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N150, SCOUT, Model
+from nclient.protocol.replies import Reply
+
+
+def state(clock: int = 1000, volts: tuple[int, int] = (200, 200), **changed: Any) -> Reply:
+    """A state packet of a N150 at rest, with some slots changed (s36=..)."""
+    slots = dict.fromkeys(range(17, 33), 50) | {33: 0xF00000} | dict.fromkeys((*range(34, 42), 43), 0)
+    return Reply("state", slots | {int(name[1:]): value for name, value in changed.items()}, clock=clock, volts=volts)
+
+
+@pytest.mark.parametrize(
+    ("changed", "doubt"),
+    [
+        ({"s36": 3599, "s37": 0}, ""),
+        ({"s36": 3600}, "steering 3600 is no angle"),
+        ({"s37": -1}, "turret -1"),
+        ({"s43": 4000}, "compass 4000"),
+        ({"s17": 0, "s18": 6, "s19": 255}, ""),
+        ({"s20": 5}, "sonar 3 reads 5"),
+        ({"s38": -2000}, ""),
+        ({"s40": 2001}, r"State\[40\] is 2001"),
+        ({"s33": 0xF00021}, ""),
+        ({"s33": 0x700021}, "bumper bits 700021"),
+        ({"s41": 7}, ""),
+        ({"s41": 8}, "motor status 08"),
+    ],
+)
+def test_ranges(changed: dict[str, Any], doubt: str) -> None:
+    found = Plausibility(N150).doubt(state(**changed))
+    assert found.startswith(doubt.replace("\\", ""))
+    assert bool(found) == bool(doubt)
+
+
+def test_a_scout_has_other_bits() -> None:
+    assert Plausibility(SCOUT).doubt(state(s33=0, s41=0x7F)) == ""
+    assert Plausibility(SCOUT).doubt(state(s33=0, s41=0x80))
+
+
+@pytest.mark.parametrize(
+    ("model", "after", "doubt"),
+    [
+        (N150, {"clock": 1000}, ""),
+        (N150, {"clock": 601_000}, ""),
+        (N150, {"clock": 601_001}, "the clock goes from 1000 to 601001"),
+        (N150, {"clock": 999}, "the clock goes from 1000 to 999"),
+        (N150, {"clock": 1100, "s34": 120}, ""),
+        (N150, {"clock": 1100, "s34": 121}, "State[34] jumps from 0 to 121 in 100 ms"),
+        (N150, {"clock": 2100, "s35": -720}, ""),
+        (N150, {"clock": 2100, "s35": -721}, "State[35] jumps"),
+        (N150, {"clock": 1100, "s36": 3400}, ""),
+        (N150, {"clock": 1100, "s36": 3399}, "steering jumps from 0 to 3399"),
+        (N150, {"clock": 1100, "s37": 201}, "turret jumps"),
+        (SCOUT, {"clock": 1100, "s36": 500}, ""),
+        (SCOUT, {"clock": 1100, "s36": 501}, "steering jumps"),
+        (N150, {"clock": 1100, "volts": (136, 255)}, ""),
+        (N150, {"clock": 1100, "volts": (200, 265)}, "a battery byte goes from 200 to 265"),
+        (N150, {"clock": 1100, "s17": 99, "s18": 98, "s19": 97, "s20": 96}, ""),
+    ],
+)
+def test_changes(model: Model, after: dict[str, Any], doubt: str) -> None:
+    checks = Plausibility(model)
+    rest: dict[str, Any] = {"s33": model.bumper_rest}
+    assert checks.doubt(state(**rest)) == ""
+    found = checks.doubt(state(**(rest | after)))
+    assert found.startswith(doubt)
+    assert bool(found) == bool(doubt)
+
+
+def test_the_clock_may_run_over() -> None:
+    checks = Plausibility(N150)
+    assert checks.doubt(state(clock=(1 << 32) - 10)) == ""
+    assert checks.doubt(state(clock=20)) == ""
+
+
+def test_sonars_change_no_faster_than_they_fire_once_conf_sn_has_said_how_fast() -> None:
+    checks = Plausibility(N150)
+    sixty: dict[str, Any] = {f"s{slot}": 60 for slot in range(17, 33)}
+    checks.doubt(state())
+    checks.note(Call("conf_sn", (15, *range(16))))
+    assert checks.doubt(state(1001, **sixty)) == ""
+    assert checks.doubt(state(1061, s17=61, s18=61, s19=61)) != ""
+    three = sixty | {"s17": 61, "s18": 61, "s19": 61}
+    assert checks.doubt(state(1061, **three)) == ""
+    assert checks.doubt(state(1061, **(three | {"s20": 61, "s21": 61, "s22": 61}))).startswith("3 sonars changed in 0")
+
+
+@pytest.mark.parametrize("name", ["dp", "da", "zr"])
+def test_what_is_set_is_no_jump(name: str) -> None:
+    checks = Plausibility(N150)
+    checks.note(Call(name))
+    checks.doubt(state())
+    checks.note(Call(name))
+    assert checks.doubt(state(1016, s34=5000, s36=1800)) == ""
+    assert checks.doubt(state(1032, s34=0)) != ""
+
+
+def test_a_question_without_a_clock_is_judged_by_its_ranges_alone() -> None:
+    checks = Plausibility(N150)
+    checks.doubt(state())
+    assert checks.doubt(Reply("configuration", {34: 9000, 35: 0, 36: 0, 37: 0})) == ""
+    assert checks.doubt(Reply("configuration", {34: 0, 35: 0, 36: 9000, 37: 0})) != ""
+    assert checks.doubt(Reply("sonar", dict.fromkeys(range(17, 33), 99), clock=1200)) == ""
+    assert checks.doubt(state(1200, s34=10)) == ""
+
+
+def test_a_robot_that_is_odd_is_believed_the_third_time_and_from_then_on() -> None:
+    checks = Plausibility(N150)
+    for clock in (1000, 1016):
+        assert checks.doubt(state(clock, s43=-1)).startswith("compass")
+        assert checks.doubt(Reply("velocity", {38: 0, 39: 0, 40: 0})) == ""
+    assert checks.doubt(state(1032, s43=-1)) == ""
+    assert checks.doubt(state(1048, s43=-2)) == ""
+    assert checks.doubt(state(1064)) == ""
+    assert checks.doubt(state(1080, s43=-1)) != ""
+
+
+def test_a_clock_that_began_anew_is_believed_the_third_time_and_is_then_the_measure() -> None:
+    checks = Plausibility(N150)
+    checks.doubt(state(90_000))
+    assert checks.doubt(state(10)) != ""
+    assert checks.doubt(state(26)) != ""
+    assert checks.doubt(state(42)) == ""
+    assert checks.doubt(state(58)) == ""
+    assert checks.doubt(state(40)) != ""
