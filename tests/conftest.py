@@ -7,3 +7,4 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
+sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "gateway"))

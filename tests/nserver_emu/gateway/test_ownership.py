@@ -23,7 +23,7 @@ def test_an_mv_is_what_its_modes_are(modes: tuple[int, int, int], moving: bool, 
 def test_whoever_moves_it_first_owns_it_and_the_others_watch_and_stop() -> None:
     owner, other, ownership = Visit(), Visit(), Ownership()
     assert ownership.allows(Call("sp", (1, 1, 1)), other)
-    assert ownership.owner is None
+    assert ownership.is_free_for(owner)
     assert ownership.allows(VM, owner)
     assert ownership.owner is owner
     assert not ownership.is_free_for(other)
