@@ -1,0 +1,158 @@
+"""What a daemon's owner may do: each command does it; what is asked wrongly changes nothing and says what is right."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from wire_client import ORIGIN, simulation
+
+from nclient.faults.kinds import Drop
+from nclient.faults.plan import Direction, Plan, Rule
+from nclient.faults.plan_file import plan_text
+from nserver_emu.server import snapshot
+from nserver_emu.server.control import BY_NAME, answer_line
+from nserver_emu.server.fault_desk import FaultDesk
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.pace import Pace
+
+PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
+
+
+class House:
+    """A daemon without a socket."""
+
+    def __init__(self, pace: Pace | None = None) -> None:
+        self.emulator = Emulator(simulation(seed=5), pace=pace)
+        self.faults = FaultDesk(lambda: 0.0)
+        self.paces: list[tuple[float | None, bool]] = []
+
+    def step(self, dt_s: float) -> None:
+        self.emulator.simulation.step(dt_s)
+
+    def paced(self) -> None:
+        self.paces.append((self.emulator.pace.factor, self.emulator.pace.paused))
+
+    def lines(self) -> Mapping[str, str]:
+        return {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
+
+    def visitors(self) -> list[dict[str, Any]]:
+        return [{"name": "127.0.0.1:1", "robot": 1, "waiting": False, "refused": 0}]
+
+    def told(self, request: object) -> dict[str, Any]:
+        line = request if isinstance(request, bytes) else json.dumps(request).encode()
+        answer = answer_line(self, line)
+        assert answer.endswith(b"\n")
+        assert answer.count(b"\n") == 1
+        whole: dict[str, Any] = json.loads(answer)
+        return whole
+
+    def said(self, command: str, argument: object = None) -> dict[str, Any]:
+        answer = self.told({"command": command, "argument": argument})
+        assert answer["ok"], answer
+        said: dict[str, Any] = answer["said"]
+        return said
+
+
+def test_a_look_at_everything() -> None:
+    house = House()
+    robot = house.emulator.simulation.robots[1]
+    robot.set_velocities(10.0, 0.0, 0.0)
+    house.step(1.0)
+    said = house.said("status")
+    assert (said["world"], said["seed"], said["time_s"], said["speed"], said["paused"]) == (
+        "thesis_room", 5, 1.0, 1.0, False,
+    )  # fmt: skip
+    (told,) = said["robots"]
+    assert (told["number"], told["model"], told["moving"], told["bumpers"]) == (1, "n150", True, 0)
+    assert (told["x_in"], told["y_in"]) == pytest.approx((robot.actual.x_in, robot.actual.y_in), abs=1e-3)
+    assert told["x_in"] > ORIGIN.x_in
+    assert told["steering_deg"] == pytest.approx(math.degrees(robot.actual.steering_rad), abs=0.01)
+    assert said["lines"] == {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
+    assert said["connections"][0]["name"] == "127.0.0.1:1"
+    assert said["faults"] == {"rules": 0, "struck": {}}
+
+
+def test_time_is_the_owners() -> None:
+    house = House()
+    assert house.said("pause") == {"time_s": 0.0, "speed": 1.0, "paused": True, "lockstep_s": None}
+    assert house.said("step", "0.5")["time_s"] == 0.5
+    assert house.said("step", 0.25)["time_s"] == 0.75
+    assert house.said("resume")["paused"] is False
+    assert house.said("speed", "10")["speed"] == 10.0
+    assert house.said("speed", "max")["speed"] == "max"
+    assert house.paces == [(1.0, True)] * 3 + [(1.0, False), (10.0, False), (None, False)]
+
+
+def test_in_lockstep_there_is_no_speed() -> None:
+    house = House(Pace(lockstep_s=0.1))
+    answer = house.told({"command": "speed", "argument": "2"})
+    assert (answer["ok"], "start nserver without --lockstep" in answer["error"]) == (False, True)
+    assert house.said("pause")["lockstep_s"] == 0.1
+
+
+def test_a_plan_comes_into_force_counts_and_goes() -> None:
+    house = House()
+    assert house.said("faults set", {"text": plan_text(PLAN), "file": "p.toml"}) == {"rules": 1}
+    assert house.faults.plan == PLAN
+    assert house.said("faults show") == {"plan": plan_text(PLAN)}
+    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    counts = {"nserver": {"it": {"seen": 0, "drop": 0}}, "serial:1": {"it": {"seen": 1, "drop": 1}}}
+    assert house.said("faults counts") == {"counts": counts}
+    assert house.said("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
+    assert house.said("faults clear") == {"counts": counts}
+    assert house.said("faults counts") == {"counts": {}}
+
+
+def test_the_simulation_is_saved(tmp_path: Path) -> None:
+    house = House()
+    house.step(2.0)
+    path = tmp_path / "now.json"
+    assert house.said("save", str(path)) == {"saved": str(path)}
+    again = Emulator(simulation())
+    snapshot.restore(again, path)
+    assert again.simulation.time_s == 2.0
+
+
+def test_the_commands_tell_of_themselves() -> None:
+    commands = House().said("help")["commands"]
+    assert list(commands) == list(BY_NAME)
+    assert commands["speed"][0] == "X"
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (b"what", 'a request is a line such as {"command"'),
+        (b"[]", "a request is a line"),
+        (b'"x"', "a request is a line"),
+        (b"{}", "a request is a line"),
+        (b"[" * 100_000, "a request is a line"),
+        ({"command": "puase"}, "no command 'puase'; there are status, .*; did you mean pause?"),
+        ({"command": 5}, "no command 5"),
+        ({"command": "speed"}, "speed wants X"),
+        ({"command": "speed", "argument": "fast"}, "speed: a number, or max from 0.1 to 100, not 'fast'"),
+        ({"command": "speed", "argument": 1000}, "from 0.1 to 100, not 1000"),
+        ({"command": "speed", "argument": True}, "not True"),
+        ({"command": "speed", "argument": [1]}, "not [1]"),
+        ({"command": "step", "argument": 61}, "step: seconds from 0 to 60, not 61"),
+        ({"command": "save", "argument": 5}, "save: the name of a file, not 5"),
+        ({"command": "save", "argument": "/nowhere/at/all"}, "cannot be written"),
+        ({"command": "faults set", "argument": "x"}, "faults set: the text of a plan"),
+        ({"command": "faults set", "argument": {}}, "faults set: the text of a plan"),
+        ({"command": "faults set", "argument": {"text": "x", "file": "p.toml"}}, "p.toml: is no TOML"),
+        ({"command": "faults set", "argument": {"text": "[[rule]]\ndo='nak'\nline='serial:2'"}}, "no serial:2 here"),
+    ],
+)
+def test_what_is_asked_wrongly_changes_nothing_and_says_what_is_right(request_: object, words: str) -> None:
+    house = House()
+    before = house.said("status")
+    answer = house.told(request_)
+    assert answer["ok"] is False
+    for part in words.split(".*"):
+        assert part in answer["error"]
+    assert house.said("status") == before
