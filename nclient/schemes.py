@@ -32,7 +32,7 @@ from nclient.faults.plan import Plan
 from nclient.faults.plan_file import load_plan
 from nclient.faults.stream import FaultyStream
 from nclient.protocol.models import N150, Model, model_named
-from nclient.recording.follower import TCP
+from nclient.recording.follower import HELLO_FIRST, TCP
 from nclient.recording.log import read_recording
 from nclient.recording.player import ORDERS, STRICT, PlayedPeer, Player
 from nclient.recording.script import script_of
@@ -234,7 +234,7 @@ def _recorded(stream: ByteStream, path: str, opening: Opening) -> ByteStream:
 
 def _recording(path: Path, opening: Opening) -> ProgramsRecording:
     """Who answers in this process has a time of its own, which the robot's clock tells."""
-    line = opening.kept["script"].line if "script" in opening.kept else opening.scheme.line
+    line = _line_of(opening)
     what = Recorded(opening.address.without(_of_every_scheme()), line, opening.model)
     if opening.scheme in (_IN_PROCESS, SCHEMES["replay"]):
         return ProgramsRecording(path, what)
@@ -247,9 +247,16 @@ def _faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:
     kept = opening.kept
     if "faults" not in kept:
         kept["faults"] = Injector(plan, opening.address.scheme, time.monotonic())
-    greets = opening.address.scheme == "robotd" and opening.model.sends_mask
-    language = TcpLanguage(wide=False) if opening.scheme.line == TCP else LineLanguage(greets)
+    line = _line_of(opening)
+    greets = line == HELLO_FIRST or (opening.address.scheme == "robotd" and opening.model.sends_mask)
+    language = TcpLanguage(wide=False) if line == TCP else LineLanguage(greets)
     return FaultyStream(stream, FaultyLine(language, kept["faults"]), time.monotonic, time.sleep)
+
+
+def _line_of(opening: Opening) -> str:
+    """What is spoken over the stream, as recordings name it."""
+    line: str = opening.kept["script"].line if "script" in opening.kept else opening.scheme.line
+    return line
 
 
 def _replay_stream(opening: Opening) -> ByteStream:
