@@ -14,6 +14,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from nclient.errors import NomadError
 from nclient.faults.plan_file import load_plan
 from nserver_emu.server.control import answer_line
 from nserver_emu.server.control_socket import ControlSocket, default_path
@@ -37,23 +38,34 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 @asynccontextmanager
-async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[str]:
-    """Faults and control as the options say, while it lasts; what to print of it, "" for nothing.
+async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
+    """Faults and control as the options say, while it lasts; what to print of it.
 
-    Raises FaultPlanError or ConnectionLost, naming the remedy.
+    Raises FaultPlanError or ConnectionLost, naming the remedy; the daemon is then closed.
     """
+    try:
+        control = await _begun(daemon, options)
+    except NomadError:
+        await daemon.close()
+        raise
+    if control is None:
+        yield []
+        return
+    try:
+        yield [f"listening control {control.path}"]
+    finally:
+        control.close()
+
+
+async def _begun(daemon: Daemon, options: argparse.Namespace) -> ControlSocket | None:
     if options.faults:
         daemon.faults.put(load_plan(options.faults), daemon.lines())
     if options.control is None:
-        yield ""
-        return
+        return None
     path = default_path(os.environ) if options.control == _USERS_OWN else options.control
     control = ControlSocket(path, lambda line: answer_line(daemon, line))
     await control.open()
-    try:
-        yield f"listening control {path}"
-    finally:
-        control.close()
+    return control
 
 
 def _socket(text: str) -> Path:

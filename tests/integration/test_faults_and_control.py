@@ -1,0 +1,178 @@
+"""A real daemon with a plan of faults on all its lines, and its owner at the control socket."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nclient.backends.direct import DirectBackend
+from nclient.backends.nserver import NserverBackend
+from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N150
+from nclient.transports.serial_port import SerialStream
+from nclient.transports.tcp import TcpStream
+from nserver_emu import cli
+
+GS = Call("gs")
+PLAN = """
+[[rule]]
+name = "every third reply"
+do = "drop"
+command = "gs"
+every = 3
+line = "serial:1"
+[[rule]]
+name = "no driving"
+do = "nak"
+command = "vm"
+direction = "request"
+"""
+HANG_UP = """
+[[rule]]
+do = "hang_up"
+command = "gs"
+at = 2
+"""
+
+
+class Bench:
+    """A daemon with a pseudo-terminal and a control socket, and what it said when it began."""
+
+    def __init__(self, folder: Path, listening: dict[str, str]) -> None:
+        self.folder, self.listening = folder, listening
+
+    @property
+    def control(self) -> str:
+        return self.listening["control"]
+
+    def ctl(self, *words: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+        assert cli.main(["ctl", "--control", self.control, "--json", *words]) == 0
+        said: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return said
+
+    def over_tcp(self) -> NserverBackend:
+        return NserverBackend(TcpStream("127.0.0.1", int(self.listening["nserver"].rpartition(":")[2])))
+
+    def on_its_line(self) -> DirectBackend:
+        return DirectBackend(SerialStream(str(self.folder / "robot")), N150, timeout_s=0.3)
+
+
+@contextmanager
+def bench(folder: Path, *words: str) -> Iterator[Bench]:
+    """The daemon on free places in a folder; it is told to stop at the end, and stops cleanly."""
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(folder / "robot"),
+               "--control", str(folder / "s.sock"), *words]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        try:
+            told = [daemon.stdout.readline().split() for _ in range(3)]
+            yield Bench(folder, {kind: place for _, kind, place in told})
+        finally:
+            daemon.send_signal(signal.SIGTERM)
+            _, err = daemon.communicate(timeout=20)
+        assert daemon.returncode == 0, err
+        assert "Traceback" not in err
+    assert not (folder / "s.sock").exists()
+
+
+@pytest.fixture
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short path: a Unix socket's has about a hundred bytes."""
+    return tmp_path_factory.mktemp("f")
+
+
+def answered(backend: DirectBackend | NserverBackend, call: Call, times: int) -> list[bool]:
+    found = []
+    for _ in range(times):
+        try:
+            backend.execute(call)
+        except (ReplyTimeout, RobotRefused):
+            found.append(False)
+        else:
+            found.append(True)
+    return found
+
+
+def test_a_plan_on_all_lines_its_counts_and_its_end(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "plan.toml").write_text(PLAN)
+    planned = bench(folder, "--faults", str(folder / "plan.toml"))
+    with planned as daemon, closing(daemon.on_its_line()) as line, closing(daemon.over_tcp()) as tcp:
+        assert answered(line, GS, 6) == [True, True, False] * 2
+        assert answered(tcp, GS, 6) == [True] * 6
+        drive = Call("vm", (100, 0, 0))
+        assert answered(line, drive, 1) == answered(tcp, drive, 1) == [False]
+        counts = daemon.ctl("faults", "counts", capsys=capsys)["counts"]
+        assert counts["serial:1"]["every third reply"] == {"seen": 6, "drop": 2}
+        assert counts["serial:1"]["no driving"] == counts["nserver"]["no driving"] == {"seen": 1, "nak": 1}
+        status = daemon.ctl("status", capsys=capsys)
+        assert status["faults"] == {"rules": 2, "struck": {"drop": 2, "nak": 2}}
+        assert not status["robots"][0]["moving"]
+        assert status["lines"] == {"nserver": daemon.listening["nserver"], "serial:1": str(folder / "robot")}
+        assert len(status["connections"]) == 2
+        daemon.ctl("faults", "clear", capsys=capsys)
+        assert answered(line, GS, 6) == [True] * 6
+        assert answered(tcp, drive, 1) == [True]
+        assert daemon.ctl("status", capsys=capsys)["robots"][0]["moving"]
+
+
+def test_a_plan_put_in_force_while_clients_talk_hangs_them_up(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "plan.toml").write_text(HANG_UP)
+    with bench(folder) as daemon, closing(daemon.on_its_line()) as line, closing(daemon.over_tcp()) as tcp:
+        assert answered(line, GS, 1) == answered(tcp, GS, 1) == [True]
+        daemon.ctl("faults", "set", str(folder / "plan.toml"), capsys=capsys)
+        for backend in (line, tcp):
+            assert answered(backend, GS, 1) == [True]
+            with pytest.raises((ConnectionLost, ReplyTimeout)):
+                backend.execute(GS)
+            with pytest.raises(ConnectionLost):
+                backend.execute(GS)
+        for again in (daemon.on_its_line, daemon.over_tcp):
+            with closing(again()) as backend:
+                assert answered(backend, GS, 3) == [True] * 3
+        counts = daemon.ctl("faults", "counts", capsys=capsys)["counts"]
+        assert counts == {name: {"rule 1": {"seen": 5, "hang_up": 1}} for name in ("nserver", "serial:1")}
+
+
+def test_time_is_the_owners_and_what_is_wrong_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with bench(folder, "--paused") as daemon:
+        before = daemon.ctl("status", capsys=capsys)["time_s"]
+        assert daemon.ctl("step", "2.5", capsys=capsys)["time_s"] == pytest.approx(before + 2.5)
+        assert daemon.ctl("resume", capsys=capsys)["paused"] is False
+        assert daemon.ctl("speed", "max", capsys=capsys)["speed"] == "max"
+        saved = folder / "now.json"
+        assert daemon.ctl("save", str(saved), capsys=capsys) == {"saved": str(saved)}
+        assert saved.exists()
+        (folder / "bad.toml").write_text("[[rule]]\ndo = 'drop'\nline = 'serial:7'")
+        assert cli.main(["ctl", "--control", daemon.control, "faults", "set", str(folder / "bad.toml")]) == 1
+        assert "there is no serial:7 here, but nserver, serial:1" in capsys.readouterr().err
+        with closing(daemon.over_tcp()) as tcp:
+            assert tcp.execute(GS).slots[0] == 9999
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--faults", "nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["--control", "/nowhere/s.sock"], "cannot be controlled at /nowhere/s.sock"),
+    ],
+)
+def test_what_cannot_be_exits_1(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--port", "0", *words]) == 1
+    assert told in capsys.readouterr().err
+
+
+def test_a_world_is_no_socket(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["--control", "thesis_room"])
+    assert "not 'thesis_room'; the world goes before --control" in capsys.readouterr().err
