@@ -85,10 +85,13 @@ def model_of(sides: Mapping[int, RealSide]) -> str | None:
 
 
 def _opener(options: argparse.Namespace) -> Callable[[], Backend]:
-    """The way to the robot, the same one each time. An option of the address wins over one of the command line."""
+    """The way to the robot, the same one each time. Of two caps, in the address and beside it, the lower counts."""
     opening = opening_of(options.real, Wanted())
-    caps = {"max_speed_in_s": options.max_speed, "max_turn_deg_s": options.max_turn}
-    opening.values = {**caps, **opening.values, **dict.fromkeys(_OWN)}
+    values = {**opening.values, **dict.fromkeys(_OWN)}
+    for name, asked in (("max_speed_in_s", options.max_speed), ("max_turn_deg_s", options.max_turn)):
+        if asked is not None:
+            values[name] = min(asked, values.get(name) or asked)
+    opening.values = values
     return opening.backend
 
 

@@ -43,7 +43,7 @@ LINE_STATE = Reply(
 
 
 class ScriptedRobot:
-    """Answers by name, else with `state`; `trouble` is raised instead while there is any."""
+    """Answers by name, else with `state`; `trouble` is raised instead while there is any. `first` runs before."""
 
     def __init__(self, model: Model = N150, *, line: bool = True, answers: Mapping[str, Said] | None = None) -> None:
         self.terms: Terms = line_terms(model) if line else tcp_terms(model)
@@ -54,8 +54,10 @@ class ScriptedRobot:
         self.state = LINE_STATE
         self.trouble: list[Exception] = []
         self.calls: list[Call] = []
+        self.first: Callable[[], object] = lambda: None
 
     def execute(self, call: Call) -> Reply:
+        self.first()
         if self.closed:
             raise ConnectionLost("this robot is gone")
         self.calls.append(call)

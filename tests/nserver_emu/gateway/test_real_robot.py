@@ -168,29 +168,22 @@ def test_a_silent_robot_has_no_last_words() -> None:
     assert script.closed
 
 
-class Slow(ScriptedRobot):
-    """Answers when it is let."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.asked, self.let = threading.Event(), threading.Event()
-
-    def execute(self, call: Call) -> object:  # type: ignore[override]
-        self.asked.set()
-        assert self.let.wait(10)
-        return super().execute(call)
-
-
 def test_on_a_thread_nobody_waits_but_it() -> None:
-    script, answered = Slow(), threading.Event()
-    robot = RealRobot(lambda: script)  # type: ignore[arg-type, return-value]
+    script, asked, let, answered = ScriptedRobot(), threading.Event(), threading.Event(), threading.Event()
+
+    def waits() -> None:
+        asked.set()
+        assert let.wait(10)
+
+    script.first = waits
+    robot = RealRobot(lambda: script)
     robot.news = answered.set
     robot.start()
     ticket = robot.submit((GS,))
-    assert script.asked.wait(10)
+    assert asked.wait(10)
     assert robot.saying == "gs"
     assert ticket.outcome is None
-    script.let.set()
+    let.set()
     assert answered.wait(10)
     assert code(ticket) is None
     robot.close(ST)

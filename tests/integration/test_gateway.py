@@ -1,0 +1,115 @@
+"""`nserver --real` as a program: a second nserver is its robot, over a real socket, killed and started again."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from nclient import connect
+from nclient.errors import ConnectionLost, RobotRefused
+from nclient.robot import Robot
+
+WHOLE_S = 30.0
+
+
+class Program:
+    """An nserver that runs; `port` is where it listens."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        found = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", line)
+        assert found, line
+        self.process, self.port = process, int(found[1])
+        self.address = f"nserver://127.0.0.1:{self.port}/1"
+
+    def end(self, how: signal.Signals = signal.SIGTERM) -> str:
+        """What it said on stderr."""
+        self.process.send_signal(how)
+        return self.process.communicate(timeout=WHOLE_S)[1]
+
+
+@contextlib.contextmanager
+def nserver(*words: str) -> Iterator[Program]:
+    command = [sys.executable, "-m", "nserver_emu", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield Program(process)
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def until(true: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + WHOLE_S
+    while not true():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+def code_of(robot: Robot) -> int | None:
+    """What a question is refused with, None where it is answered."""
+    try:
+        robot.refresh()
+    except RobotRefused as error:
+        return error.code
+    return None
+
+
+def test_a_client_of_one_drives_the_robot_of_the_other_and_the_shadow_goes_along(tmp_path: Path) -> None:
+    report = tmp_path / "shadow.json"
+    with (
+        nserver("--port", "0") as robot,
+        connect(robot.address) as seen,
+        nserver("--port", "0", "--real", robot.address, "--shadow-report", str(report)) as gateway,
+    ):
+        with connect(gateway.address) as driver:
+            driver.set_speeds(translation_in_s=10)
+            driver.move(translation_in=12)
+            state = driver.wait_until_still(timeout_s=20)
+            assert (state.x_in, seen.truth().x_in) == (12.0, 12.0)
+            driver.drive(translation_in_s=5)
+        until(lambda: not seen.refresh().moving)
+        gateway.end()
+        assert gateway.process.returncode == 0
+    found = json.loads(report.read_text())["quantities"]
+    assert abs(found["x_in"]["max"]) < 5.0  # half a second at 10 in/s: two daemons on one busy machine
+    assert abs(found["x_in"]["mean"]) < 1.0
+    assert found["sonars_in"]["count"] > 16
+
+
+def test_a_robot_that_goes_away_is_error_6_and_comes_back() -> None:
+    with contextlib.ExitStack() as again, nserver("--port", "0") as robot:
+        port = str(robot.port)
+        gateway = again.enter_context(nserver("--port", "0", "--real", robot.address))
+        with connect(gateway.address) as driver, connect(gateway.address) as watcher:
+            driver.drive(translation_in_s=5)
+            robot.end(signal.SIGKILL)
+            until(lambda: code_of(watcher) == 6)
+            assert code_of(driver) == 6
+            again.enter_context(nserver("--port", port))
+            until(lambda: code_of(watcher) is None)
+            assert driver.move(translation_in=1).raw[38] > 0
+        said = gateway.end()
+    assert said.count("the real robot does not answer") == 1
+    assert said.count("the real robot answers again") == 1
+
+
+def test_a_gateway_that_is_killed_leaves_a_robot_that_stands() -> None:
+    with (
+        nserver("--port", "0", "--robot", "n200") as robot,
+        connect(f"{robot.address}?model=n200") as seen,
+        nserver("--port", "0", "--real", f"{robot.address}?model=n200") as gateway,
+    ):
+        with contextlib.suppress(ConnectionLost), connect(gateway.address) as driver:
+            driver.drive(translation_in_s=2)
+            assert seen.refresh().moving
+            gateway.end(signal.SIGKILL)
+        until(lambda: not seen.refresh().moving)
