@@ -1,6 +1,7 @@
 """`nserver`: the command line of the daemon. Reads options, builds the simulation, hands both to the daemon.
 
     nserver [options] [WORLD] [robot.setup] [world.setup]       the original's -help -noisy -port n work as well
+    nserver ctl COMMAND                                         says one thing to a daemon that runs (ctl.py)
 
 Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
 Exit codes: 0 stopped as asked, 1 could not start (the reason on stderr), 2 wrong usage.
@@ -25,14 +26,19 @@ from typing import TypeVar
 
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.log import read_recording
+from nserver_emu import ctl
 from nserver_emu.gateway import options as real_options
 from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.server import snapshot
+from nserver_emu.server.control_options import add_options as add_control_options
+from nserver_emu.server.control_options import controlled
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.line_options import add_options as add_line_options
+from nserver_emu.server.line_options import at_port, open_lines
 from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
 from nserver_emu.server.recording import Beginning, header
 from nserver_emu.server.replay import replay
@@ -48,6 +54,8 @@ log = logging.getLogger(__name__)
 Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
 MAX_SPEED = "max"
+CONTROL = "ctl"
+"""Instead of options: what follows is for a daemon that runs (ctl.py)."""
 LONGEST_LOCKSTEP_S = 10.0
 SETUP_SUFFIX = ".setup"
 MOST_SETUPS = 2
@@ -60,6 +68,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
     parser = _parser()
     words = sys.argv[1:] if argv is None else argv
+    if words[:1] == [CONTROL]:
+        return ctl.main(words[1:])
     options = parser.parse_args([_as_value(_as_long_option(word)) for word in words])
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
@@ -99,13 +109,17 @@ async def _serve_with(sides: Mapping[int, RealSide], setups: OldSetup, options: 
     stop_on_signals(stop)
     if options.save:
         _save_on_signal(emulator, options.save)
-    port = await daemon.listen(options.bind, port)
-    if options.record:
-        daemon.record(options.record, header(beginning, _now(), port=port, requests_a_turn=REQUESTS_A_TURN))
-    host = f"[{options.bind}]" if ":" in options.bind else options.bind
-    print(f"listening nserver {host}:{port}", flush=True)
-    async with kept(gateway, daemon, options.shadow_every):
-        await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
+    try:
+        port = await daemon.listen(options.bind, port)
+        if options.record:
+            daemon.record(options.record, header(beginning, _now(), port=port, requests_a_turn=REQUESTS_A_TURN))
+        lines = await open_lines(daemon, options)
+        async with controlled(daemon, options) as control, kept(gateway, daemon, options.shadow_every):
+            for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control):
+                print(line, flush=True)
+            await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
+    finally:
+        await daemon.close()
     return 0
 
 
@@ -178,7 +192,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="nserver",
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
-        epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0",
+        epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
+        "nserver ctl --help: what can be said to one that runs",
     )
     parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
                         help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and the "
@@ -212,7 +227,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--setup", choices=tuple(SETUPS), default="",
                         help="how real: ideal, noisy, or measured (sonars like a Polaroid ring, compass errs too)")
     parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
+    add_line_options(parser)
     real_options.add_options(parser)
+    add_control_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")

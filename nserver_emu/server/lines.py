@@ -1,0 +1,174 @@
+"""A robot's own line on real ports: a pseudo-terminal, or TCP as a radio modem or the robot's `robotd` has it.
+
+    SerialLine         one host at a time; who opens the link is a new host, who closes it has left
+    RobotdConnection   any number of hosts; an N200 greets each with its hello
+
+Rules: an emulated robot answers, whatever stands behind Nserver's port. When a host leaves, what it drove stops. A
+host that does not read keeps nobody: what its end does not take is lost, but for the rest of what has begun to go.
+A host that closes the link and opens it again before the loop looked is the same host to it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+from nclient.errors import AddressError
+from nclient.faults.language import Language, LineLanguage
+from nclient.protocol.models import Model, model_named
+from nclient.recording.follower import HELLO_FIRST, SERIAL
+from nclient.recording.recorder import OFF
+from nserver_emu.server.cable import Cable
+from nserver_emu.server.connection import Connection
+from nserver_emu.server.line_session import LineSession
+from nserver_emu.server.talker import READ_SIZE, Talker
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
+    from nserver_emu.server.pseudo_terminal import PseudoTerminal
+
+log = logging.getLogger(__name__)
+
+
+class OwnLine(NamedTuple):
+    """Whose line it is."""
+
+    robot_id: int
+    model: Model
+
+
+def own_line(daemon: Daemon, robot_id: int) -> OwnLine:
+    """The line of a robot. Raises AddressError where there is none of that number."""
+    robots = daemon.emulator.simulation.robots
+    if robot_id not in robots:
+        known = ", ".join(map(str, robots))
+        raise AddressError(f"a line for robot {robot_id}: there is no such robot, but {known}; --robots makes more")
+    return OwnLine(robot_id, model_named(robots[robot_id].model.family))
+
+
+class SerialLine(Talker):
+    """A pseudo-terminal and the robot behind it. `new_cable` makes what lies between them, anew for each host."""
+
+    session: LineSession
+
+    def __init__(
+        self, daemon: Daemon, own: OwnLine, terminal: PseudoTerminal, new_cable: Callable[[], Cable] | None = None
+    ) -> None:
+        super().__init__(daemon)
+        self.own = own
+        self.line = f"serial:{own.robot_id}"
+        self.terminal = terminal
+        self.lost = 0
+        """Bytes that no host took."""
+        self._new_cable = new_cable
+        self._here = self._listening = False
+        self._rest = b""
+        self._begin()
+        daemon.connections.add(self)
+
+    def tick(self) -> None:
+        """Time has passed: a host may have come, an answer may be there."""
+        if self._here:
+            super().tick()
+        elif not self.terminal.deserted:
+            self._here = True
+            self._tape = self._daemon.recorder.open(self.session.name, SERIAL, self.own.model, self.own.robot_id)
+            log.info("%s: opened", self.session.name)
+            self._listen(True)
+
+    def close(self) -> None:
+        self._left()
+        self.terminal.close()
+        self._daemon.connections.discard(self)
+
+    def _begin(self) -> None:
+        """A conversation for the next host."""
+        answer, name = self._daemon.emulator.answer, f"serial {self.terminal.path}"
+        self.session = LineSession(answer, *self.own, self._loop.time, name)
+        self._cable = None if self._new_cable is None else self._new_cable()
+        self._faulty = False
+
+    def _readable(self) -> None:
+        data = self.terminal.read(READ_SIZE)
+        if data:
+            self._came(data)
+        elif data is None:
+            self._left()
+            self.terminal.clean()
+
+    def _left(self) -> None:
+        """The host is gone: its robot stops, and what was on its way to it is forgotten."""
+        self._silence()
+        self._listen(False)
+        self._loop.remove_writer(self.terminal.fd)
+        self._rest = b""
+        if self._here:
+            log.info("%s: left after %d refusals", self.session.name, self.session.refused)
+        self._here = False
+        self._daemon.emulator.leave(self.session.visit)
+        self._tape.close()
+        self._tape = OFF
+        self._begin()
+
+    def _language(self) -> Language:
+        return LineLanguage()
+
+    def _send(self, data: bytes) -> None:
+        if self._rest:
+            self.lost += len(data)
+            return
+        taken = self.terminal.write(data)
+        if taken < len(data):
+            self._rest = data[taken:]
+            self._loop.add_writer(self.terminal.fd, self._writable)
+
+    def _writable(self) -> None:
+        self._rest = self._rest[self.terminal.write(self._rest) :]
+        if not self._rest:
+            self._loop.remove_writer(self.terminal.fd)
+
+    def _listen(self, on: bool) -> None:
+        if on == self._listening or (on and not self._here):
+            return
+        self._listening = on
+        if on:
+            self._loop.add_reader(self.terminal.fd, self._readable)
+        else:
+            self._loop.remove_reader(self.terminal.fd)
+
+    def _hang_up(self) -> None:
+        """As an adapter that is pulled out: the host's end is dead, and another is behind the link."""
+        self._left()
+        self.terminal.pull()
+
+    def _abort(self) -> None:
+        self._hang_up()
+
+
+class RobotdConnection(Connection):
+    """One host that reached a robot over TCP."""
+
+    def __init__(self, daemon: Daemon, own: OwnLine) -> None:
+        super().__init__(daemon)
+        self.own = own
+        self.line = f"robotd:{own.robot_id}"
+        self._behind = daemon.emulator
+        self._greeted = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        if self.greeting:
+            self._tape.to_host(self.greeting)
+            self._say(self.greeting)
+        self._greeted = True
+
+    def _language(self) -> Language:
+        return LineLanguage(greets=not self._greeted and bool(self.greeting))
+
+    def _meet(self, name: str) -> None:
+        session = LineSession(self._behind.answer, *self.own, self._loop.time, name)
+        self.session, self.greeting = session, session.greeting
+        wire = HELLO_FIRST if self.greeting else SERIAL
+        self._tape = self._daemon.recorder.open(name, wire, self.own.model, self.own.robot_id)
