@@ -6,9 +6,11 @@ What a program needs stands here; the C names are in nclient.capi, the wire in n
 from __future__ import annotations
 
 from nclient.async_robot import AsyncRobot
+from nclient.backends.statistics import LinkStatistics
 from nclient.connect import connect, connect_async
 from nclient.errors import (
     AddressError,
+    BumperHit,
     ConnectionLost,
     NomadError,
     RecordingError,
@@ -28,7 +30,9 @@ __all__ = [
     "AxisCommand",
     "AxisMode",
     "Battery",
+    "BumperHit",
     "ConnectionLost",
+    "LinkStatistics",
     "NomadError",
     "Pose",
     "RecordingError",

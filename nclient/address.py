@@ -106,6 +106,20 @@ def count(text: str) -> int:
     return int(text)
 
 
+def baud(text: str) -> int:
+    """A speed of a serial port."""
+    if not count(text):
+        raise ValueError("a number of bits a second")
+    return int(text)
+
+
+def motion_timeout(text: str) -> int:
+    """Seconds as conf_tm takes them; one of them is too few to say anything within."""
+    if not (text.isascii() and text.isdecimal()) or int(text) not in (0, *range(2, 256)):
+        raise ValueError("whole seconds, 2 to 255, or 0 for none")
+    return int(text)
+
+
 def flag(text: str) -> bool:
     """1 or 0."""
     if text not in ("1", "0"):

@@ -15,6 +15,7 @@ from functools import partial, wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
+from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost
 from nclient.protocol.models import Model
 from nclient.robot import Robot
@@ -95,6 +96,11 @@ class AsyncRobot:
     def closed(self) -> bool:
         """Whether the conversation is over."""
         return self._robot.closed
+
+    @property
+    def link(self) -> LinkStatistics | None:
+        """What a robot's own line has been through; None over TCP."""
+        return self._robot.link
 
     drive = _awaitable(Robot.drive)
     move = _awaitable(Robot.move)

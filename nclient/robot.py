@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import NamedTuple, Self
 
-from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
+from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import Mask, Position
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
@@ -56,7 +56,7 @@ class Robot(RobotWorld):
         try:
             with contextlib.suppress(ConnectionLost, ReplyTimeout):
                 self.stop()
-        except RobotRefused:
+        except (RobotRefused, BumperHit):
             if error is None:
                 raise
         finally:

@@ -16,12 +16,18 @@ from typing import NamedTuple
 from nclient.protocol.models import Model
 from nclient.protocol.stamps import Stamp
 from nclient.protocol.state import HeldState
-from nclient.protocol.units import CPU_RANGE_V, M_PER_IN, MOTOR_RANGE_V, rad_from_tenths, volts
+from nclient.protocol.units import (
+    CPU_RANGE_V,
+    M_PER_IN,
+    MOTOR_RANGE_V,
+    SCOUT_WHEEL_IN_PER_DEG,
+    rad_from_tenths,
+    volts,
+)
 
 NOTHING_IN = 255
 """A sonar that heard nothing."""
-WHEEL_IN_PER_DEG = 0.118597
-"""Inches that a Scout's wheel travels for each degree of turn (half its track of 13.590 in, times pi / 180)."""
+WHEEL_IN_PER_DEG = SCOUT_WHEEL_IN_PER_DEG
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
 from nclient.backends.backend import Backend
+from nclient.backends.statistics import LinkStatistics
 from nclient.errors import RobotRefused, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.models import Model
@@ -97,6 +98,11 @@ class RobotLink:
     def closed(self) -> bool:
         """Whether the conversation is over; every method then raises ConnectionLost."""
         return self._backend.closed
+
+    @property
+    def link(self) -> LinkStatistics | None:
+        """What a robot's own line has been through (print it for a summary); None over TCP, which loses nothing."""
+        return self._backend.link
 
     @property
     def state(self) -> RobotState:

@@ -2,14 +2,15 @@
 
     execute(call) -> reply   close()   and what was agreed: terms, greeting
 
-Rules: a call goes out once, unless a backend says that it retries; an answer belongs to its call or the backend is
-closed. Whatever wraps a backend (a retry, a speed cap, a log) is a backend again. One thread at a time: Robot locks.
+Rules: a call goes out once, unless a backend says that it retries; an answer belongs to its call or is
+nobody's. Whatever wraps a backend (a retry, a speed cap, a log) is a backend again. One thread at a time: Robot locks.
 """
 
 from __future__ import annotations
 
 from typing import Protocol
 
+from nclient.backends.statistics import LinkStatistics
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.terms import Terms
@@ -38,11 +39,16 @@ class Backend(Protocol):
         """Whether the conversation is over; every call then raises ConnectionLost."""
         ...
 
+    @property
+    def link(self) -> LinkStatistics | None:
+        """What the link has been through; None where nobody counts."""
+        ...
+
     def execute(self, call: Call) -> Reply:
         """Say it and give the answer; for a call that has none, an empty reply.
 
-        Raises RobotRefused (and stays usable), WireError for a call that cannot be sent (nothing was), or
-        ReplyTimeout and ConnectionLost (and is closed).
+        Raises RobotRefused (and stays usable), WireError for a call that cannot be sent (nothing was), ConnectionLost
+        (and is closed), or ReplyTimeout (and is closed over TCP, usable on a robot's own line: `closed` tells).
         """
         ...
 

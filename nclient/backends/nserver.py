@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 from functools import lru_cache
 
+from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import language
 from nclient.protocol.commands import Call, Command
@@ -53,9 +54,11 @@ class NserverBackend:
         timeout_s: float = DEFAULT_TIMEOUT_S,
         create: bool = False,
         pid: int | None = None,
+        link: LinkStatistics | None = None,
     ) -> None:
         self.timeout_s = timeout_s
         self.robot_id = robot_id
+        self._link = link
         self._pid = os.getpid() if pid is None else pid
         self._stream = stream
         self._terms = tcp_terms(model)
@@ -90,6 +93,11 @@ class NserverBackend:
     def closed(self) -> bool:
         """Whether the conversation is over."""
         return self._over is not None
+
+    @property
+    def link(self) -> LinkStatistics | None:
+        """Counts of what a wrapper does, where one is told to count; TCP itself loses nothing."""
+        return self._link
 
     def execute(self, call: Call) -> Reply:
         """The answer to a call. Raises as Backend.execute says."""

@@ -11,6 +11,8 @@ M_PER_IN = 0.0254
 """Metres in an inch, exactly."""
 
 FULL_TURN_TENTHS = 3600
+SCOUT_WHEEL_IN_PER_DEG = 0.118597
+"""Inches that a Scout's wheel travels for each degree of turn (half its track of 13.590 in, times pi / 180)."""
 WORD_LIMIT = 2**31
 CPU_RANGE_V = 12.0
 MOTOR_RANGE_V = 12.85

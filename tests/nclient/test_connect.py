@@ -42,7 +42,7 @@ def dialled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
         servers.append(ScriptedServer())
         return MemoryStream(servers[-1])
 
-    monkeypatch.setattr(schemes, "TcpStream", dial)
+    monkeypatch.setattr("nclient.openers.TcpStream", dial)
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     return calls
 
@@ -83,11 +83,11 @@ def test_the_environment_names_the_default(dialled: list[tuple[str, int]], monke
 
 
 def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
-    robot = connect("nserver://lab/1?timeout_s=0.5&model=scout", timeout_s=9)
+    robot = connect("nserver://lab/1?timeout_s=0.5&model=scout&tm_s=0", timeout_s=9)
     assert dialled
     assert robot.model is SCOUT
     assert robot._backend.timeout_s == 0.5  # type: ignore[attr-defined]
-    assert connect("nserver://lab/1", timeout_s=9)._backend.timeout_s == 9  # type: ignore[attr-defined]
+    assert connect("nserver://lab/1?tm_s=0", timeout_s=9)._backend.timeout_s == 9  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,25 @@ def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
         ("nserver://lab/1?timeout_s=inf", "above 0"),
         ("nserver://lab/1?model=n300", "no robot model 'n300'"),
         ("nsever://lab/1", "did you mean nserver:"),
-        ("localhost:7019", "There are nserver:, replay:.* sim:"),
+        ("localhost:7019", "There are nserver:, replay:, robotd:, serial:, sim:"),
         ("thesis_room", "such as nserver://localhost:7019/1 or sim:thesis_room"),
-        ("serial:///dev/ttyUSB0", "There are nserver:, replay:.* sim:"),
+        ("serialport:///dev/ttyUSB0", "did you mean serial:"),
+        ("serial:/dev/ttyUSB0", "such an address is serial:///dev/ttyUSB0"),
+        ("serial://dev/ttyUSB0", "three slashes and a port follow: serial:///dev"),
+        ("serial:///", "three slashes"),
+        ("serial:///dev/null?baud=fast", "baud is a whole number, 0 or more, not 'fast'"),
+        ("serial:///dev/null?baud=0", "baud is a number of bits a second, not '0'"),
+        ("serial:///dev/null?model=n15", "no robot model 'n15'"),
+        ("serial:///dev/null?retry=2", "no option 'retry'; did you mean retries?"),
+        ("serial:///dev/null?reconnect=never", "reconnect is a number of seconds, 0 for none, not 'never'"),
+        ("serial:///dev/null?tm_s=1", "tm_s is whole seconds, 2 to 255, or 0 for none, not '1'"),
+        ("serial:///dev/null?tm_s=2.5", "tm_s is whole seconds"),
+        ("serial:///dev/null?feed=yes", "feed is 1 or 0, not 'yes'"),
+        ("robotd:///x", r"a host and its port follow: robotd://host\[:port\]"),
+        ("robotd://lab/1", "a host and its port follow"),
+        ("robotd://lab?baud=9600", "no option 'baud'"),
+        ("nserver://lab/1?retries=2", "no option 'retries'"),
+        ("nserver://lab/1?max_speed_in_s=0", "max_speed_in_s is a number above 0"),
     ],
 )
 def test_a_wrong_address_is_told_with_its_remedy(dialled: list[tuple[str, int]], address: str, told: str) -> None:
@@ -157,9 +173,9 @@ def test_nobody_there() -> None:
 
 def test_a_whole_conversation_over_tcp() -> None:
     server = ScriptedServer()
-    with on_socket(by_script(server, calls=5)) as port, connect(f"nserver://127.0.0.1:{port}/1") as robot:
+    with on_socket(by_script(server, calls=6)) as port, connect(f"nserver://127.0.0.1:{port}/1") as robot:
         assert robot.refresh().speed_factor == 1.0
-    assert server.names() == ["gs", "st", "disconnect_robot"]
+    assert server.names() == ["conf_tm", "gs", "st", "disconnect_robot"]
 
 
 # what C programs name
@@ -180,7 +196,7 @@ def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.M
             raise ConnectionLost(f"{host}:{port} within {timeout_s}")
         return MemoryStream(ScriptedServer())
 
-    monkeypatch.setattr(schemes, "TcpStream", dial)
+    monkeypatch.setattr("nclient.openers.TcpStream", dial)
     monkeypatch.setattr(connecting, "names_of_this_machine", lambda: ("localhost", "own_name"))
     assert open_machine("", 7019, Wanted()).port == 7019
     assert is_listening("", 7019)

@@ -183,7 +183,7 @@ def test_another_verb_of_time_is_refused() -> None:
 class Mute:
     """A backend that greets with nothing, as a robot's own line may."""
 
-    terms, greeting, port, closed = line_terms(SCOUT), None, 1, False
+    terms, greeting, port, closed, link = line_terms(SCOUT), None, 1, False, None
 
     def execute(self, call: Call) -> Reply:
         raise RobotRefused(call.name, None)

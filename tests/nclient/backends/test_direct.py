@@ -195,7 +195,8 @@ def test_a_nak_to_what_shapes_answers_leaves_their_shape() -> None:
 
 
 def robot_state(model: Model) -> Reply:
-    return ScriptedLine(model=model).state()
+    reply: Reply = ScriptedLine(model=model).state()
+    return reply
 
 
 # silence, and what is no answer
@@ -497,9 +498,9 @@ class Careless(MemoryStream):
     def _spoiled(self, data: bytes) -> bytes:
         fate, at = self._rng.random(), self._rng.randrange(len(data))
         if fate < 0.1:
-            return spoiled(data, at)
-        if fate < 0.2:
-            return data[:at] + data[at + 1 :]
+            data = spoiled(data, at)
+        elif fate < 0.2:
+            data = data[:at] + data[at + 1 :]
         return data
 
 

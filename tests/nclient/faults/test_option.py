@@ -39,7 +39,7 @@ line = "serial"
 def server(monkeypatch: pytest.MonkeyPatch) -> ScriptedServer:
     """Who answers at the other end of what would be a socket."""
     server = ScriptedServer()
-    monkeypatch.setattr(schemes, "TcpStream", lambda *_: MemoryStream(server))
+    monkeypatch.setattr("nclient.openers.TcpStream", lambda *_: MemoryStream(server))
     return server
 
 

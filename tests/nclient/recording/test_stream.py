@@ -40,7 +40,7 @@ def test_a_recorded_run_is_the_run_and_the_file_the_same_each_time(tmp_path: Pat
 def test_over_a_socket_time_is_the_clocks(tmp_path: Path) -> None:
     server = ScriptedServer()
     with on_socket(by_script(server, calls=3)) as port, connect(
-        f"nserver://127.0.0.1:{port}/1?record={tmp_path}/run.log&model=scout"
+        f"nserver://127.0.0.1:{port}/1?record={tmp_path}/run.log&model=scout&tm_s=0"
     ) as robot:
         robot.refresh()
     header, *_ = (tmp_path / "run.log").read_text().splitlines()

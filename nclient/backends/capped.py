@@ -1,0 +1,97 @@
+"""A backend that lets nothing through that is faster than allowed: vm, mv, sp, and the speed that pr and pa go at.
+
+    axis      translation | steering, turret            a Scout: right wheel | left wheel, which share both limits
+
+Rules: numbers are brought down to the limit, never refused, and their signs stay. A Scout's wheels are slowed together,
+so that the curve stays. A relative motion goes at the speed of sp: before the first one, when nobody has said sp yet,
+the limited axes are given their limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nclient.backends.backend import Backend
+from nclient.backends.wrapper import Wrapper
+from nclient.errors import ConnectionLost
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.units import SCOUT_WHEEL_IN_PER_DEG
+
+_VELOCITY, _RELATIVE, _SPEED, _ABSOLUTE = 1, 2, 5, 6
+_NOWHERE = 0
+_AXES = 3
+_Limits = tuple[float, ...]
+
+
+class Capped(Wrapper):
+    """Limits in inches and degrees a second; infinite where none. Raises as the backend inside."""
+
+    def __init__(
+        self, inner: Backend, *, max_speed_in_s: float = float("inf"), max_turn_deg_s: float = float("inf")
+    ) -> None:
+        super().__init__(inner)
+        self._speed, self._turn = 10 * max_speed_in_s, 10 * max_turn_deg_s
+        if inner.terms.model.has_turret:
+            self._limits: _Limits = (self._speed, self._turn, self._turn)
+        else:
+            wheel = min(self._speed, self._turn * SCOUT_WHEEL_IN_PER_DEG)
+            self._limits = (wheel, wheel, float("inf"))
+        self._speeds_known = False
+
+    def execute(self, call: Call) -> Reply:
+        """The answer to the call as it may be."""
+        try:
+            if _goes_at_sp(call) and not self._speeds_known:
+                self._inner.execute(self._slowest())
+                self._speeds_known = True
+            reply = self._inner.execute(self._within(call))
+        except ConnectionLost:
+            self._speeds_known = False
+            raise
+        self._speeds_known |= call.name == "sp"
+        return reply
+
+    def _within(self, call: Call) -> Call:
+        if call.name == "vm" and len(call.args) == _AXES:
+            return Call("vm", self._velocities(call.args))
+        if call.name == "sp" and len(call.args) == _AXES:
+            return Call("sp", tuple(map(_limited, call.args, self._limits)))
+        if call.name == "mv" and len(call.args) == 2 * _AXES:
+            return Call("mv", self._by_modes(call.args[::2], call.args[1::2]))
+        return call
+
+    def _velocities(self, asked: Sequence[int]) -> tuple[int, ...]:
+        if self._inner.terms.model.has_turret:
+            return tuple(map(_limited, asked, self._limits))
+        right, left, rest = asked
+        turn = abs(right - left) / 2 / SCOUT_WHEEL_IN_PER_DEG
+        share = min(1.0, _share(self._speed, max(abs(right), abs(left))), _share(self._turn, turn))
+        return int(right * share), int(left * share), rest
+
+    def _by_modes(self, modes: Sequence[int], values: Sequence[int]) -> tuple[int, ...]:
+        """mv: velocities and speeds are limited by axis; a Scout's wheels, where both have a velocity, together."""
+        if not self._inner.terms.model.has_turret and tuple(modes[:2]) == (_VELOCITY, _VELOCITY):
+            values = self._velocities(values)
+        within = []
+        for mode, value, limit in zip(modes, values, self._limits, strict=True):
+            within += [mode, _limited(value, limit) if mode in (_VELOCITY, _SPEED) else value]
+        return tuple(within)
+
+    def _slowest(self) -> Call:
+        """The limits as the speeds of relative motion; axes without a limit keep theirs."""
+        pairs = [(_NOWHERE, 0) if limit == float("inf") else (_SPEED, int(limit)) for limit in self._limits]
+        return Call("mv", tuple(number for pair in pairs for number in pair))
+
+
+def _goes_at_sp(call: Call) -> bool:
+    modes = call.args[::2] if call.name == "mv" else ()
+    return call.name in ("pr", "pa") or not {_RELATIVE, _ABSOLUTE}.isdisjoint(modes)
+
+
+def _limited(value: int, limit: float) -> int:
+    return value if abs(value) <= limit else int(limit if value > 0 else -limit)
+
+
+def _share(limit: float, value: float) -> float:
+    return limit / value if value > limit else 1.0
