@@ -63,7 +63,7 @@ def faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:
     if "faults" not in kept:
         kept["faults"] = Injector(plan, opening.address.scheme, time.monotonic())
     line = _line_of(opening)
-    greets = line == HELLO_FIRST or (opening.scheme.line == HELLO_FIRST and opening.model.sends_mask)
+    greets = line == HELLO_FIRST and opening.model.sends_mask
     language = TcpLanguage(wide=False) if line == TCP else LineLanguage(greets)
     return FaultyStream(stream, FaultyLine(language, kept["faults"]), time.monotonic, time.sleep)
 

@@ -19,7 +19,7 @@ from nclient.protocol.tcp_frame import build_frame
 
 NAK_ERROR = 5
 """The code of the ERROR reply that stands for a NAK."""
-_MOST_OUTSTANDING = 256
+_MOST_OUTSTANDING = 1 << 16
 
 
 class Language(Protocol):

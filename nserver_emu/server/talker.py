@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from nclient.faults.language import Language
 from nclient.recording.recorder import OFF, Tape
-from nserver_emu.server.cable import Cable
+from nserver_emu.server.cable import Arrival, Cable
 from nserver_emu.server.faulty_cable import FaultyCable
 from nserver_emu.server.session import Conversation
 
@@ -42,6 +42,7 @@ class Talker(ABC):
         self._loop = asyncio.get_running_loop()
         self._cable = cable
         self._faulty = False
+        self._delivering = False
         self._tape: Tape = OFF
         self.blocked = False
         """Whether what is said is not taken at present."""
@@ -113,27 +114,41 @@ class Talker(ABC):
         self._answer()
 
     def _deliver(self) -> None:
-        """What has come through the cable, to where it goes; for what is still on its way an alarm is set."""
+        """What has come through the cable, to where it goes; for what is still on its way an alarm is set.
+
+        What is answered meanwhile takes its turn in the same loop: answers to answers would pile up on the stack.
+        """
         cable = self._cable
-        while cable is not None and (arrival := cable.arrived(self._loop.time())):
-            if arrival.hang_up:
-                log.info("%s: hung up on purpose", self.session.name)
-                self._hang_up()
-            elif arrival.to_robot:
-                self._moment_s = arrival.at_s
-                self._heard(arrival.data)
-                self._moment_s = None
-            else:
-                self._send(arrival.data)
+        if self._delivering or cable is None:
+            return
+        was_full, self._delivering = cable.full, True
+        try:
+            while arrival := cable.arrived(self._loop.time()):
+                self._arrived(arrival)
+        finally:
+            self._delivering = False
         if self._alarm is not None:
             self._alarm.cancel()
-        due_s = None if cable is None else cable.due_s
+        due_s = cable.due_s
         self._alarm = None if due_s is None else self._loop.call_at(due_s, self._deliver)
+        if was_full:
+            self._pace()
+
+    def _arrived(self, arrival: Arrival) -> None:
+        if arrival.hang_up:
+            log.info("%s: hung up on purpose", self.session.name)
+            self._hang_up()
+        elif arrival.to_robot:
+            self._moment_s = arrival.at_s
+            self._heard(arrival.data)
+            self._moment_s = None
+        else:
+            self._send(arrival.data)
 
     def _plug_in_faults(self) -> None:
         """From the first plan that acts on this line on, its faults lie between port and session."""
         desk, line = self._daemon.faults, self.line
-        if self._faulty or self.session.unfinished or not desk.acts_on(line):
+        if self._faulty or not desk.plan.rules or self.session.unfinished or not desk.acts_on(line):
             return
         self._faulty = True
         self._cable = FaultyCable(self._language(), lambda: desk.injector(line), self._cable)

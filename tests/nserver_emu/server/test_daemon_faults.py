@@ -1,0 +1,131 @@
+"""A plan of faults in a daemon, on real sockets: late answers keep their order, and a flood of them stalls nobody."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+from wire_client import simulation
+
+from nclient.faults.kinds import Corrupt, Delay, Drop, Nak
+from nclient.faults.plan import Direction, Plan, Rule, When
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers import Emulator
+
+REQUEST = frozenset({Direction.REQUEST})
+
+
+class Client:
+    """A plain client, 32-bit or 64-bit, that may ask many things at once."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, wide: bool) -> None:
+        self._reader, self._writer, self._wide = reader, writer, wide
+        self._framer = TcpFramer(reply_bounds, wide=wide)
+        self._frames: list[TcpFrame] = []
+
+    def send(self, *calls: Call) -> None:
+        self._writer.write(b"".join(language.tcp_request(call, wide=self._wide) for call in calls))
+
+    async def types(self, count: int) -> list[int]:
+        while len(self._frames) < count:
+            data = await self._reader.read(65536)
+            assert data, "the daemon closed the connection"
+            self._frames += [frame for frame in self._framer.receive(data) if isinstance(frame, TcpFrame)]
+        found, self._frames = self._frames[:count], self._frames[count:]
+        return [frame.type for frame in found]
+
+    async def close(self) -> None:
+        self._writer.close()
+        await self._writer.wait_closed()
+
+
+Knock = Callable[..., Awaitable[Client]]
+
+
+def with_daemon(plan: Plan | None, visit: Callable[[Daemon, Knock], Awaitable[None]]) -> None:
+    async def evening() -> None:
+        daemon = Daemon(Emulator(simulation()))
+        port = await daemon.listen("127.0.0.1", 0)
+        if plan is not None:
+            daemon.faults.put(plan, daemon.lines())
+        stop, clients = asyncio.Event(), []
+
+        async def knock(wide: bool = False) -> Client:
+            clients.append(Client(*await asyncio.open_connection("127.0.0.1", port), wide))
+            clients[-1].send(Call("connect_robot", (1, 7)))
+            assert await clients[-1].types(1) == [82]
+            return clients[-1]
+
+        serving = asyncio.create_task(daemon.serve(stop))
+        try:
+            async with asyncio.timeout(30):
+                await visit(daemon, knock)
+        finally:
+            stop.set()
+            await serving
+            for client in clients:
+                await client.close()
+
+    asyncio.run(evening())
+
+
+def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> None:
+    late = Plan((Rule("late", (Delay(0.05, 0.05),), commands=("gs", "get_rc")),))
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        flooding, other = await knock(), await knock()
+        flooding.send(*[Call("gs"), Call("get_rc")] * 400)
+        other.send(Call("st"))
+        assert await other.types(1) == [80]
+        assert await flooding.types(800) == [80, 88] * 400
+        assert daemon.faults.counts()["nserver"]["late"] == {"seen": 800, "delay": 800}
+
+    with_daemon(late, visit)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
+    plan = Plan((Rule("no", (Nak(),), When(every=2), ("vm",), REQUEST),))
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        client = await knock(wide)
+        for answer in (80, 91, 80, 91):
+            client.send(Call("vm", (1, 2, 3)))
+            assert await client.types(1) == [answer]
+        client.send(Call("get_rc"))
+        assert await client.types(1) == [88]
+        assert [visitor["refused"] for visitor in daemon.visitors()] == [0]
+
+    with_daemon(plan, visit)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
+    plan = Plan((Rule("lost", (Drop(),), commands=("get_rc",)),))
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        client = await knock(wide)
+        for in_force, answered in ((False, [88, 80]), (True, [80]), (False, [88, 80]), (True, [80])):
+            if in_force:
+                daemon.faults.put(plan, daemon.lines())
+            else:
+                daemon.faults.clear()
+            client.send(Call("get_rc"), Call("gs"))
+            assert await client.types(len(answered)) == answered
+
+    with_daemon(None, visit)
+
+
+def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
+    plan = Plan((Rule("odd", (Corrupt(place=0),), When(at=(1,)), ("gs",), REQUEST),))
+
+    async def visit(_: Daemon, knock: Knock) -> None:
+        client = await knock()
+        client.send(Call("gs"), Call("gs"))
+        assert await client.types(2) == [91, 80]
+
+    with_daemon(plan, visit)
