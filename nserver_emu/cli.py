@@ -103,7 +103,7 @@ async def _serve_with(sides: Mapping[int, RealSide], setups: OldSetup, options: 
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
     emulator = beginning.emulator()
-    gateway = Gateway(emulator, sides, shadow=options.shadow)
+    gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
     daemon = Daemon(emulator, options.speed, gateway)
     stop = asyncio.Event()
     stop_on_signals(stop)

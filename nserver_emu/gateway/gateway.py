@@ -11,13 +11,14 @@ connection owns the robot; the side that is left stands still.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
+from nclient.backends.backend import Backend
 from nclient.errors import AddressError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.gateway.following import Follower
+from nserver_emu.gateway.following import Follower, Simulated
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.gateway.translate import stays_here
 from nserver_emu.server.ground import done
@@ -27,16 +28,21 @@ from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)
 
+Around = Callable[[Backend], Backend]
+"""What is put around a backend."""
 REAL, SIMULATED = "real_robot", "simulated_robot"
 
 
 class Gateway:
-    """`sides`: the real ones, by the numbers of their robots; `shadow`: whether the simulated ones follow them.
+    """`sides`: the real ones, by the numbers of their robots; `shadow`: whether the simulated ones follow them, with
+    `around` put around them as backends.
 
     Raises AddressError where the simulated robot of a number is of another model than the real one.
     """
 
-    def __init__(self, emulator: Emulator, sides: Mapping[int, RealSide], *, shadow: bool = False) -> None:
+    def __init__(
+        self, emulator: Emulator, sides: Mapping[int, RealSide], *, shadow: bool = False, around: Around = lambda it: it
+    ) -> None:
         self.sides = sides
         self._emulator = emulator
         for robot_id, side in sides.items():
@@ -45,7 +51,8 @@ class Gateway:
                 raise AddressError(f"robot {robot_id} is a {simulated().model.family} in the simulation and really a "
                                    f"{link.model.name}; model= in the address and --robot must say the same")
             if shadow:
-                side.follower = Follower(emulator.answer, simulated, robot_id, link)
+                following = around(Simulated(emulator.answer, robot_id, link.model))
+                side.follower = Follower(following, simulated, link)
                 side.refresh()
 
     def answer(self, call: Call, visit: Visit) -> Reply | Later:

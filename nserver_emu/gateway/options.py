@@ -17,9 +17,12 @@ from pathlib import Path
 from typing import Final
 
 from nclient.backends.backend import Backend
-from nclient.schemes import Wanted, opening_of
+from nclient.backends.bumper_stop import POLL_S
+from nclient.backends.capped import Capped
+from nclient.opening import Wanted
+from nclient.schemes import opening_of
 from nserver_emu.gateway import report
-from nserver_emu.gateway.side import RealSide
+from nserver_emu.gateway.side import TIMEOUT_S, RealSide
 
 ROBOT_ID: Final = 1
 """The robot whose real side --real names."""
@@ -70,7 +73,7 @@ def reached(options: argparse.Namespace) -> Iterator[dict[int, RealSide]]:
     if options.real is None:
         yield {}
         return
-    side = RealSide(_opener(options), time.monotonic, read_only=options.real_read_only)
+    side = _side(options)
     try:
         yield {ROBOT_ID: side}
     finally:
@@ -84,15 +87,23 @@ def model_of(sides: Mapping[int, RealSide]) -> str | None:
     return sides[ROBOT_ID].robot.link.model.name if sides else None
 
 
-def _opener(options: argparse.Namespace) -> Callable[[], Backend]:
-    """The way to the robot, the same one each time. Of two caps, in the address and beside it, the lower counts."""
+def around(options: argparse.Namespace) -> Callable[[Backend], Backend]:
+    """The speed caps, to be put around the robot and around its shadow."""
+    if options.max_speed is None and options.max_turn is None:
+        return lambda backend: backend
+    speed, turn = options.max_speed or math.inf, options.max_turn or math.inf
+    return lambda backend: Capped(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
+
+
+def _side(options: argparse.Namespace) -> RealSide:
+    """The way to the robot is the same one each time; caps in its address count as well, the lower of two."""
     opening = opening_of(options.real, Wanted())
-    values = {**opening.values, **dict.fromkeys(_OWN)}
-    for name, asked in (("max_speed_in_s", options.max_speed), ("max_turn_deg_s", options.max_turn)):
-        if asked is not None:
-            values[name] = min(asked, values.get(name) or asked)
-    opening.values = values
-    return opening.backend
+    opening.values = {**opening.values, **dict.fromkeys(_OWN)}
+    capped = around(options)
+    feed_s = POLL_S if opening.values.get("bumper_stop") else TIMEOUT_S / 3
+    return RealSide(
+        lambda: capped(opening.backend()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
+    )
 
 
 def _speed(text: str) -> float:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from nclient.backends.backend import Backend
-from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
+from nclient.errors import BumperHit, NomadError, RobotRefused, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.robot_state import Link
@@ -182,7 +182,10 @@ class RealRobot:
             except WireError as error:
                 log.info("%s cannot be said to the real robot: %s", call.name, error)
                 return Outcome(code=BAD_VALUES)
-            except (ReplyTimeout, ConnectionLost) as error:
+            except BumperHit as error:
+                log.warning("the real robot was stopped: %s", error)
+                return Outcome(code=REFUSED)
+            except NomadError as error:
                 self._fell_silent(str(error))
                 return Outcome(code=NO_ANSWER)
         return Outcome(tuple(replies))

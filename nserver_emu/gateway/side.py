@@ -1,6 +1,6 @@
 """One robot's real side: who may move it, what goes to it, what comes back to each connection.
 
-    answer(call, visit) ──> owner? ──> capped ──> plan ──> ticket ──> later: the reply, or ERROR 4, 5, 6
+    answer(call, visit) ──> plan ──> owner? ──> ticket ──> later: the reply, or ERROR 4, 5, 6
     ws                      the state asked for again and again, so that nobody is kept from stopping the robot
     conf_tm                 the client's own, else TIMEOUT_S, fed while somebody owns the robot
 
@@ -19,27 +19,26 @@ from nclient.protocol.replies import Reply
 from nserver_emu.gateway.following import Follower
 from nserver_emu.gateway.ownership import Ownership, moves
 from nserver_emu.gateway.real_robot import Outcome, RealRobot, Ticket
-from nserver_emu.gateway.robot_state import Link, moving_axes, state_for
+from nserver_emu.gateway.robot_state import REAL_TIME, Link, moving_axes, state_for
 from nserver_emu.gateway.translate import HIGHEST_TIMEOUT_S, REFRESH, Plan, Shaping, plan
 from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
 
 TIMEOUT_S: Final = 5
 """A robot that nobody speaks to for so long stops; it is what a gateway that dies leaves behind."""
-FEED_S: Final = TIMEOUT_S / 3
 POLL_S: Final = 0.05
 """Between two questions of one ws whether the axes are still."""
 STOP: Final = Call("st")
 _SLOW: Final = frozenset({"zr", "arm_zr", "arm_ws", "special_request"})
 """Commands that keep the line for many seconds; who asks for the state meanwhile gets the last there was."""
 _CLOCK: Final = 2**32
-
-Capped = Callable[[Call], Call]
+_SPEED_SLOT: Final = 0
 
 
 class RealSide:
     """See the head of this file. `opens` reaches the robot, and raises where it cannot; `clock` tells seconds.
 
-    `capped` makes a call no faster than allowed; `active`: whether connections drive this or the simulated robot.
+    `feed_s`: how long nothing may be said to a robot that somebody owns; `active`: whether connections drive this or
+    the simulated robot.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class RealSide:
         clock: Callable[[], float],
         *,
         read_only: bool = False,
-        capped: Capped = lambda call: call,
+        feed_s: float = TIMEOUT_S / 3,
     ) -> None:
         self.ownership = Ownership(read_only=read_only)
         self.active = True
@@ -56,7 +55,7 @@ class RealSide:
         """The state that came last."""
         self.follower: Follower | None = None
         self._clock = clock
-        self._capped = capped
+        self._feed_s = feed_s
         self._said_s = clock()
         self._wishes: dict[Visit, int] = {}
         self._position = 0
@@ -65,7 +64,6 @@ class RealSide:
 
     def answer(self, call: Call, visit: Visit) -> Reply | Later:
         """What a connection gets for a call."""
-        call = self._capped(call)
         found = plan(call, visit, self.robot.link)
         if isinstance(found, int):
             return error_reply(found)
@@ -105,8 +103,8 @@ class RealSide:
     def tick(self) -> None:
         """Time has passed: feed a robot that somebody owns and nobody has set a time-out for; follow it."""
         self.catch_up()
-        fed = self._timeout is not None or self._clock() - self._said_s < FEED_S
-        if self.active and self.ownership.owner is not None and not fed:
+        hungry = self._timeout is None and (self._clock() - self._said_s) * self._pace() >= self._feed_s
+        if self.active and self.ownership.owner is not None and hungry:
             self.refresh()
 
     def refresh(self) -> Ticket:
@@ -121,8 +119,8 @@ class RealSide:
             assert ticket.outcome is not None
             states = [reply for reply in ticket.outcome.replies if reply.kind == "state"]
             self.last = states[-1] if states else self.last
-            if self.follower is not None and self.active:
-                self.follower.follow(ticket.simulated, states[-1] if states else None)
+            slow = ticket.calls[0].name in _SLOW
+            self._follow(() if slow else ticket.simulated, states[-1] if states else None)
 
     def opening(self, link: Link, again: bool) -> Iterable[Call]:
         """What a robot is told when it is reached: to stop where it was lost, its time-out, what to send."""
@@ -142,9 +140,20 @@ class RealSide:
         self.robot.close(*self.last_words)
         self.catch_up()
 
+    def _pace(self) -> float:
+        """How fast the robot's time runs, its time-out with it: 1 on a real one; 0 where it waits to be asked."""
+        return 1.0 if self.last is None else self.last.slots.get(_SPEED_SLOT, REAL_TIME) / REAL_TIME
+
     def _submit(self, calls: tuple[Call, ...], meant: Call | None = None) -> Ticket:
         self._said_s = self._clock()
+        if calls[0].name in _SLOW and not self.robot.silent:
+            self._follow(calls)
         return self.robot.submit(calls, moves=meant is not None and moves(meant), meant=meant)
+
+    def _follow(self, calls: Iterable[Call], state: Reply | None = None) -> None:
+        """The shadow does what the robot has done, or what it begins now and is long about."""
+        if self.follower is not None and self.active:
+            self.follower.follow(calls, state)
 
     def _promise(self, ticket: Ticket, shape: Shaping, visit: Visit) -> Later:
         def later() -> Reply | None:

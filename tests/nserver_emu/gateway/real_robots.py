@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from wire_client import ORIGIN, WireClient
 
 from nclient.backends.backend import Backend
+from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost, RobotRefused
 from nclient.protocol import language
 from nclient.protocol.commands import Call
@@ -49,6 +50,7 @@ class ScriptedRobot:
         self.terms: Terms = line_terms(model) if line else tcp_terms(model)
         self.greeting: Reply | None = None
         self.port = 1
+        self.link: LinkStatistics | None = None
         self.closed = False
         self.answers = dict(answers or {})
         self.state = LINE_STATE
@@ -85,6 +87,7 @@ class EmulatedLine:
         self.terms = line_terms(model)
         self.greeting: Reply | None = None
         self.port = 1
+        self.link: LinkStatistics | None = None
         self.closed = False
         self.emulator = emulator
         self._step_s = step_s
@@ -134,12 +137,12 @@ class House:
         emulator: Emulator | None = None,
         shadow: bool = False,
         read_only: bool = False,
-        capped: Callable[[Call], Call] = lambda call: call,
+        around: Callable[[Backend], Backend] = lambda backend: backend,
     ) -> None:
         self.now_s = 0.0
-        self.side = RealSide(opens, lambda: self.now_s, read_only=read_only, capped=capped)
+        self.side = RealSide(lambda: around(opens()), lambda: self.now_s, read_only=read_only)
         self.emulator = emulator or emulated(self.side.robot.link.model.name)
-        self.gateway = Gateway(self.emulator, {1: self.side}, shadow=shadow)
+        self.gateway = Gateway(self.emulator, {1: self.side}, shadow=shadow, around=around)
 
     def guest(self) -> Guest:
         return Guest(self)

@@ -8,14 +8,15 @@ import math
 import pytest
 from real_robots import LINE_STATE, EmulatedLine, House, ScriptedRobot, emulated, line_of
 
+from nclient.backends.capped import Capped
 from nclient.connect import Wanted, open_backend
-from nclient.errors import AddressError, ConnectionLost, ReplyTimeout, RobotRefused
+from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import language
 from nclient.protocol.commands import COMMANDS, Call
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N200
 from nclient.protocol.replies import Reply
-from nserver_emu.gateway.side import FEED_S
+from nserver_emu.gateway.side import TIMEOUT_S
 from nserver_emu.server.command_table import examples
 from nserver_emu.server.pace import Pace
 from nserver_emu.simulation.setup import NOISY
@@ -176,11 +177,27 @@ def test_read_only_lets_anybody_stop_it() -> None:
     assert robot.names() == ["st"]
 
 
-def test_calls_go_through_the_cap() -> None:
-    robot = ScriptedRobot()
-    house = House(lambda: robot, capped=lambda call: Call("vm", (1, 2, 3)) if call.name == "vm" else call)
-    house.guest().ask("vm", 100, 100, 100)
-    assert robot.calls[-1] == Call("vm", (1, 2, 3))
+def test_the_robot_and_its_shadow_are_capped_alike() -> None:
+    line = line_of(emulated())
+    house = House(lambda: line, shadow=True, around=lambda backend: Capped(backend, max_speed_in_s=4, max_turn_deg_s=9))
+    guest = house.guest()
+    assert guest.ask("vm", 100, -200, 50).slots[38] == 40
+    simulated = house.emulator.simulation.robots[1]
+    for robot in (line.emulator.simulation.robots[1], simulated):
+        assert robot.velocities == pytest.approx((4.0, -math.radians(9), math.radians(5)))
+    guest.ask("st")
+    guest.ask("pr", 240, 0, 0)
+    assert simulated.velocities[0] == pytest.approx(4.0)
+    assert guest.ask("gs").slots[38] == 40
+
+
+def test_a_bumper_that_stops_the_robot_is_error_5_and_the_talk_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    house, robot = scripted()
+    guest = house.guest()
+    robot.trouble.append(BumperHit("gs", (3,)))
+    assert refusal(guest.ask("gs")) == (5,)
+    assert guest.ask("gs").kind == "state"
+    assert "the real robot was stopped" in caplog.text
 
 
 def test_who_connects_switches_between_the_real_and_the_simulated_robot() -> None:
@@ -268,7 +285,7 @@ def test_the_time_out_is_the_gateways_until_a_client_sets_one() -> None:
     house.gateway.tick()
     house.work()
     assert robot.names() == []
-    house.now_s += FEED_S
+    house.now_s += TIMEOUT_S / 3
     house.gateway.tick()
     house.work()
     assert robot.names() == ["gs"]
@@ -289,6 +306,24 @@ def test_the_time_out_is_the_gateways_until_a_client_sets_one() -> None:
     house.gateway.tick()
     house.work()
     assert len(robot.calls) == 2
+
+
+@pytest.mark.parametrize(("speed", "fed_after_s"), [(None, 5 / 3), (10, 5 / 3), (100, 5 / 30), (0, None)])
+def test_a_robot_is_fed_as_fast_as_its_time_runs(speed: int | None, fed_after_s: float | None) -> None:
+    house, robot = scripted()
+    robot.state = Reply("state", LINE_STATE.slots if speed is None else {**LINE_STATE.slots, 0: speed}, clock=0)
+    guest, asked_s = house.guest(), house.now_s
+    guest.ask("vm", 10, 0, 0)
+    robot.names()
+    while not robot.calls and house.now_s < 10:
+        house.now_s += 0.02
+        house.gateway.tick()
+        house.work()
+    if fed_after_s is None:
+        assert robot.names() == []
+    else:
+        assert robot.names() == ["gs"]
+        assert house.now_s - asked_s == pytest.approx(fed_after_s, abs=0.04)
 
 
 def test_position_data_are_asked_for_once_for_all_who_want_them() -> None:
@@ -379,7 +414,7 @@ def test_a_shadow_begins_where_the_encoders_are_and_tells_a_noisy_robot_apart(ca
     assert house.side.follower is not None
     assert house.side.follower.shadow.quantities["x_in"].largest == 0.0
     guest.ask("place_robot", 9000, 600, 0, 0)
-    assert "the simulation refused place_robot(9000, 600, 0, 0): error 2" in caplog.text
+    assert "shadow: place_robot(9000, 600, 0, 0) in the simulation: place_robot was refused" in caplog.text
     assert house.side.follower.shadow.quantities["x_in"].last == pytest.approx(840.0)
 
 
@@ -395,3 +430,22 @@ def test_a_shadow_rests_while_the_simulation_is_driven() -> None:
     before = house.side.follower.shadow.states
     guest.ask("gs")
     assert house.side.follower.shadow.states == before
+
+
+def test_a_shadow_begins_with_the_robot_what_takes_long_and_is_not_waited_for() -> None:
+    start = StartPose(0.0, 0.0, 1.0, 2.0)
+    line = line_of(emulated(start=start))
+    house = House(lambda: line, emulator=emulated(start=start), shadow=True)
+    guest = house.guest()
+    guest.ask("gs")
+    shadow = house.emulator.simulation.robots[1]
+    guest.session.receive(language.tcp_request(Call("zr")))
+    assert guest.session.answers(1) == b""
+    assert shadow.zeroing
+    house.emulator.simulation.step(60.0)
+    assert not shadow.zeroing
+    house.work()
+    assert guest.client.read("zr", guest.session.tick())[0].slots[36] == 0
+    assert not shadow.zeroing
+    assert house.side.follower is not None
+    assert house.side.follower.shadow.quantities["steering_deg"].last == 0.0

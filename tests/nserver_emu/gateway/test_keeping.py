@@ -7,16 +7,16 @@ import asyncio
 import csv
 import json
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from real_robots import ScriptedRobot, emulated
 
 from nclient import connect
 from nclient.errors import AddressError, ConnectionLost, RobotRefused
-from nclient.schemes import Opening, Wanted, opening_of
+from nclient.opening import Opening
+from nclient.protocol.commands import Call
 from nserver_emu import cli
 from nserver_emu.gateway import options as gateway_options
 from nserver_emu.gateway.gateway import Gateway
@@ -76,7 +76,7 @@ def test_a_client_drives_and_is_not_the_only_one_served() -> None:
 
     with reached(told("--real", "sim:thesis_room")) as sides:
         assert model_of(sides) == "n150"
-        serve(sides[1], lambda address: asyncio.to_thread(drive, address))
+        serve(sides[1], lambda address: asyncio.to_thread(drive, address), every_s=0.01)
 
 
 def test_a_shadow_is_summed_up_and_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -103,18 +103,31 @@ def test_without_a_real_robot_there_is_no_side() -> None:
 
 
 def test_the_gateway_does_itself_what_wrappers_of_the_address_would(monkeypatch: pytest.MonkeyPatch) -> None:
-    def values(address: str, *words: str) -> Mapping[str, Any]:
-        opening = opening_of(address, Wanted())
-        opening.values = {"tm_s": 5.0, "feed": True, "reconnect": True, "max_speed_in_s": 6.0}
-        monkeypatch.setattr(Opening, "backend", lambda _: ScriptedRobot())
-        monkeypatch.setattr(gateway_options, "opening_of", lambda *_: opening)
-        with reached(told("--real", address, *words)):
-            return opening.values
+    opened = list[Opening]()
 
-    off = {"tm_s": None, "feed": None, "reconnect": None}
-    slow = {"max_speed_in_s": 4.0, "max_turn_deg_s": 20.0}
-    assert values("sim:", "--max-speed", "4", "--max-turn", "20") == off | slow
-    assert values("sim:", "--max-speed", "8") == off | {"max_speed_in_s": 6.0}
+    def backend(opening: Opening) -> ScriptedRobot:
+        opened.append(opening)
+        return ScriptedRobot()
+
+    monkeypatch.setattr(Opening, "backend", backend)
+    with reached(told("--real", "serial:///dev/ttyUSB0?tm_s=7&retries=1&max_speed_in_s=6", "--max-turn", "9")):
+        pass
+    values = opened[0].values
+    assert (values["tm_s"], values["feed"], values["reconnect"]) == (None, None, None)
+    assert (values["retries"], values["max_speed_in_s"]) == (1, 6.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "args"),
+    [
+        ((), (100, 200, 300)), (("--max-speed", "4"), (40, 200, 300)), (("--max-turn", "5"), (100, 50, 50)),
+        (("--max-speed", "4", "--max-turn", "5"), (40, 50, 50)),
+    ],
+)  # fmt: skip
+def test_caps_are_what_the_command_line_says(words: tuple[str, ...], args: tuple[int, ...]) -> None:
+    robot = ScriptedRobot()
+    gateway_options.around(told("--real", "sim:", *words))(robot).execute(Call("vm", (100, 200, 300)))
+    assert robot.calls == [Call("vm", args)]
 
 
 @pytest.mark.parametrize(
