@@ -1,0 +1,103 @@
+"""A bumper hit stops the robot at once and is told; a robot at a wall can leave it."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+from robot_line import Answer, ScriptedLine, direct_on
+
+from nclient.backends.bumper_stop import BumperStop
+from nclient.errors import BumperHit
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N150, N200, SCOUT, Model
+
+GS, VM = Call("gs"), Call("vm", (100, 0, 0))
+
+
+@pytest.mark.parametrize("model", [N150, N200, SCOUT])
+def test_a_hit_while_moving_sends_st_and_is_told(model: Model) -> None:
+    robot = ScriptedLine(model=model)
+    backend = BumperStop(direct_on(robot))
+    robot.calls.clear()
+    robot.slots[41] = 1
+    backend.execute(VM)
+    robot.slots[33] |= 0b101
+    with pytest.raises(BumperHit, match="gs: bumper 0, 2 touches; the robot was told to stop") as hit:
+        backend.execute(GS)
+    assert (hit.value.command, hit.value.bumpers) == ("gs", (0, 2))
+    assert robot.names() == ["vm", "gs", "st"]
+
+
+def test_a_robot_that_the_wall_has_stopped_was_moving_all_the_same() -> None:
+    robot = ScriptedLine()
+    backend = BumperStop(direct_on(robot))
+    robot.slots[33] |= 1
+    with pytest.raises(BumperHit):
+        backend.execute(VM)
+    robot = ScriptedLine()
+    backend = BumperStop(direct_on(robot))
+    robot.slots[41] = 1
+    backend.execute(VM)
+    robot.slots[41] = 0
+    robot.slots[33] |= 1
+    with pytest.raises(BumperHit):
+        backend.execute(Call("get_bp"))
+
+
+def test_it_can_leave_the_wall_and_other_bumpers_still_count() -> None:
+    robot = ScriptedLine()
+    backend = BumperStop(direct_on(robot))
+    robot.slots[33] |= 1
+    with pytest.raises(BumperHit):
+        backend.execute(VM)
+    robot.slots[41] = 1
+    backend.execute(Call("vm", (-100, 0, 0)))
+    robot.slots[33] |= 1 << 10
+    with pytest.raises(BumperHit, match="bumper 10"):
+        backend.execute(GS)
+    robot.slots[33] = N150.bumper_rest
+    backend.execute(GS)
+    robot.slots[41] = 1
+    backend.execute(VM)
+    robot.slots[33] |= 1
+    with pytest.raises(BumperHit, match="bumper 0"):
+        backend.execute(GS)
+
+
+def test_who_pushes_a_robot_at_rest_stops_nothing() -> None:
+    robot = ScriptedLine()
+    backend = BumperStop(direct_on(robot))
+    backend.execute(GS)
+    robot.slots[33] |= 1
+    backend.execute(GS)
+    assert backend.execute(Call("get_rc")).kind == "configuration"
+    assert robot.names() == ["gs", "gs", "get_rc"]
+
+
+def test_a_robot_that_touches_when_one_connects() -> None:
+    robot = ScriptedLine(model=N200)
+    robot.slots[33] |= 1
+    backend = BumperStop(direct_on(robot))
+    robot.slots[41] = 1
+    assert backend.execute(VM).slots[33] & 1
+
+
+def test_st_is_said_until_it_is_answered() -> None:
+    silences: list[Answer] = [None, None]
+    robot = ScriptedLine({"st": silences})
+    backend = BumperStop(direct_on(robot))
+    robot.slots[33] |= 1
+    with pytest.raises(BumperHit):
+        backend.execute(VM)
+    assert robot.names().count("st") >= 3
+    robot = ScriptedLine({"st": None, "get_ra": None, "get_rv": None})
+    backend = BumperStop(direct_on(robot))
+    robot.slots[33] |= 1
+    with pytest.raises(BumperHit):
+        backend.execute(VM)
+
+
+def test_the_error_can_be_sent_to_another_process() -> None:
+    hit = pickle.loads(pickle.dumps(BumperHit("vm", (3, 4))))
+    assert (hit.command, hit.bumpers, str(hit)) == ("vm", (3, 4), str(BumperHit("vm", (3, 4))))

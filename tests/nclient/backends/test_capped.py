@@ -1,0 +1,108 @@
+"""Nothing goes out faster than allowed, whatever the command and the model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from robot_line import ScriptedLine, direct_on
+
+from nclient.backends.capped import Capped
+from nclient.errors import ConnectionLost
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N150, N200, SCOUT
+from nclient.protocol.units import SCOUT_WHEEL_IN_PER_DEG
+from nclient.transports.memory import MemoryStream
+
+BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "sent"),
+    [
+        ("vm", (200, 450, -450), (80, 300, -300)),
+        ("vm", (-81, 299, 0), (-80, 299, 0)),
+        ("vm", (80, 0, 0), (80, 0, 0)),
+        ("sp", (200, 450, 450), (80, 300, 300)),
+        ("mv", (1, 200, 1, -450, 1, 450), (1, 80, 1, -300, 1, 300)),
+        ("mv", (5, 200, 4, 450, 0, 450), (5, 80, 4, 450, 0, 450)),
+        ("gs", (), ()),
+        ("ac", (300, 500, 500), (300, 500, 500)),
+    ],
+)
+def test_speeds_are_brought_down(name: str, asked: tuple[int, ...], sent: tuple[int, ...]) -> None:
+    robot = ScriptedLine()
+    Capped(direct_on(robot), **BOTH).execute(Call(name, asked))
+    assert robot.calls == [Call(name, sent)]
+
+
+def test_one_limit_leaves_the_other_axes() -> None:
+    robot = ScriptedLine()
+    Capped(direct_on(robot), max_speed_in_s=8).execute(Call("vm", (200, 450, 450)))
+    Capped(direct_on(robot), max_turn_deg_s=30).execute(Call("vm", (200, 450, 450)))
+    assert [call.args for call in robot.calls] == [(80, 450, 450), (200, 300, 300)]
+
+
+@pytest.mark.parametrize("call", [Call("pr", (100, 0, 0)), Call("mv", (0, 0, 2, 900, 0, 0)), Call("pa", (1, 2, 3))])
+def test_before_the_first_relative_motion_the_limits_are_the_speeds(call: Call) -> None:
+    robot = ScriptedLine(model=N200)
+    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    robot.calls.clear()
+    backend.execute(call)
+    backend.execute(call)
+    assert robot.calls == [Call("mv", (5, 80, 0, 0, 0, 0)), call, call]
+
+
+def test_who_has_said_sp_has_said_the_speeds() -> None:
+    robot = ScriptedLine()
+    backend = Capped(direct_on(robot), **BOTH)
+    backend.execute(Call("sp", (50, 450, 450)))
+    backend.execute(Call("pr", (100, 0, 0)))
+    assert robot.calls == [Call("sp", (50, 300, 300)), Call("pr", (100, 0, 0))]
+
+
+def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
+    robot = ScriptedLine()
+    stream = MemoryStream(robot)
+    inner = direct_on(robot)
+    backend = Capped(inner, **BOTH)
+    backend.execute(Call("sp", (50, 50, 50)))
+    stream.close()
+    inner.close()
+    with pytest.raises(ConnectionLost):
+        backend.execute(Call("gs"))
+    again = direct_on(robot)
+    backend._inner = again
+    robot.calls.clear()
+    backend.execute(Call("pr", (10, 0, 0)))
+    assert robot.names() == ["mv", "pr"]
+
+
+@pytest.mark.parametrize("asked", [(400, 400), (400, -400), (390, 100), (-300, 20), (60, 60), (0, 400)])
+def test_a_scouts_wheels_are_slowed_together(asked: tuple[int, int]) -> None:
+    robot = ScriptedLine(model=SCOUT)
+    Capped(direct_on(robot), **BOTH).execute(Call("vm", (*asked, 0)))
+    right, left, _ = robot.calls[0].args
+    assert max(abs(right), abs(left)) <= 80
+    assert abs(right - left) / 2 <= 300 * SCOUT_WHEEL_IN_PER_DEG + 1
+    assert abs(right * asked[1] - left * asked[0]) <= max(abs(asked[0]), abs(asked[1]))
+    slowest = min(80 / max(map(abs, asked)), 300 * SCOUT_WHEEL_IN_PER_DEG * 2 / max(1e-9, abs(asked[0] - asked[1])), 1)
+    assert right == pytest.approx(asked[0] * slowest, abs=1)
+
+
+def test_a_scouts_wheels_by_mv_and_sp() -> None:
+    robot = ScriptedLine(model=SCOUT)
+    wheel = int(300 * SCOUT_WHEEL_IN_PER_DEG)
+    backend = Capped(direct_on(robot), **BOTH)
+    backend.execute(Call("sp", (390, 390, 0)))
+    backend.execute(Call("mv", (1, 390, 0, 0, 0, 0)))
+    backend.execute(Call("mv", (1, 100, 1, 50, 0, 0)))
+    assert [call.args for call in robot.calls] == [
+        (wheel, wheel, 0), (1, wheel, 0, 0, 0, 0), (1, wheel, 1, wheel, 0, 0)
+    ]  # fmt: skip
+
+
+def test_what_is_no_such_call_is_the_backends_to_refuse() -> None:
+    robot = ScriptedLine(model=N150)
+    with pytest.raises(ValueError, match="vm takes 3 numbers"):
+        Capped(direct_on(robot), **BOTH).execute(Call("vm", (1,)))

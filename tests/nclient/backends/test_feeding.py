@@ -1,0 +1,221 @@
+"""The time-out of motion: set, fed while the program lives, and told about when the feeder meets what breaks."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from answering import ScriptedServer, error
+from robot_line import ScriptedLine, direct_on, spoiled
+
+from nclient.backends.bumper_stop import BumperStop
+from nclient.backends.feeding import Feeding
+from nclient.backends.nserver import NserverBackend
+from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N200
+from nclient.transports.memory import MemoryStream
+
+GS, VM = Call("gs"), Call("vm", (100, 0, 0))
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def feeding_on(robot: ScriptedLine, clock: Clock, **options: Any) -> Feeding:
+    """Without its thread: the tests beat by hand."""
+    return Feeding(direct_on(robot), feeds=False, clock=clock, **options)
+
+
+def test_the_time_out_is_set_on_connecting_and_its_answer_is_the_greeting() -> None:
+    robot = ScriptedLine()
+    backend = feeding_on(robot, Clock())
+    assert robot.calls == [Call("conf_tm", (5,))]
+    assert backend.greeting is not None
+    assert backend.greeting.slots[17] == 57
+    robot = ScriptedLine(model=N200)
+    inner = direct_on(robot)
+    assert Feeding(inner, 9, feeds=False).greeting is inner.greeting
+    assert robot.calls[-1] == Call("conf_tm", (9,))
+
+
+def test_it_asks_where_nothing_was_said_for_a_third_of_the_time_out() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = feeding_on(robot, clock, timeout_s=6)
+    robot.calls.clear()
+    clock.now_s = 1.9
+    assert backend.beat() == pytest.approx(0.1)
+    assert robot.calls == []
+    clock.now_s = 2.0
+    assert backend.beat() == 2.0
+    assert robot.names() == ["gs"]
+    clock.now_s = 3.0
+    backend.execute(VM)
+    assert backend.beat() == 2.0
+    assert robot.names() == ["gs", "vm"]
+
+
+def test_it_may_be_told_to_ask_more_often() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = feeding_on(robot, clock, at_least_every_s=0.2)
+    clock.now_s = 0.2
+    assert backend.beat() == 0.2
+    assert robot.names() == ["conf_tm", "gs"]
+
+
+@pytest.mark.parametrize(("speed", "interval_s"), [(10, 2.0), (5, 2.0), (100, 0.2), (9999, 0.005)])
+def test_in_a_simulation_that_runs_faster_it_asks_more_often(speed: int, interval_s: float) -> None:
+    server, clock = ScriptedServer(), Clock()
+    server.slots = {0: speed}
+    backend = Feeding(NserverBackend(MemoryStream(server)), 6, feeds=False, clock=clock)
+    clock.now_s = 2.0
+    assert backend.beat() == pytest.approx(interval_s)
+    assert server.names() == ["conf_tm", "gs"]
+
+
+def test_where_time_stands_it_does_not_feed() -> None:
+    server, clock = ScriptedServer(), Clock()
+    server.slots = {0: 0}
+    backend = Feeding(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    clock.now_s = 100.0
+    backend.beat()
+    assert server.names() == ["conf_tm"]
+    server.slots = {0: 10}
+    backend.execute(GS)
+    clock.now_s = 200.0
+    backend.beat()
+    assert server.names() == ["conf_tm", "gs", "gs"]
+
+
+def test_a_program_that_sends_conf_tm_itself_takes_it_over() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = feeding_on(robot, clock)
+    backend.execute(Call("conf_tm", (1,)))
+    clock.now_s = 100.0
+    backend.beat()
+    backend.execute(Call("ws", (1, 1, 1, 20)))
+    assert robot.names() == ["conf_tm", "conf_tm", "ws"]
+    assert robot.calls[-1].args == (1, 1, 1, 20)
+
+
+def test_who_has_no_time_out_is_not_fed() -> None:
+    server, clock = ScriptedServer({"conf_tm": error(1)}), Clock()
+    backend = Feeding(NserverBackend(MemoryStream(server)), clock=clock)
+    assert not backend._thread.is_alive()
+    assert backend.execute(GS).kind == "state"
+
+
+def test_while_somebody_talks_there_is_nothing_to_do() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = feeding_on(robot, clock)
+    clock.now_s = 100.0
+    with backend._lock:
+        backend.beat()
+    assert robot.names() == ["conf_tm"]
+
+
+# what the feeder meets
+
+
+def test_a_loss_is_told_by_the_next_call_and_nothing_is_asked_till_then() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    stream = MemoryStream(robot)
+    inner = direct_on(robot)
+    inner._line._stream = stream
+    backend = Feeding(inner, feeds=False, clock=clock)
+    stream.close()
+    for now_s in (10.0, 20.0):
+        clock.now_s = now_s
+        backend.beat()
+    with pytest.raises(ConnectionLost, match="gs: this end has closed"):
+        backend.execute(VM)
+    with pytest.raises(ConnectionLost, match="vm: "):
+        backend.execute(VM)
+
+
+def test_a_silence_is_told_only_where_it_is_the_end() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = feeding_on(robot, clock)
+    robot.answers["gs"] = [spoiled(robot.frame("gs"))]
+    clock.now_s = 10.0
+    backend.beat()
+    assert backend.execute(VM).kind == "state"
+    server = ScriptedServer()
+    backend = Feeding(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    server.answers["gs"] = None
+    clock.now_s = 20.0
+    backend.beat()
+    with pytest.raises(ReplyTimeout, match="gs"):
+        backend.execute(VM)
+
+
+def test_a_bumper_hit_in_a_programs_sleep_is_told_by_its_next_call() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = Feeding(BumperStop(direct_on(robot)), feeds=False, clock=clock)
+    robot.slots[41] = 1
+    backend.execute(VM)
+    robot.slots[33] |= 1
+    clock.now_s = 10.0
+    backend.beat()
+    assert robot.names() == ["conf_tm", "vm", "gs", "st"]
+    with pytest.raises(BumperHit, match="gs: bumper 0"):
+        backend.execute(GS)
+    assert backend.execute(GS).slots[33] & 1
+
+
+# ws
+
+
+def moving(robot: ScriptedLine, motors: int) -> Any:
+    return replace(robot.state(), slots={**robot.slots, 41: motors})
+
+
+def test_ws_is_asked_in_pieces_until_the_axes_are_still() -> None:
+    robot = ScriptedLine()
+    backend = feeding_on(robot, Clock())
+    robot.answers["ws"] = [moving(robot, 5), moving(robot, 6), moving(robot, 2)]
+    assert backend.execute(Call("ws", (1, 0, 1, 20))).slots[41] == 2
+    assert [call.args for call in robot.calls[1:]] == [(1, 0, 1, 2)] * 3
+
+
+def test_ws_ends_when_its_time_is_over() -> None:
+    robot = ScriptedLine()
+    backend = feeding_on(robot, Clock())
+    robot.answers["ws"] = moving(robot, 7)
+    for timeout_s, pieces in ((5, [2, 2, 1]), (2, [2]), (0, [0]), (-1, [0])):
+        robot.calls.clear()
+        backend.execute(Call("ws", (1, 1, 1, timeout_s)))
+        assert [call.args[3] for call in robot.calls] == pieces
+
+
+def test_what_is_no_ws_is_the_backends_to_refuse() -> None:
+    with pytest.raises(ValueError, match="ws takes 4 numbers"):
+        feeding_on(ScriptedLine(), Clock()).execute(Call("ws", (1,)))
+
+
+# the thread
+
+
+def test_the_thread_feeds_and_ends_with_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    fed, robot = threading.Event(), ScriptedLine()
+    answer = robot.send
+
+    def send(data: bytes) -> None:
+        answer(data)
+        if robot.names().count("gs") > 1:
+            fed.set()
+
+    monkeypatch.setattr(robot, "send", send)
+    backend = Feeding(direct_on(robot), at_least_every_s=0.01)
+    assert fed.wait(10)
+    backend.close()
+    assert not backend._thread.is_alive()
+    assert backend.closed
+    assert robot.closed == 1
+    backend.close()

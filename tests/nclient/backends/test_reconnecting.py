@@ -1,0 +1,194 @@
+"""Coming back: each loss is told once, tries are further and further apart, and what safety hangs on is said again."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from answering import ScriptedServer
+from robot_line import ScriptedLine
+
+from nclient.backends.backend import Backend
+from nclient.backends.direct import DirectBackend
+from nclient.backends.nserver import NserverBackend
+from nclient.backends.reconnecting import Reconnecting
+from nclient.backends.statistics import LinkStatistics
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.protocol.commands import Call
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N200
+from nclient.transports.memory import MemoryStream
+
+GS = Call("gs")
+
+
+class Cable:
+    """A robot that can be pulled and plugged in again; each opening is a new stream to it."""
+
+    def __init__(self) -> None:
+        self.robot = ScriptedLine(model=N200)
+        self.plugged = True
+        self.link = LinkStatistics()
+        self.now_s = 0.0
+        self.waits: list[float] = []
+        self.streams: list[MemoryStream] = []
+
+    def open(self) -> Backend:
+        if not self.plugged:
+            raise ConnectionLost("there is no port")
+        self.streams.append(MemoryStream(self.robot))
+        return DirectBackend(self.streams[-1], N200, link=self.link)
+
+    def pull(self) -> None:
+        self.plugged = False
+        self.streams[-1].close()
+
+    def wait(self, seconds: float) -> None:
+        self.waits.append(round(seconds, 6))
+        self.now_s += seconds
+
+    def backend(self) -> Reconnecting:
+        return Reconnecting(self.open(), self.open, 1.0, clock=lambda: self.now_s, wait=self.wait)
+
+
+def test_the_call_that_meets_the_loss_says_so_and_the_next_comes_back() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    backend.execute(GS)
+    cable.pull()
+    with pytest.raises(ConnectionLost, match="this end has closed"):
+        backend.execute(Call("vm", (100, 0, 0)))
+    assert not backend.closed
+    cable.plugged = True
+    assert backend.execute(GS).kind == "state"
+    assert (cable.link.losses, cable.link.reconnects) == (1, 1)
+    assert "vm" not in cable.robot.names()
+    assert len(cable.streams) == 2
+
+
+def test_pauses_double_up_to_the_longest_and_start_anew_with_the_next_loss() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    cable.pull()
+    for _ in range(7):
+        with pytest.raises(ConnectionLost):
+            backend.execute(GS)
+    assert cable.waits == [0.1, 0.2, 0.4, 0.8, 1.0, 1.0]
+    with pytest.raises(ConnectionLost, match="gs: not back yet, the next try in 1 s: there is no port"):
+        backend.execute(GS)
+    cable.plugged = True
+    backend.execute(GS)
+    cable.pull()
+    cable.plugged = True
+    cable.waits.clear()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    backend.execute(GS)
+    assert cable.waits == [0.1]
+
+
+def test_a_pause_that_is_over_is_not_waited_for() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    cable.pull()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    cable.now_s += 60
+    cable.plugged = True
+    backend.execute(GS)
+    assert cable.waits == [0.0]
+
+
+def test_mask_and_time_out_are_said_again_and_nothing_that_moves() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    stamped = Call("ct", EVERYTHING.with_position(2).smask)
+    for call in (Call("conf_tm", (5,)), stamped, Call("vm", (50, 0, 0)), Call("sp", (100, 100, 100))):
+        backend.execute(call)
+    cable.pull()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    cable.plugged = True
+    cable.robot.calls.clear()
+    assert "sonar_0" in backend.execute(GS).stamps
+    assert cable.robot.names() == ["ct", "ct", "conf_tm", "gs"]
+    assert cable.robot.calls[1] == stamped
+
+
+def test_one_that_cannot_be_greeted_is_closed_and_tried_again() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    backend.execute(Call("conf_tm", (5,)))
+    cable.pull()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    cable.plugged = True
+    cable.robot.answers["conf_tm"] = [None]
+    with pytest.raises(ConnectionLost, match=r"not back yet.*conf_tm: no answer"):
+        backend.execute(GS)
+    assert cable.robot.closed == 2
+    assert backend.execute(GS).kind == "state"
+
+
+def test_an_nservers_robot_by_its_number() -> None:
+    servers = [ScriptedServer(), ScriptedServer()]
+    streams = [MemoryStream(server) for server in servers]
+    link = LinkStatistics()
+    opened = iter(streams)
+
+    def opens() -> Backend:
+        return NserverBackend(next(opened), pid=1, link=link)
+
+    backend = Reconnecting(opens(), opens, wait=lambda _: None)
+    backend.execute(Call("create_robot", (3, 1)))
+    servers[0].answers["gs"] = None
+    with pytest.raises(ReplyTimeout):
+        backend.execute(GS)
+    assert backend.execute(GS).kind == "state"
+    assert servers[1].names() == ["connect_robot", "gs"]
+    assert servers[1].calls[2].args == (3, 1)
+    assert (link.losses, link.reconnects) == (1, 1)
+    backend.execute(Call("disconnect_robot", (3, 1)))
+    assert backend.closed
+
+
+def test_closing_is_for_good() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    backend.close()
+    assert backend.closed
+    with pytest.raises(ConnectionLost, match="this side closed the connection"):
+        backend.execute(GS)
+    assert (cable.link.losses, len(cable.streams)) == (0, 1)
+
+
+def test_closing_ends_the_wait_for_the_next_try() -> None:
+    cable = Cable()
+    backend = Reconnecting(cable.open(), cable.open, 60.0, clock=lambda: 0.0)
+    cable.pull()
+    for _ in range(2):
+        with pytest.raises(ConnectionLost):
+            backend.execute(GS)
+    cable.plugged = True
+    backend._next_try_s = 60.0
+    closing = threading.Timer(0.05, backend.close)
+    closing.start()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    closing.join()
+    assert cable.streams[-1]._peer is None
+
+
+def test_nobody_counts_where_nobody_is_told_to() -> None:
+    streams = [MemoryStream(ScriptedServer()), MemoryStream(ScriptedServer())]
+    opened = iter(streams)
+
+    def opens() -> Backend:
+        return NserverBackend(next(opened), pid=1)
+
+    backend = Reconnecting(opens(), opens, wait=lambda _: None)
+    streams[0].close()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    assert backend.execute(GS).kind == "state"
+    assert backend.link is None
