@@ -2,6 +2,7 @@
 
     strict   questions come in the recorded order; what keeps a robot fed (gs, conf_tm) may be left out
     loose    each question is answered as the next one like it was
+    both     leaving is always allowed; conf_tm, which clients set by themselves, is answered with the last state
 
 Rules: no I/O and no clock: each answer tells how long after its question it came, and whoever plays waits or does not.
 """
@@ -11,13 +12,14 @@ from __future__ import annotations
 from typing import Final
 
 from nclient.errors import RecordingError
-from nclient.recording.script import Asked, Exchange, Piece, Questions, Script
+from nclient.recording.script import Asked, Exchange, Piece, Questions, Script, state_before
 
 STRICT, LOOSE = "strict", "loose"
 ORDERS: Final = (STRICT, LOOSE)
 _FEEDING: Final = frozenset({"gs", "conf_tm"})
 """What clients say by themselves at moments of their own choice: a program need not repeat it."""
 _LEAVING: Final = "disconnect_robot"
+_TIMEOUT: Final = "conf_tm"
 
 
 class Player:
@@ -48,6 +50,9 @@ class Player:
         if at is None:
             if question.name == _LEAVING:
                 return []
+            state = state_before(self._script, self._next) if question.name == _TIMEOUT else b""
+            if state:
+                return [Piece(0.0, state)]
             raise self._missing(question)
         self._next = at + 1
         return self._script.exchanges[at].answer

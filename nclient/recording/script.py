@@ -15,12 +15,16 @@ from typing import Any, NamedTuple
 
 from nclient.errors import AddressError, RecordingError, WireError
 from nclient.protocol import language, serial_frame, tcp_frame
-from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.models import N150, Model, model_named
+from nclient.protocol.replies import LINE_STATE, STATE
 from nclient.protocol.tcp_frame import request_bounds
 from nclient.protocol.terms import line_terms
 from nclient.recording.follower import LINES, TCP, Ears, Frame, ears_for
 from nclient.recording.log import IN, OPEN, OUT, Entry, Recording
+
+_STATE_TYPE = REPLY_TYPES[STATE].to_bytes(2, "big")
+_TIMEOUT_TYPE = BY_NAME["conf_tm"].line_type or 0
 
 
 class Asked(NamedTuple):
@@ -126,6 +130,23 @@ def _spoken(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
         return line, model_named(str(told.get("model", N150.name)))
     except AddressError as error:
         raise RecordingError(f"{recording.name}: {error}") from None
+
+
+def state_before(script: Script, at: int) -> bytes:
+    """The state that was told last before an exchange, else first after it, as conf_tm is answered; empty for none."""
+    for exchange in (*reversed(script.exchanges[:at]), *script.exchanges[at:]):
+        row = BY_NAME.get(exchange.asked.name)
+        data = b"".join(piece.data for piece in exchange.answer)
+        if row is None or not data:
+            continue
+        if script.line == TCP:
+            if row.tcp_reply is STATE and data[:2] == _STATE_TYPE:
+                return data
+        elif row.line_reply is LINE_STATE:
+            frames = [frame for frame in serial_frame.SerialFramer().receive(data) if frame.type == row.line_type]
+            if frames:
+                return serial_frame.build_frame(_TIMEOUT_TYPE, frames[-1].data)
+    return b""
 
 
 class _Writer:

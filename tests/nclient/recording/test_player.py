@@ -166,6 +166,31 @@ LINE_STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}), line_te
 LINE_GS = language.line_request(Call("gs"), line_terms(N150))
 
 
+def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> None:
+    player = Player(script_of(recording(
+        ask("connect_robot", 1, 1), answer("connect_robot", 1), ask("gs"), answer("gs", 3), ask("st"), answer("st", 4),
+    )))
+    assert asked(player, "conf_tm", 5) == answer("gs", 3).data, "the first to come, before there was any"
+    asked(player, "connect_robot", 1, 2)
+    asked(player, "gs")
+    asked(player, "st")
+    assert asked(player, "conf_tm", 5) == answer("st", 4).data
+    silent = Player(script_of(recording(ask("connect_robot", 1, 1), answer("connect_robot", 1))))
+    with pytest.raises(RecordingError, match="the program asks `conf_tm 5`"):
+        asked(silent, "conf_tm", 5)
+
+
+def test_a_time_out_on_a_robots_line_too() -> None:
+    conf_tm = language.line_request(Call("conf_tm", (5,)), line_terms(N150))
+    told = language.line_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), line_terms(N150))
+    line = {"wire": "serial"}
+    entries = [Entry(0, "out", "", LINE_GS, line=2), Entry(0, "in", "", LINE_STATE[:8]),
+               Entry(1, "out", "", LINE_GS), Entry(1, "in", "", b"\x55" + LINE_STATE)]
+    assert Player(script_of(recording(*entries, **line))).answers(conf_tm) == [Piece(0.0, told)]
+    with pytest.raises(RecordingError):
+        Player(script_of(recording(*entries[:2], **line))).answers(conf_tm)
+
+
 def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() -> None:
     entries = [
         Entry(0, "open", "1", more={"wire": "serial", "model": "n150"}), Entry(0, "in", "1", b"\xee\xee"),

@@ -1,0 +1,1 @@
+"""Subcommands of `nomad` that need nothing but the client: a module each."""

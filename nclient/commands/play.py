@@ -1,0 +1,81 @@
+"""Answer as a recorded robot did: a recording on a TCP port or a pseudo-terminal.
+
+    nomad play run.log --listen 7019                    an old client meets the robot of that day
+    nomad play run.log --link /tmp/robot --pace recorded
+    nomad play run.log --listen 0 --order loose --connection 127.0.0.1:4711
+
+Each visitor meets the recording from its beginning. One that asks something else than was recorded is hung up on, what
+and where is told on stderr, and the exit code is 1 in the end.
+
+Rules: sockets, waiting and printing only; what is answered is nclient.recording's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from nclient.commands.serving import add_door, open_door, tell, visitors
+from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
+from nclient.recording.log import read_recording
+from nclient.recording.player import ORDERS, STRICT, Player
+from nclient.recording.script import Piece, Script, script_of
+from nclient.transports.byte_stream import ByteStream, Deadline
+
+AT_ONCE, RECORDED = "at-once", "recorded"
+_PATIENCE_S = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """A file, a door, and how it is played."""
+    parser.add_argument("file", type=Path, help="a recording, as record=FILE in an address or nserver --record makes")
+    add_door(parser)
+    parser.add_argument("--pace", choices=(AT_ONCE, RECORDED), default=AT_ONCE,
+                        help="answer at once (default), or after as long as the robot took")
+    parser.add_argument("--order", choices=ORDERS, default=STRICT,
+                        help="strict: as it was asked (default); loose: each question as the next one like it was")
+    parser.add_argument("--connection", default="", metavar="NAME", help="which one (default: the recording's first)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Play until stopped; the exit code."""
+    recording = read_recording(options.file)
+    if recording.cut:
+        tell(recording.cut)
+    script = script_of(recording, options.connection)
+    wait = time.sleep if options.pace == RECORDED else None
+    strayed: list[RecordingError] = []
+
+    def talk(peer: ByteStream) -> None:
+        try:
+            play(script, options.order, peer, wait)
+        except RecordingError as error:
+            strayed.append(error)
+            tell(str(error))
+
+    with contextlib.suppress(KeyboardInterrupt), open_door(options, "play") as door:
+        visitors(door, options.once, talk)
+    return int(bool(strayed))
+
+
+def play(script: Script, order: str, peer: ByteStream, wait: Callable[[float], None] | None) -> None:
+    """One visitor, until it leaves. Raises RecordingError where it asks something else than was recorded."""
+    player = Player(script, order)
+    with contextlib.suppress(ConnectionLost):
+        _send(player.greeting, peer, wait)
+        while True:
+            with contextlib.suppress(ReplyTimeout):
+                _send(player.answers(peer.receive(Deadline.after(_PATIENCE_S))), peer, wait)
+
+
+def _send(pieces: Iterable[Piece], peer: ByteStream, wait: Callable[[float], None] | None) -> None:
+    """At the moments they came, or at once."""
+    passed_s = 0.0
+    for piece in pieces:
+        if wait is not None and piece.after_s > passed_s:
+            wait(piece.after_s - passed_s)
+            passed_s = piece.after_s
+        peer.send(piece.data)

@@ -1,0 +1,157 @@
+"""Where others come in: a TCP port or a pseudo-terminal that waits for one peer after the other.
+
+    door.peer() ──> a ByteStream to whoever came; the next one is waited for when that is closed
+
+Rules: one peer at a time. A pseudo-terminal is raw, stands behind a symbolic link, and knows its peer by the other end
+being open; what is at the link's place and is no link stays. POSIX only, where a pseudo-terminal is asked for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import time
+from pathlib import Path
+from typing import Protocol
+
+from nclient.errors import ConnectionLost, ReplyTimeout
+from nclient.transports.byte_stream import ByteStream, Deadline
+from nclient.transports.tcp import TcpStream
+
+_LOOK_S = 0.02
+"""How often a pseudo-terminal that nobody has open is looked at."""
+_CHUNK = 65536
+_TAKING_S = 5.0
+"""How long a peer may take to read what is sent to it."""
+
+
+class Door(Protocol):
+    """See the head of this file. `name`: what a peer is told to connect to."""
+
+    name: str
+
+    def peer(self) -> ByteStream:
+        """Wait for the next one."""
+        ...
+
+    def close(self) -> None:
+        """Let nobody in any more. Twice is fine."""
+        ...
+
+
+class TcpDoor:
+    """A port of this machine; port 0 takes a free one. Raises ConnectionLost where it cannot be had."""
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            self._socket = socket.create_server((host, port), family=family, backlog=1)
+        except OSError as error:
+            raise ConnectionLost(
+                f"cannot listen on {host}:{port}: {error.strerror or error}; port 0 takes a free one"
+            ) from error
+        self.port: int = self._socket.getsockname()[1]
+        self.name = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
+
+    def peer(self) -> ByteStream:
+        """Whoever connects next."""
+        accepted, address = self._socket.accept()
+        return _Visitor(accepted, f"{address[0]}:{address[1]}")
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()
+
+
+class _Visitor(TcpStream):
+    """Who came to a TCP door."""
+
+    def __init__(self, accepted: socket.socket, name: str) -> None:
+        self.name = name
+        self._timeout_s = _TAKING_S
+        self._socket = accepted
+        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def _lost(self, reason: str) -> ConnectionLost:
+        return ConnectionLost(f"{self.name} has left: {reason}")
+
+
+class TerminalDoor:
+    """A pseudo-terminal behind a symbolic link. Raises ConnectionLost where it cannot be made."""
+
+    def __init__(self, link: Path) -> None:
+        import tty
+
+        self.name = str(link)
+        self._link = link
+        if os.path.lexists(link) and not link.is_symlink():
+            raise ConnectionLost(f"{link} is there and no symbolic link: it stays; name another path, or move it away")
+        self._fd, other = os.openpty()
+        try:
+            tty.setraw(other)
+            self._device = os.ttyname(other)
+            link.unlink(missing_ok=True)
+            link.symlink_to(self._device)
+        except OSError as error:
+            os.close(self._fd)
+            raise ConnectionLost(f"cannot make the serial link {link}: {error.strerror}") from error
+        finally:
+            os.close(other)
+        os.set_blocking(self._fd, False)
+        self._poll = select.poll()
+        self._poll.register(self._fd, select.POLLIN)
+
+    def peer(self) -> ByteStream:
+        """Whoever opens the other end next."""
+        while any(event & select.POLLHUP for _, event in self._poll.poll(0)):
+            time.sleep(_LOOK_S)
+        return _TerminalPeer(self._fd, self.name)
+
+    def close(self) -> None:
+        """Take the link away, if it is still ours."""
+        if self._fd >= 0:
+            with contextlib.suppress(OSError):
+                if self._link.readlink() == Path(self._device):
+                    self._link.unlink()
+            os.close(self._fd)
+            self._fd = -1
+
+
+class _TerminalPeer:
+    """Who opened the other end of a pseudo-terminal; the end itself stays the door's."""
+
+    def __init__(self, fd: int, name: str) -> None:
+        self._fd, self.name = fd, name
+        self._poll = select.poll()
+        self._poll.register(fd, select.POLLIN)
+
+    def send(self, data: bytes) -> None:
+        """Send all of it; what a peer does not take within a while is lost, as on a cable."""
+        deadline = Deadline.after(_TAKING_S)
+        while data and deadline.remaining():
+            try:
+                data = data[os.write(self._fd, data) :]
+            except BlockingIOError:
+                time.sleep(_LOOK_S)
+            except OSError as error:
+                raise self._left() from error
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """At least one byte. Raises ReplyTimeout at the deadline, ConnectionLost when the other end was closed."""
+        if not self._poll.poll(deadline.remaining() * 1000):
+            raise ReplyTimeout(f"nothing came at {self.name}")
+        try:
+            return os.read(self._fd, _CHUNK)
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            raise self._left() from error
+
+    def close(self) -> None:
+        """Nothing to let go: the other end belongs to the peer."""
+
+    def _left(self) -> ConnectionLost:
+        return ConnectionLost(f"whoever had {self.name} open has left")

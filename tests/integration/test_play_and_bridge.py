@@ -1,0 +1,187 @@
+"""nomad play and nomad bridge as real programs: TCP ports, pseudo-terminals, an nserver at the far end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from nclient import ConnectionLost, Robot, connect
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.terms import line_terms
+from nclient.recording.log import read_recording
+
+NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
+NSERVER = [sys.executable, "-m", "nserver_emu", "--port", "0", "--lockstep", "0.1"]
+GS = language.line_request(Call("gs"), line_terms(N150))
+STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), line_terms(N150))
+
+
+class Program:
+    """A process whose lines are waited for, and not for ever."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.out, self.err = (self._lines(pipe) for pipe in (process.stdout, process.stderr))
+
+    def rest(self) -> list[str]:
+        """What was said on stderr and nobody asked for."""
+        with contextlib.suppress(queue.Empty):
+            return [self.err(0.5), *self.rest()]
+        return []
+
+    def _lines(self, pipe: IO[str] | None) -> Callable[..., str]:
+        lines: queue.Queue[str] = queue.Queue()
+
+        def read() -> None:
+            assert pipe
+            for line in pipe:
+                lines.put(line)
+
+        threading.Thread(target=read, daemon=True).start()
+        return lambda patience_s=10.0: lines.get(timeout=patience_s)
+
+
+@contextlib.contextmanager
+def program(*words: str, ends: int = 0, by_signal: bool = True) -> Iterator[tuple[str, Program]]:
+    """A program that says where it listens: that place, and what it says; its exit code is checked."""
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        told = Program(process)
+        try:
+            first = told.out().split()
+            assert first[:1] == ["listening"]
+            yield first[2], told
+        finally:
+            if by_signal:
+                process.send_signal(signal.SIGTERM)
+            try:
+                code = process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
+        assert code == ends, told.rest()
+
+
+def drive(robot: Robot) -> list[tuple[int, ...]]:
+    with robot:
+        seen = [robot.drive(translation_in_s=6), robot.wait_until_still(1), *[robot.refresh() for _ in range(5)]]
+        return [state.raw for state in seen]
+
+
+def test_a_recording_is_played_to_one_visitor_after_the_other(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    seen = drive(connect(f"sim:thesis_room?noisy=1&record={path}"))
+    with program(*NOMAD, "play", str(path), "--listen", "0", ends=1) as (place, process):
+        for _ in range(2):
+            assert drive(connect(f"nserver://{place}/1")) == seen
+        robot = connect(f"nserver://{place}/1")
+        with pytest.raises(ConnectionLost):
+            robot.move(translation_in=1)
+        assert "recorded was `vm 60 0 0`, the program asks `pr 10 0 0`" in process.err()
+
+
+def serial_recording(path: Path, answer_after_s: float) -> None:
+    header = {"format": "nomad recording", "version": 1, "wire": "serial", "model": "n150"}
+    lines = [header, {"t": 1.0, "dir": "out", "bytes": GS.hex()},
+             {"t": 1.0 + answer_after_s / 2, "dir": "in", "bytes": STATE[:20].hex()},
+             {"t": 1.0 + answer_after_s, "dir": "in", "bytes": STATE[20:].hex()}]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"t":')
+
+
+def opened(link: str) -> int:
+    fd = os.open(link, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(fd)
+    return fd
+
+
+def read(fd: int, count: int) -> bytes:
+    """So many bytes of a pseudo-terminal."""
+    got = b""
+    while len(got) < count:
+        assert select.select([fd], [], [], 10)[0], f"only {got!r} came"
+        got += os.read(fd, count - len(got))
+    return got
+
+
+def test_a_robots_line_is_played_on_a_pseudo_terminal_at_its_own_pace(tmp_path: Path) -> None:
+    serial_recording(tmp_path / "run.log", 0.4)
+    words = ("play", str(tmp_path / "run.log"), "--link", str(tmp_path / "robot"), "--pace", "recorded", "--once")
+    with program(*NOMAD, *words, ends=1, by_signal=False) as (link, process):
+        fd = opened(link)
+        start_s = time.monotonic()
+        os.write(fd, GS)
+        assert read(fd, len(STATE)) == STATE
+        assert 0.4 <= time.monotonic() - start_s < 5
+        os.write(fd, GS)
+        assert "cut short" in process.err()
+        assert "it ends here, and the program asks `gs`" in process.err()
+        os.close(fd)
+    assert not (tmp_path / "robot").is_symlink()
+
+
+def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    with program(*NSERVER) as (far, _), program(
+        *NOMAD, "bridge", f"nserver://{far}?model=n150", "--listen", "0", "--record", str(path), "--dump"
+    ) as (near, process):
+        for _ in range(2):
+            drive(connect(f"nserver://{near}/1"))
+        assert "> connect_robot 1" in process.out()
+    recording = read_recording(path)
+    assert recording.connections() == ("1", "2")
+    calls = [found["call"] for entry in recording.entries if entry.kind == "out" for found in entry.decoded]
+    once = ["connect_robot", "ct", "vm", "ws", *["gs"] * 5, "st", "disconnect_robot"]
+    assert [call for call in calls if call != "conf_tm"] == once * 2
+
+
+def test_a_bridge_whose_far_end_goes_away_and_comes_back(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as far:
+        far.settimeout(10)
+        address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
+        with program(*NOMAD, "bridge", address, "--link", str(tmp_path / "robot")) as (link, process):
+            for word in (b"one", b"two"):
+                fd = opened(link)
+                os.write(fd, word)
+                end, _ = far.accept()
+                with end:
+                    end.settimeout(10)
+                    assert end.recv(100) == word
+                    end.sendall(word[::-1])
+                    assert read(fd, 3) == word[::-1]
+                assert "is gone: it closed the connection" in process.err()
+                os.close(fd)
+                time.sleep(0.3)  # what is written while the bridge lets the old far end go is lost with it
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (("bridge", "sim:thesis_room", "--listen", "0"), "`nserver` serves a simulation"),
+    (("bridge", "replay:run.log", "--listen", "0"), "`nomad play` serves a recording"),
+    (("bridge", "nserver://127.0.0.1:1", "--listen", "0"), "nobody answers at 127.0.0.1:1"),
+    (("play", "/no/run.log", "--listen", "0"), "cannot be read"),
+])
+def test_what_cannot_be(words: tuple[str, ...], told: str) -> None:
+    done = subprocess.run([*NOMAD, *words], capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 1
+    assert told in done.stderr
+
+
+@pytest.mark.parametrize("words", [("play", "x", "--listen", "-1"), ("play", "x"), ("bridge", "x", "--listen", "a")])
+def test_what_makes_no_sense(words: tuple[str, ...]) -> None:
+    done = subprocess.run([*NOMAD, *words], capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2
