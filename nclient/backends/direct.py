@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import lru_cache
 
 from nclient.backends.line import Line
 from nclient.backends.plausible import Plausibility
@@ -111,7 +112,7 @@ class DirectBackend:
             self.close()
             return _NO_ANSWER
         self._refuse(row)
-        request = language.line_request(call, self._terms)
+        request = _request(call, self._terms.model)
         try:
             self._settle(row, request)
             return self._ask(row, call, request)
@@ -139,12 +140,12 @@ class DirectBackend:
             raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
 
     def _ask(self, row: Command, call: Call, request: bytes) -> Reply:
-        before, shaped = self._terms.copy(), self._shaped.get(row.name)
-        self._agree(call)
+        undo = self._agree(call)
         frame = self._exchange(row, request, self._patience_s(row, call))
         if frame.type == NAK_TYPE:
             self._link.naks += 1
-            self._disagree(row.name, before, shaped)
+            self._line.took()
+            undo()
             raise RobotRefused(row.name, None)
         reply = self._believed(row, frame)
         self._doubtful_shapes.discard(row.name)
@@ -191,7 +192,7 @@ class DirectBackend:
         for name in sorted(self._doubtful_shapes - {row.name}, key=_SHAPING.index):
             again, shaping = self._shaped[name], language.row_named(name)
             self._see_off(shaping, row)
-            self._ask(shaping, again, language.line_request(again, self._terms))
+            self._ask(shaping, again, _request(again, self._terms.model))
 
     def _see_off(self, row: Command, wanted: Command) -> None:
         """While an answer like this row's is owed, ask something of a type that is not; after that none can come."""
@@ -205,7 +206,7 @@ class DirectBackend:
             if probe is None:
                 self._line.wait_for_quiet()
             else:
-                self._exchange(probe, language.line_request(Call(probe.name), self._terms), self.timeout_s)
+                self._exchange(probe, _request(Call(probe.name), self._terms.model), self.timeout_s)
                 self._line.took()
         except ReplyTimeout as error:
             raise ReplyTimeout(
@@ -232,20 +233,29 @@ class DirectBackend:
         adopt(read_hello(data), self._terms)
         self._shaped["ct"] = Call("ct", self._terms.mask.smask)
 
-    def _agree(self, call: Call) -> None:
-        """A call is about to go out: what it changes, it may change though no answer comes."""
-        language.note(call, self._terms)
+    def _agree(self, call: Call) -> Callable[[], None]:
+        """A call is about to go out: what it changes, it may change though no answer comes. How to take it back."""
         if self._plausible:
             self._plausible.note(call)
-        if call.name in _SHAPING:
-            self._shaped[call.name] = call
-            self._doubtful_shapes.add(call.name)
+        if call.name not in _SHAPING:
+            return _nothing
+        before, shaped = self._terms.copy(), dict(self._shaped)
+        language.note(call, self._terms)
+        self._shaped[call.name] = call
+        self._doubtful_shapes.add(call.name)
 
-    def _disagree(self, name: str, before: Terms, shaped: Call | None) -> None:
-        """The robot refused: all is as it was."""
-        self._line.took()
-        self._terms = before
-        self._doubtful_shapes.discard(name)
-        self._shaped.pop(name, None)
-        if shaped is not None:
-            self._shaped[name] = shaped
+        def undo() -> None:
+            self._terms, self._shaped = before, shaped
+            self._doubtful_shapes.discard(call.name)
+
+        return undo
+
+
+@lru_cache(maxsize=256)
+def _request(call: Call, model: Model) -> bytes:
+    """Programs ask the same few things again and again; on a line their bytes hang on the model alone."""
+    return language.line_request(call, line_terms(model))
+
+
+def _nothing() -> None:
+    """Nothing was agreed."""

@@ -22,13 +22,13 @@ from nclient.protocol.units import FULL_TURN_TENTHS
 
 BELIEVED_AFTER = 3
 """Doubtful answers of one kind in a row."""
-_ANGLES = {36: "steering", 37: "turret", COMPASS_SLOT: "compass"}
-_PLACE = (34, 35)
+_NAMES = {34: "x", 35: "y", 36: "steering", 37: "turret", COMPASS_SLOT: "compass", MOTOR_SLOT: "the motors' status"}
+_POSE, _PLACE, _ANGLES = range(34, 38), (34, 35), (36, 37, COMPASS_SLOT)
 _SONARS = range(17, 33)
-_MOVED = {"dp": range(34, 38), "da": range(34, 38), "zr": range(34, 38), "conf_sn": _SONARS}
+_MOVED = {"dp": _POSE, "da": _POSE, "zr": _POSE, "conf_sn": _SONARS}
 """What a command sets, so that it is no jump."""
 _VELOCITIES = range(38, 41)
-_NEAREST_IN, _DEAD = 6, 0
+_NEAREST_IN, _NOTHING_IN, _DEAD = 6, 255, 0
 _TOP_RATE = 2000
 """1/10 in/s and 1/10 deg/s: four times what any model does."""
 _TURRET_MOTORS, _SCOUT_MOTORS = 0x07, 0x7F
@@ -59,7 +59,12 @@ class Plausibility:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._swing = _SWING if model.has_turret else _SCOUT_SWING
-        self._motors = _TURRET_MOTORS if model.has_turret else _SCOUT_MOTORS
+        self._ranges = [
+            *[(slot, (_NEAREST_IN, _NOTHING_IN)) for slot in _SONARS],
+            *[(slot, (0, FULL_TURN_TENTHS - 1)) for slot in _ANGLES],
+            *[(slot, (-_TOP_RATE, _TOP_RATE)) for slot in _VELOCITIES],
+            (MOTOR_SLOT, (0, _TURRET_MOTORS if model.has_turret else _SCOUT_MOTORS)),
+        ]
         self._seen: _Seen | None = None
         self._firing_ms: float | None = None
         self._doubted: dict[str, int] = {}
@@ -93,33 +98,37 @@ class Plausibility:
             yield from self._jumps(reply, self._seen, passed_ms)
 
     def _out_of_range(self, reply: Reply) -> Iterator[str]:
-        for slot, value in reply.slots.items():
-            if slot in _ANGLES and not 0 <= value < FULL_TURN_TENTHS:
-                yield f"{_ANGLES[slot]} {value} is no angle in 1/10 degree"
-            elif slot in _SONARS and _DEAD < value < _NEAREST_IN:
-                yield f"sonar {slot - 17} reads {value}, and none reads below {_NEAREST_IN} in"
-            elif slot in _VELOCITIES and abs(value) > _TOP_RATE:
-                yield f"State[{slot}] is {value}, and no axis is that fast"
-            elif slot == BUMPER_SLOT and value & self._model.bumper_rest != self._model.bumper_rest:
-                yield f"bumper bits {value:06x} without those that always read 1"
-            elif slot == MOTOR_SLOT and value & ~self._motors:
-                yield f"motor status {value:02x} has bits that mean nothing"
+        slots = reply.slots
+        for slot, (least, most) in self._ranges:
+            value = slots.get(slot)
+            if value is not None and not least <= value <= most and (value != _DEAD or slot not in _SONARS):
+                yield f"{_name(slot)} reads {value}, and a {self._model.name}'s lies from {least} to {most}"
+        rest = self._model.bumper_rest
+        if slots.get(BUMPER_SLOT, rest) & rest != rest:
+            yield f"bumper bits {slots[BUMPER_SLOT]:06x} without those that always read 1"
 
     def _jumps(self, reply: Reply, seen: _Seen, passed_ms: int) -> Iterator[str]:
-        for slot in reply.slots.keys() & seen.slots.keys():
-            step = abs(reply.slots[slot] - seen.slots[slot])
-            if slot in _PLACE and step > _way(_REACH, passed_ms):
-                yield f"State[{slot}] jumps from {seen.slots[slot]} to {reply.slots[slot]} in {passed_ms} ms"
-            elif slot in (36, 37) and min(step, FULL_TURN_TENTHS - step) > _way(self._swing, passed_ms):
-                yield f"{_ANGLES[slot]} jumps from {seen.slots[slot]} to {reply.slots[slot]} in {passed_ms} ms"
+        slots, before = reply.slots, seen.slots
+        for slot in _POSE:
+            if slot in slots and slot in before:
+                step = abs(slots[slot] - before[slot])
+                if slot in _PLACE:
+                    within = step <= _way(_REACH, passed_ms)
+                else:
+                    within = min(step, FULL_TURN_TENTHS - step) <= _way(self._swing, passed_ms)
+                if not within:
+                    yield f"{_name(slot)} jumps from {before[slot]} to {slots[slot]} in {passed_ms} ms"
         if self._firing_ms is not None:
-            known = reply.slots.keys() & seen.slots.keys() & set(_SONARS)
-            changed = sum(reply.slots[slot] != seen.slots[slot] for slot in known)
+            changed = sum(before.get(slot, slots[slot]) != slots[slot] for slot in _SONARS if slot in slots)
             if changed > passed_ms / self._firing_ms + 2:
                 yield f"{changed} sonars changed in {passed_ms} ms, and one fires every {self._firing_ms:g}"
         for old, new in zip(seen.volts or (), reply.volts or (), strict=False):
             if abs(new - old) > _VOLT_STEP:
                 yield f"a battery byte goes from {old} to {new}"
+
+
+def _name(slot: int) -> str:
+    return f"sonar {slot - _SONARS[0]}" if slot in _SONARS else _NAMES.get(slot, f"State[{slot}]")
 
 
 def _way(limit: tuple[int, int], passed_ms: int) -> float:

@@ -352,7 +352,7 @@ def test_what_cannot_be_true_is_no_answer() -> None:
     backend = direct_on(robot)
     backend.execute(GS)
     robot.answers["gs"] = [Reply("state", {**robot.slots, 36: 3600}, clock=5000, volts=robot.volts)]
-    with pytest.raises(ReplyTimeout, match=r"gs: the answer cannot be true, steering 3600.*checks=0"):
+    with pytest.raises(ReplyTimeout, match=r"gs: the answer cannot be true, steering reads 3600.*checks=0"):
         backend.execute(GS)
     assert (backend.link.implausible, backend.link.timeouts) == (1, 1)
     assert backend.execute(GS).slots[36] == 0

@@ -22,22 +22,22 @@ def state(clock: int = 1000, volts: tuple[int, int] = (200, 200), **changed: Any
     ("changed", "doubt"),
     [
         ({"s36": 3599, "s37": 0}, ""),
-        ({"s36": 3600}, "steering 3600 is no angle"),
-        ({"s37": -1}, "turret -1"),
-        ({"s43": 4000}, "compass 4000"),
+        ({"s36": 3600}, "steering reads 3600, and a n150's lies from 0 to 3599"),
+        ({"s37": -1}, "turret reads -1"),
+        ({"s43": 4000}, "compass reads 4000"),
         ({"s17": 0, "s18": 6, "s19": 255}, ""),
         ({"s20": 5}, "sonar 3 reads 5"),
         ({"s38": -2000}, ""),
-        ({"s40": 2001}, r"State\[40\] is 2001"),
+        ({"s40": 2001}, "State[40] reads 2001"),
         ({"s33": 0xF00021}, ""),
         ({"s33": 0x700021}, "bumper bits 700021"),
         ({"s41": 7}, ""),
-        ({"s41": 8}, "motor status 08"),
+        ({"s41": 8}, "the motors' status reads 8"),
     ],
 )
 def test_ranges(changed: dict[str, Any], doubt: str) -> None:
     found = Plausibility(N150).doubt(state(**changed))
-    assert found.startswith(doubt.replace("\\", ""))
+    assert found.startswith(doubt)
     assert bool(found) == bool(doubt)
 
 
@@ -54,9 +54,9 @@ def test_a_scout_has_other_bits() -> None:
         (N150, {"clock": 601_001}, "the clock goes from 1000 to 601001"),
         (N150, {"clock": 999}, "the clock goes from 1000 to 999"),
         (N150, {"clock": 1100, "s34": 120}, ""),
-        (N150, {"clock": 1100, "s34": 121}, "State[34] jumps from 0 to 121 in 100 ms"),
+        (N150, {"clock": 1100, "s34": 121}, "x jumps from 0 to 121 in 100 ms"),
         (N150, {"clock": 2100, "s35": -720}, ""),
-        (N150, {"clock": 2100, "s35": -721}, "State[35] jumps"),
+        (N150, {"clock": 2100, "s35": -721}, "y jumps"),
         (N150, {"clock": 1100, "s36": 3400}, ""),
         (N150, {"clock": 1100, "s36": 3399}, "steering jumps from 0 to 3399"),
         (N150, {"clock": 1100, "s37": 201}, "turret jumps"),
