@@ -13,21 +13,12 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import Any, Literal
 
-from construct import (
-    Adapter,
-    Construct,
-    FormatFieldError,
-    Int8ub,
-    Int16ul,
-    Int32sb,
-    Int32ub,
-    Int32ul,
-    StreamError,
-)
+from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32sb, Int32ub, Int32ul, StreamError
 
 from nclient.protocol.mask import Mask, Position
+from nclient.protocol.runs import LONGS, SHORTS, SIGNED_LONGS, SIGNED_SHORTS, Run
 from nclient.protocol.stamps import NO_STAMP, STAMP_KEYS, Stamp
 from nclient.protocol.terms import Terms
 
@@ -41,24 +32,26 @@ MAX_LASER_READINGS = 482
 """Columns of the laser; no reply holds more readings."""
 
 
-class SignMagnitude(Adapter):
-    """A signed number whose top bit says minus, low byte first; `octets` 2 or 4. -0 reads as 0."""
+class Number(Construct):
+    """One number of a run (runs.py)."""
 
-    def __init__(self, octets: int) -> None:
-        super().__init__(Int16ul if octets == 2 else Int32ul)
-        self.sign = 1 << (8 * octets - 1)
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self.run = run
 
-    def _decode(self, obj: int, context: Any, path: str) -> int:
-        return -(obj - self.sign) if obj & self.sign else obj
+    def _parse(self, stream: Any, context: Any, path: str) -> int:
+        return self.run.unpack(_take(stream, self.run.octets, path))[0]
 
-    def _encode(self, obj: int, context: Any, path: str) -> int:
-        if abs(obj) >= self.sign:
-            raise FormatFieldError(f"{obj} does not fit sign-magnitude below {self.sign}", path=path)
-        return self.sign - obj if obj < 0 else obj
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        stream.write(_packed(self.run, (obj,), path))
+        return obj
+
+    def _sizeof(self, context: Any, path: str) -> int:
+        return self.run.octets
 
 
-LINE_SIGNED = SignMagnitude(2)
-LINE_LONG = SignMagnitude(4)
+LINE_SIGNED = Number(SIGNED_SHORTS)
+LINE_LONG = Number(SIGNED_LONGS)
 
 
 class Words(Construct):
@@ -153,33 +146,47 @@ class WordLaser(Construct):
         return obj
 
 
-class LineSlots(Construct):
-    """State slots on the robot's own line, `element` each; only those in the mask where `masked`."""
+class _MaskedSlots(Construct):
+    """State slots on the robot's own line; only those in the mask where `masked`."""
 
-    def __init__(self, first: int, last: int, element: Construct, masked: bool = True) -> None:
+    def __init__(self, first: int, last: int, masked: bool) -> None:
         super().__init__()
-        self.slots = range(first, last + 1)
-        self.element = element
+        self.slots: Sequence[int] = range(first, last + 1)
         self.masked = masked
+        self._chosen: tuple[Mask | None, Sequence[int]] = (None, ())
 
     def _selected(self, context: Any) -> Sequence[int]:
-        mask = _terms(context).mask
-        return [slot for slot in self.slots if mask.has(slot)] if self.masked else self.slots
+        """A mask seldom changes, so what the last one chose is kept."""
+        if not self.masked:
+            return self.slots
+        mask, slots = _terms(context).mask, self.slots
+        chosen = self._chosen
+        if chosen[0] is not mask:
+            chosen = self._chosen = (mask, [slot for slot in slots if mask.has(slot)])
+        return chosen[1]
+
+
+class LineSlots(_MaskedSlots):
+    """State slots on the robot's own line, numbers of a run; only those in the mask where `masked`."""
+
+    def __init__(self, first: int, last: int, run: Run, masked: bool = True) -> None:
+        super().__init__(first, last, masked)
+        self.run = run
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
-        return {slot: self.element._parse(stream, context, path) for slot in self._selected(context)}
+        slots = self._selected(context)
+        return dict(zip(slots, self.run.unpack(_take(stream, self.run.octets * len(slots), path)), strict=True))
 
     def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
-        for slot in self._selected(context):
-            self.element._build(obj.get(slot, 0), stream, context, path)
+        stream.write(_packed(self.run, [obj.get(slot, 0) for slot in self._selected(context)], path))
         return obj
 
 
-class LineNibbles(LineSlots):
+class LineNibbles(_MaskedSlots):
     """Infrared readings on the robot's own line: four bits each, low half first, padded with 0 to a byte."""
 
     def __init__(self, first: int, last: int, masked: bool = True) -> None:
-        super().__init__(first, last, LINE_BYTE, masked)
+        super().__init__(first, last, masked)
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
         slots = self._selected(context)
@@ -193,19 +200,20 @@ class LineNibbles(LineSlots):
         return obj
 
 
-class BumperBytes(Adapter):
+class BumperBytes(_MaskedSlots):
     """The three bumper bytes on the robot's own line as one number, in the order of the model."""
 
-    def __init__(self) -> None:
-        super().__init__(LINE_BYTE[3])
+    def __init__(self, slot: int, masked: bool = True) -> None:
+        super().__init__(slot, slot, masked)
 
-    def _decode(self, obj: Sequence[int], context: Any, path: str) -> int:
-        low_first = obj if _terms(context).model.bumpers_low_first else obj[::-1]
-        return low_first[0] | low_first[1] << 8 | low_first[2] << 16
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        order = _bumper_order(context)
+        return {slot: int.from_bytes(_take(stream, 3, path), order) for slot in self._selected(context)}
 
-    def _encode(self, obj: int, context: Any, path: str) -> list[int]:
-        low_first = [obj & 255, obj >> 8 & 255, obj >> 16 & 255]
-        return low_first if _terms(context).model.bumpers_low_first else low_first[::-1]
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        for slot in self._selected(context):
+            stream.write((obj.get(slot, 0) & 0xFFFFFF).to_bytes(3, _bumper_order(context)))
+        return obj
 
 
 class LineStamps(Construct):
@@ -217,7 +225,7 @@ class LineStamps(Construct):
     def __init__(self, wanted: Position, slots: Sequence[int] = ()) -> None:
         super().__init__()
         self.keys = STAMP_KEYS[wanted]
-        self.wanted = wanted
+        self.wanted = int(wanted)
         self.slots = slots
 
     def _selected(self, mask: Mask) -> list[str]:
@@ -229,9 +237,8 @@ class LineStamps(Construct):
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
         return {
-            key: Stamp(
-                *[LINE_LONG._parse(stream, context, path) for _ in range(7)],
-                *[LINE_CLOCK._parse(stream, context, path) for _ in range(2)],
+            key: Stamp._make(
+                SIGNED_LONGS.unpack(_take(stream, 28, path)) + LONGS.unpack(_take(stream, 8, path))
             )
             for key in self._selected(_terms(context).mask)
         }
@@ -239,10 +246,7 @@ class LineStamps(Construct):
     def _build(self, obj: Mapping[str, Stamp], stream: Any, context: Any, path: str) -> Mapping[str, Stamp]:
         for key in self._selected(_terms(context).mask):
             stamp = obj.get(key, NO_STAMP)
-            for value in stamp[:7]:
-                LINE_LONG._build(value, stream, context, path)
-            for value in stamp[7:]:
-                LINE_CLOCK._build(value, stream, context, path)
+            stream.write(_packed(SIGNED_LONGS, stamp[:7], path) + _packed(LONGS, stamp[7:], path))
         return obj
 
 
@@ -264,10 +268,10 @@ class LineLaser(Construct):
         terms = _terms(context)
         if self._absent(terms):
             return None
-        count = _readings(LINE_UNSIGNED._parse(stream, context, path), path)
+        count = _readings(SHORTS.unpack(_take(stream, 2, path))[0], path)
         width = self.width(terms)
-        element = LINE_UNSIGNED if width == 1 else LINE_SIGNED
-        return (count, *(element._parse(stream, context, path) for _ in range(count * width)))
+        run = SHORTS if width == 1 else SIGNED_SHORTS
+        return (count, *run.unpack(_take(stream, 2 * count * width, path)))
 
     def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
         terms = _terms(context)
@@ -276,9 +280,26 @@ class LineLaser(Construct):
         laser = obj or (0,)
         width = self.width(terms)
         _check_laser(laser, width, path)
-        LINE_UNSIGNED._build(laser[0], stream, context, path)
-        for value in laser[1:]:
-            (LINE_UNSIGNED if width == 1 else LINE_SIGNED)._build(value, stream, context, path)
+        run = SHORTS if width == 1 else SIGNED_SHORTS
+        stream.write(_packed(SHORTS, laser[:1], path) + _packed(run, laser[1:], path))
+        return obj
+
+
+class LineRun(Construct):
+    """A fixed count of numbers on the robot's own line."""
+
+    def __init__(self, count: int, run: Run) -> None:
+        super().__init__()
+        self.count = count
+        self.run = run
+
+    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
+        return self.run.unpack(_take(stream, self.count * self.run.octets, path))
+
+    def _build(self, obj: Sequence[int], stream: Any, context: Any, path: str) -> Sequence[int]:
+        if len(obj) != self.count:
+            raise FormatFieldError(f"{self.count} numbers wanted, {len(obj)} given", path=path)
+        stream.write(_packed(self.run, obj, path))
         return obj
 
 
@@ -303,6 +324,17 @@ def _pack(layout: str, values: Iterable[int], path: str) -> bytes:
         return struct.pack(layout, *values)
     except struct.error as error:
         raise FormatFieldError(str(error), path=path) from None
+
+
+def _packed(run: Run, numbers: Sequence[int], path: str) -> bytes:
+    try:
+        return run.pack(numbers)
+    except (ValueError, TypeError) as error:
+        raise FormatFieldError(str(error), path=path) from None
+
+
+def _bumper_order(context: Any) -> Literal["little", "big"]:
+    return "little" if _terms(context).model.bumpers_low_first else "big"
 
 
 def _readings(count: int, path: str) -> int:

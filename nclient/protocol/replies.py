@@ -14,18 +14,16 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any
 
-from construct import Array, ConstructError, GreedyRange, Int8ub
+from construct import ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
 from nclient.protocol.fields import (
-    LINE_BYTE,
     LINE_CLOCK,
-    LINE_SIGNED,
-    LINE_UNSIGNED,
     UNSIGNED_WORD,
     BumperBytes,
     LineLaser,
     LineNibbles,
+    LineRun,
     LineSlots,
     LineStamps,
     WordLaser,
@@ -34,6 +32,7 @@ from nclient.protocol.fields import (
     WordStamps,
 )
 from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Position
+from nclient.protocol.runs import BYTES, SHORTS, SIGNED_SHORTS
 from nclient.protocol.stamps import Stamp
 from nclient.protocol.terms import LINES, PIXELS, Terms, line_laser_width
 
@@ -180,18 +179,18 @@ LINE_STATE = ReplyShape(
     "state",
     slots_infrared=LineNibbles(1, 16),
     stamps_infrared=LineStamps(Position.INFRARED, range(1, 17)),
-    slots_sonar=LineSlots(17, 32, LINE_BYTE),
+    slots_sonar=LineSlots(17, 32, BYTES),
     stamps_sonar=LineStamps(Position.SONAR, range(17, 33)),
-    slots_bumper=LineSlots(BUMPER_SLOT, BUMPER_SLOT, BumperBytes()),
+    slots_bumper=BumperBytes(BUMPER_SLOT),
     stamps_bumper=LineStamps(Position.BUMPER, (BUMPER_SLOT,)),
-    slots_pose=LineSlots(34, 40, LINE_SIGNED),
-    slots_compass=LineSlots(COMPASS_SLOT, COMPASS_SLOT, LINE_SIGNED),
+    slots_pose=LineSlots(34, 40, SIGNED_SHORTS),
+    slots_compass=LineSlots(COMPASS_SLOT, COMPASS_SLOT, SIGNED_SHORTS),
     stamps_compass=LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
     laser=LineLaser(lambda terms: line_laser_width(terms.laser_mode), masked_by=LASER_SLOT),
     stamps_laser=LineStamps(Position.LASER, (LASER_SLOT,)),
-    slots_motors=LineSlots(MOTOR_SLOT, MOTOR_SLOT, LINE_BYTE, masked=False),
+    slots_motors=LineSlots(MOTOR_SLOT, MOTOR_SLOT, BYTES, masked=False),
     clock=LINE_CLOCK,
-    volts=Array(2, LINE_BYTE),
+    volts=LineRun(2, BYTES),
 )
 LINE_INFRARED = ReplyShape(
     "infrared",
@@ -201,19 +200,19 @@ LINE_INFRARED = ReplyShape(
 )
 LINE_SONAR = ReplyShape(
     "sonar",
-    slots=LineSlots(17, 32, LINE_BYTE, masked=False),
+    slots=LineSlots(17, 32, BYTES, masked=False),
     stamps=LineStamps(Position.SONAR),
     clock=LINE_CLOCK,
 )
 LINE_BUMPER = ReplyShape(
     "bumper",
-    slots=LineSlots(BUMPER_SLOT, BUMPER_SLOT, BumperBytes(), masked=False),
+    slots=BumperBytes(BUMPER_SLOT, masked=False),
     stamps=LineStamps(Position.BUMPER),
     clock=LINE_CLOCK,
 )
 LINE_COMPASS = ReplyShape(
     "compass",
-    slots=LineSlots(COMPASS_SLOT, COMPASS_SLOT, LINE_UNSIGNED, masked=False),
+    slots=LineSlots(COMPASS_SLOT, COMPASS_SLOT, SHORTS, masked=False),
     stamps=LineStamps(Position.COMPASS),
     clock=LINE_CLOCK,
 )
@@ -223,9 +222,9 @@ LINE_LASER = ReplyShape(
 LINE_SEGMENTS = ReplyShape(
     "laser", laser=LineLaser(lambda _: LINES), stamps=LineStamps(Position.LASER), clock=LINE_CLOCK
 )
-LINE_CONFIGURATION = ReplyShape("configuration", slots=LineSlots(34, 37, LINE_SIGNED, masked=False))
-LINE_VELOCITY = ReplyShape("velocity", slots=LineSlots(38, 40, LINE_SIGNED, masked=False))
+LINE_CONFIGURATION = ReplyShape("configuration", slots=LineSlots(34, 37, SIGNED_SHORTS, masked=False))
+LINE_VELOCITY = ReplyShape("velocity", slots=LineSlots(38, 40, SIGNED_SHORTS, masked=False))
 LINE_NOTHING = ReplyShape("velocity")
-LINE_CALIBRATION = ReplyShape("compass", values=Array(3, Int8ub))
+LINE_CALIBRATION = ReplyShape("compass", values=LineRun(3, BYTES))
 LINE_SPECIAL = ReplyShape("special", values=GreedyRange(Int8ub))
 LINE_NAK = ReplyShape("nak")

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from strategies import masks, signed16, word
 
 from nclient.protocol.fields import (
-    LINE_BYTE,
     LINE_LONG,
     LINE_SIGNED,
     BumperBytes,
@@ -25,6 +24,7 @@ from nclient.protocol.fields import (
 )
 from nclient.protocol.mask import EVERYTHING, LASER_SLOT, Mask, Position
 from nclient.protocol.models import N150, N200, SCOUT, Model
+from nclient.protocol.runs import BYTES
 from nclient.protocol.stamps import NO_STAMP, Stamp
 from nclient.protocol.terms import Terms, line_terms, tcp_terms
 
@@ -138,7 +138,7 @@ def test_infrareds_are_packed_low_half_first_and_padded() -> None:
 
 
 def test_slots_on_the_line_follow_the_mask() -> None:
-    slots = LineSlots(17, 32, LINE_BYTE)
+    slots = LineSlots(17, 32, BYTES)
     assert slots.build({17: 1, 20: 2, 32: 3}, terms=terms_with(17, 32)) == b"\x01\x03"
     assert slots.parse(b"\x05", terms=terms_with(20)) == {20: 5}
     with pytest.raises(ConstructError):
@@ -147,8 +147,8 @@ def test_slots_on_the_line_follow_the_mask() -> None:
 
 @pytest.mark.parametrize(("model", "wire"), [(N150, "563412"), (N200, "563412"), (SCOUT, "123456")])
 def test_bumper_bytes_in_the_order_of_the_model(model: Model, wire: str) -> None:
-    assert BumperBytes().build(0x563412, terms=line_terms(model)).hex() == wire
-    assert BumperBytes().parse(bytes.fromhex(wire), terms=line_terms(model)) == 0x563412
+    assert BumperBytes(33).build({33: 0x563412}, terms=line_terms(model)).hex() == wire
+    assert BumperBytes(33).parse(bytes.fromhex(wire), terms=line_terms(model)) == {33: 0x563412}
 
 
 def test_stamps_on_the_line_are_sign_magnitude_and_masked_in_state_packets() -> None:
