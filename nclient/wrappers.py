@@ -16,11 +16,11 @@ from nclient.backends.capped import Capped
 from nclient.backends.feeding import Feeding
 from nclient.backends.reconnecting import Reconnecting
 from nclient.backends.retrying import Retrying
-from nclient.errors import RecordingError
+from nclient.errors import FaultPlanError, RecordingError
 from nclient.faults.faulty_line import FaultyLine
 from nclient.faults.injector import Injector
 from nclient.faults.language import LineLanguage, TcpLanguage
-from nclient.faults.plan import Plan
+from nclient.faults.plan import Plan, require_rules_for
 from nclient.faults.stream import FaultyStream
 from nclient.opening import Opening
 from nclient.recording.follower import HELLO_FIRST, TCP
@@ -61,6 +61,11 @@ def faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:
     """Around the recording: what the program gets to see. One count however often the stream is opened."""
     kept = opening.kept
     if "faults" not in kept:
+        try:
+            require_rules_for(opening.address.scheme, plan)
+        except FaultPlanError:
+            stream.close()
+            raise
         kept["faults"] = Injector(plan, opening.address.scheme, time.monotonic())
     line = _line_of(opening)
     greets = line == HELLO_FIRST and opening.model.sends_mask

@@ -135,6 +135,16 @@ class Plan:
             names.add(rule.name)
 
 
+def require_rules_for(line: str, plan: Plan) -> None:
+    """Refuse a plan that never acts on the line it is meant for. Raises FaultPlanError."""
+    if plan.rules and not any(rule.acts_on(line) for rule in plan.rules):
+        named = sorted({name for rule in plan.rules for name in rule.lines})
+        raise FaultPlanError(
+            f"rule {plan.rules[0].name!r}: line: no rule is for {line}, but for {', '.join(named)}; "
+            f"name {line}, or leave it out"
+        )
+
+
 def _check_agreement(rule: str, faults: tuple[Fault, ...]) -> None:
     kinds: set[str] = set()
     settings: dict[str, object] = {}

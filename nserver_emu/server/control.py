@@ -146,6 +146,7 @@ def _step(served: Served, argument: object) -> Said:
 
 
 def _time(served: Served) -> Said:
+    served.emulator.look_anew()
     served.paced()
     told = status(served)
     return {key: told[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
@@ -182,6 +183,12 @@ def _counts(served: Served, _: object) -> Said:
     return {"counts": served.faults.counts()}
 
 
+def _reset(served: Served, _: object) -> Said:
+    counts = served.faults.counts()
+    served.faults.reset()
+    return {"counts": counts}
+
+
 def _help(_served: Served, _: object) -> Said:
     return {"commands": {row.name: [row.argument, row.about] for row in COMMANDS}}
 
@@ -208,6 +215,7 @@ COMMANDS: Final = (
     ControlCommand("faults set", "FILE", "put a plan of faults in force, its counts at 0", _set),
     ControlCommand("faults clear", "", "no faults any more", _clear),
     ControlCommand("faults counts", "", "what the plan did so far, by line and rule", _counts),
+    ControlCommand("faults reset", "", "the same, and count from 0 again", _reset),
     ControlCommand("pause", "", "let simulated time stand", _pause),
     ControlCommand("resume", "", "let it go on", _resume),
     ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),

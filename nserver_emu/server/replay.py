@@ -82,6 +82,7 @@ class _DaemonAgain:
                 self._emulator.simulation.step(dt_s)
         if "pace" in entry.more:
             self._emulator.pace.factor, self._emulator.pace.paused = entry.more["pace"]
+            self._emulator.look_anew()
         match entry.kind:
             case "open":
                 self._open(entry)

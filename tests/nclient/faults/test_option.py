@@ -12,6 +12,8 @@ from answering import ScriptedServer
 from nclient import connect
 from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
+from nclient.protocol.serial_frame import build_frame
+from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
 
 schemes = importlib.import_module("nclient.schemes")
@@ -68,6 +70,49 @@ def test_a_wrong_plan_is_told_before_anything_is_opened(server: ScriptedServer, 
     with pytest.raises(AddressError, match="faults is the name of a file, not ''"):
         connect("nserver://lab/1?faults=")
     assert server.calls == []
+
+
+def test_a_plan_for_other_lines_only_is_a_mistake(server: ScriptedServer, tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("[[rule]]\ndo = 'drop'\nline = ['serial:1', 'robotd']")
+    with pytest.raises(FaultPlanError, match="no rule is for nserver, but for robotd, serial:1; name nserver, or"):
+        connect(f"nserver://lab/1?faults={path}")
+    assert server.closed == 1
+    path.write_text("seed = 1")
+    connect(f"nserver://lab/1?faults={path}")
+
+
+def test_on_an_n150_s_own_line_the_first_bytes_are_no_greeting(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'hello'")
+    for model, greeted in (("n150", False), ("n200", True)):
+        sent = build_frame(21, bytes(8))
+        monkeypatch.setattr("nclient.openers.TcpStream", lambda *_, sent=sent: Chatty(sent))
+        opening = schemes.opening_of(f"robotd://lab?model={model}&faults={path}", schemes.Wanted())
+        stream = opening.stream()
+        data = stream.receive(Deadline.after(0))
+        assert data == (sent[11:] if greeted else sent)
+
+
+class Chatty:
+    """A stream on which something has come already."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def send(self, data: bytes) -> None:
+        raise AssertionError(f"{data!r} was sent")
+
+    def receive(self, deadline: Deadline) -> bytes:
+        del deadline
+        data, self._data = self._data, b""
+        if not data:
+            raise ReplyTimeout("nothing more")
+        return data
+
+    def close(self) -> None: ...
 
 
 def test_counting_goes_on_when_the_connection_is_made_anew(server: ScriptedServer, tmp_path: Path) -> None:

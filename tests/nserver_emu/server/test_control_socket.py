@@ -1,4 +1,4 @@
-"""The control socket: its owner's only, never in the place of anything else, and whatever is said to it, it serves on."""
+"""The control socket: its owner's only, never in the place of anything else, and serves on whatever is said to it."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_what_is_no_socket_is_never_touched(folder: Path) -> None:
 
 
 def test_a_place_where_none_can_be(folder: Path) -> None:
-    with pytest.raises(ConnectionLost, match="cannot be controlled at .*nowhere.*: No such file"):
+    with pytest.raises(ConnectionLost, match=r"cannot be controlled at .*nowhere.*: No such file"):
         served(folder / "nowhere" / "s", lambda _: asyncio.sleep(0))
     with pytest.raises(ConnectionLost, match="path too long"):
         served(folder / ("x" * 200), lambda _: asyncio.sleep(0))

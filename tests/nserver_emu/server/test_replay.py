@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 from lockstep_run import request
 
 from nclient.errors import RecordingError
+from nclient.faults.kinds import Nak
+from nclient.faults.plan import Direction, Plan, Rule
 from nclient.protocol import language
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.models import N150
@@ -24,6 +27,7 @@ from nclient.recording.stream import RecordingStream
 from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
 from nserver_emu.server import snapshot
+from nserver_emu.server.control import answer_line
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.in_process import open_address
 from nserver_emu.server.pace import Pace
@@ -66,8 +70,8 @@ class Client:
 class House:
     """A daemon that listens, and the clients that came."""
 
-    def __init__(self, port: int) -> None:
-        self.port = port
+    def __init__(self, daemon: Daemon, port: int) -> None:
+        self.daemon, self.port = daemon, port
         self.writers: list[asyncio.StreamWriter] = []
 
     async def knock(self) -> Client:
@@ -96,7 +100,7 @@ def recorded(path: Path, beginning: Beginning, visit: Visit, speed: float | None
         daemon = Daemon(beginning.emulator(), speed)
         port = await daemon.listen("127.0.0.1", 0)
         daemon.record(path, header(beginning, "2026-01-01T00:00:00", port=port, requests_a_turn=REQUESTS_A_TURN))
-        house, stop = House(port), asyncio.Event()
+        house, stop = House(daemon, port), asyncio.Event()
         serving = asyncio.create_task(daemon.serve(stop))
         try:
             async with asyncio.timeout(30):
@@ -167,6 +171,25 @@ def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) ->
         outcome = replay(recorded(tmp_path / "run.log", beginning, visit, 50.0))
         assert outcome.answers > 5
         assert outcome.difference == ""
+
+
+def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        client, shown = await house.call(), []
+        await client.ask("vm", 100, 0, 0)
+        for command, argument in (("speed", 20), ("pause", None), ("step", 0.5), ("resume", None), ("speed", "max")):
+            line = json.dumps({"command": command, "argument": argument}).encode()
+            assert json.loads(answer_line(house.daemon, line))["ok"]
+            shown.append((await client.ask("gs")).slots[0])
+        assert shown == [200, 0, 0, 200, 9999]
+        refusing = Rule("no", (Nak(),), commands=("vm",), directions=frozenset({Direction.REQUEST}))
+        house.daemon.faults.put(Plan((refusing,)), house.daemon.lines())
+        assert (await client.ask("vm", 0, 0, 0)).kind == "error"
+        assert (await client.ask("gs")).slots[38] == 100
+
+    recording = recorded(tmp_path / "run.log", Beginning(Setting(noisy=True), Pace(), Allowed()), visit)
+    assert not any(entry.kind == "in" and entry.data[1:2] == b"\x5b" for entry in recording.entries)
+    assert (replay(recording).answers, replay(recording).difference) == (8, "")
 
 
 def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
