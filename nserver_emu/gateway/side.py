@@ -2,13 +2,15 @@
 
     answer(call, visit) ──> plan ──> owner? ──> ticket ──> later: the reply, or ERROR 4, 5, 6
     ws                      the state asked for again and again, so that nobody is kept from stopping the robot
-    conf_tm                 the client's own, else TIMEOUT_S, fed while somebody owns the robot
+    conf_tm                 a client's own: the owner must speak in that time, for watchers do not feed a robot;
+                            where none has said one TIMEOUT_S, fed from here while somebody owns the robot
 
 Rules: no thread, no socket; time is an argument. Nothing here waits: an answer is there, or a Later looks for it.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
 from typing import Final
 
@@ -22,6 +24,8 @@ from nserver_emu.gateway.real_robot import Outcome, RealRobot, Ticket
 from nserver_emu.gateway.robot_state import REAL_TIME, Link, moving_axes, state_for
 from nserver_emu.gateway.translate import HIGHEST_TIMEOUT_S, REFRESH, Plan, Shaping, plan
 from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
+
+log = logging.getLogger(__name__)
 
 TIMEOUT_S: Final = 5
 """A robot that nobody speaks to for so long stops; it is what a gateway that dies leaves behind."""
@@ -56,7 +60,8 @@ class RealSide:
         self.follower: Follower | None = None
         self._clock = clock
         self._feed_s = feed_s
-        self._said_s = clock()
+        self._said_s = self._heard_s = clock()
+        self._stopped_for_silence = False
         self._wishes: dict[Visit, int] = {}
         self._position = 0
         self._timeout: tuple[Visit, int] | None = None
@@ -64,6 +69,7 @@ class RealSide:
 
     def answer(self, call: Call, visit: Visit) -> Reply | Later:
         """What a connection gets for a call."""
+        self._hear(visit)
         found = plan(call, visit, self.robot.link)
         if isinstance(found, int):
             return error_reply(found)
@@ -101,11 +107,17 @@ class RealSide:
             self._submit((STOP,))
 
     def tick(self) -> None:
-        """Time has passed: feed a robot that somebody owns and nobody has set a time-out for; follow it."""
+        """Time has passed: follow the robot; feed one that somebody owns, stop one whose owner has gone dumb."""
         self.catch_up()
-        hungry = self._timeout is None and (self._clock() - self._said_s) * self._pace() >= self._feed_s
-        if self.active and self.ownership.owner is not None and hungry:
-            self.refresh()
+        if not self.active or self.ownership.owner is None:
+            return
+        if self._timeout is None:
+            if self._since_s(self._said_s) >= self._feed_s:
+                self.refresh()
+        elif self._since_s(self._heard_s) > self._timeout[1] and not self._stopped_for_silence:
+            log.warning("the real robot's owner has said nothing for %d s, its time-out: stopped", self._timeout[1])
+            self._stopped_for_silence = True
+            self._submit((STOP,))
 
     def refresh(self) -> Ticket:
         """Have the state asked for."""
@@ -140,9 +152,16 @@ class RealSide:
         self.robot.close(*self.last_words)
         self.catch_up()
 
-    def _pace(self) -> float:
-        """How fast the robot's time runs, its time-out with it: 1 on a real one; 0 where it waits to be asked."""
-        return 1.0 if self.last is None else self.last.slots.get(_SPEED_SLOT, REAL_TIME) / REAL_TIME
+    def _hear(self, visit: Visit) -> None:
+        """The owner lives; who is about to become it has spoken just now as well."""
+        if self.ownership.is_free_for(visit):
+            self._heard_s = self._clock()
+            self._stopped_for_silence = False
+
+    def _since_s(self, then_s: float) -> float:
+        """Seconds since then, as the robot's time runs and its time-out with it: a simulation waits to be asked."""
+        pace = REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, REAL_TIME)
+        return (self._clock() - then_s) * pace / REAL_TIME
 
     def _submit(self, calls: tuple[Call, ...], meant: Call | None = None) -> Ticket:
         self._said_s = self._clock()
@@ -177,6 +196,7 @@ class RealSide:
 
         def later() -> Reply | None:
             nonlocal begun_ms, ticket, asked_s
+            self._hear(visit)
             if ticket is None:
                 if begun_ms is None or self._clock() - asked_s >= POLL_S:
                     ticket, asked_s = self.refresh(), self._clock()

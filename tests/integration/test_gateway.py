@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import json
 import re
 import signal
@@ -29,6 +30,11 @@ class Program:
         assert found, line
         self.process, self.port = process, int(found[1])
         self.address = f"nserver://127.0.0.1:{self.port}/1"
+
+    def other_line(self) -> str:
+        """What it says next of where it listens, such as `serial /tmp/nomad`."""
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().removeprefix("listening ").strip()
 
     def end(self, how: signal.Signals = signal.SIGTERM) -> str:
         """What it said on stderr."""
@@ -96,10 +102,60 @@ def test_a_robot_that_goes_away_is_error_6_and_comes_back() -> None:
             assert code_of(driver) == 6
             again.enter_context(nserver("--port", port))
             until(lambda: code_of(watcher) is None)
+            until(lambda: code_of(driver) is None)  # the loss that its feeder met comes first
             assert driver.move(translation_in=1).raw[38] > 0
         said = gateway.end()
     assert said.count("the real robot does not answer") == 1
     assert said.count("the real robot answers again") == 1
+
+
+def test_a_robot_on_its_own_line_is_driven_capped_and_comes_back_when_the_line_does(tmp_path: Path) -> None:
+    link, report = tmp_path / "nomad", tmp_path / "shadow.csv"
+    robot_words = ("--port", "0", "--serial-link", str(link))
+    gateway_words = ("--port", "0", "--real", f"serial://{link}?model=n150", "--max-speed", "8")
+    with contextlib.ExitStack() as again, nserver(*robot_words) as robot:
+        assert robot.other_line() == f"serial {link}"
+        gateway = again.enter_context(nserver(*gateway_words, "--shadow-report", str(report)))
+        with connect(gateway.address) as driver, connect(gateway.address) as watcher:
+            with connect(robot.address) as seen:
+                assert driver.move(translation_in=12).raw[38] == 80
+                assert driver.wait_until_still(timeout_s=20).x_in == 12.0
+                assert seen.truth().x_in == 12.0
+                assert driver.refresh().bumpers == ()
+                assert driver.refresh().raw[33] == 0
+                assert watcher.read_compass().raw[43] == 0
+                driver.set_timeout(1)
+                driver.drive(translation_in_s=2)
+                time.sleep(2.5)
+                assert not seen.refresh().moving
+            robot.end(signal.SIGKILL)
+            until(lambda: code_of(watcher) == 6)
+            link.unlink(missing_ok=True)
+            again.enter_context(nserver(*robot_words))
+            until(lambda: code_of(watcher) is None)
+            until(lambda: code_of(driver) is None)  # the loss that its feeder met comes first
+            assert driver.move(translation_in=1).raw[38] > 0
+        gateway.end()
+        assert gateway.process.returncode == 0
+    rows = {row["quantity"]: row for row in csv.DictReader(report.read_text().splitlines())}
+    assert abs(float(rows["x_in"]["mean"])) < 12.0
+    assert int(rows["sonars_in"]["count"]) > 16
+
+
+def test_a_nomad_200_on_a_network_has_stamps_and_points_of_its_laser() -> None:
+    with nserver("--port", "0", "--robot", "n200", "--robotd", "0") as robot:
+        address = f"robotd://{robot.other_line().removeprefix('robotd ')}?model=n200"
+        with nserver("--port", "0", "--real", address) as gateway:
+            with connect(f"{gateway.address}?model=n200") as driver, connect(f"{robot.address}?model=n200") as seen:
+                driver.position_data(sonars=True)
+                driver.set_position(x_in=30.0, y_in=-40.0)
+                until(lambda: {stamp.x for stamp in driver.refresh().raw_stamps.values()} == {300})
+                laser, wanted = driver.read_laser().laser, seen.read_laser().laser
+                assert laser[0] == wanted[0] > 100
+                off = max(abs(a - b) for a, b in zip(laser, wanted, strict=True))
+                assert off < 100  # tenths; a row of the camera is coarse
+                assert driver.read_infrareds().infrareds == seen.read_infrareds().infrareds
+            gateway.end()
 
 
 def test_a_gateway_that_is_killed_leaves_a_robot_that_stands() -> None:

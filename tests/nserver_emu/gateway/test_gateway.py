@@ -295,7 +295,7 @@ def test_the_time_out_is_the_gateways_until_a_client_sets_one() -> None:
     house.gateway.tick()
     house.work()
     guest.ask("conf_tm", 0)
-    assert robot.calls == [Call("conf_tm", (2,)), Call("conf_tm", (5,))]
+    assert robot.calls == [Call("conf_tm", (2,)), Call("st"), Call("conf_tm", (5,))]
     guest.ask("conf_tm", 3)
     robot.calls.clear()
     other.leave()
@@ -306,6 +306,33 @@ def test_the_time_out_is_the_gateways_until_a_client_sets_one() -> None:
     house.gateway.tick()
     house.work()
     assert len(robot.calls) == 2
+
+
+def test_an_owner_gone_dumb_has_its_robot_stopped_however_much_others_ask(caplog: pytest.LogCaptureFixture) -> None:
+    house, robot = scripted()
+    owner, watcher = house.guest(), house.guest()
+    owner.ask("conf_tm", 2)
+    owner.ask("vm", 10, 0, 0)
+    robot.names()
+    for _ in range(50):
+        watcher.ask("gs")
+        house.gateway.tick()
+    house.work()
+    assert robot.names().count("st") == 1
+    assert caplog.text.count("said nothing for 2 s") == 1
+    owner.ask("vm", 10, 0, 0)
+    for _ in range(50):
+        owner.ask("gs")
+        house.gateway.tick()
+    robot.state = Reply("state", {**LINE_STATE.slots, 41: 1}, clock=0)
+    owner.session.receive(language.tcp_request(Call("ws", (1, 1, 1, 200))))
+    owner.session.answers(1)
+    for _ in range(50):
+        house.now_s += 0.1
+        house.work()
+        owner.session.tick()
+        house.gateway.tick()
+    assert "st" not in robot.names()
 
 
 @pytest.mark.parametrize(("speed", "fed_after_s"), [(None, 5 / 3), (10, 5 / 3), (100, 5 / 30), (0, None)])
