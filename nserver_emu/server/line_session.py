@@ -13,7 +13,6 @@ not get it any more (decision of ours: so that st is heard during ws).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
 from nclient.errors import WireError
@@ -22,8 +21,8 @@ from nclient.protocol.commands import BY_NAME
 from nclient.protocol.hello import Hello, build_hello
 from nclient.protocol.mask import BUMPER_SLOT
 from nclient.protocol.models import Model
-from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer
+from nclient.protocol.replies import LINE_STATE, Reply
+from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
 from nclient.protocol.stamps import Stamp
 from nclient.protocol.terms import line_terms
 from nserver_emu.server.session import Answer, Conversation, Visit
@@ -49,6 +48,7 @@ class LineSession(Conversation[SerialFrame]):
         self._framer = SerialFramer(limit=HOST_LIMIT)
         self._begun_s: float | None = None
         self._progress = (0, 0)
+        self._told: tuple[Reply | None, bytes] = (None, b"")
 
     @property
     def greeting(self) -> bytes:
@@ -111,7 +111,17 @@ class LineSession(Conversation[SerialFrame]):
         if reply.kind == "error":
             self._count_refusal(f"{name}: error {reply.values[0]}")
             reply = NAK
+        if reply.kind == "state":
+            return build_frame(BY_NAME[name].line_type or 0, self._packet(reply))
         return language.line_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.terms)
+
+    def _packet(self, reply: Reply) -> bytes:
+        """A state packet; the one reply that is told again and again between two steps is built once."""
+        told, packet = self._told
+        if told is not reply:
+            packet = LINE_STATE.build(as_the_line_has_it(reply, self.model), self.visit.terms)
+            self._told = (reply, packet)
+        return packet
 
 
 def as_the_line_has_it(reply: Reply, model: Model) -> Reply:
@@ -122,7 +132,8 @@ def as_the_line_has_it(reply: Reply, model: Model) -> Reply:
     if not changed and not reply.stamps:
         return reply
     stamps = {key: _fitting(stamp) for key, stamp in reply.stamps.items()}
-    return replace(reply, slots={**reply.slots, **changed}, stamps=stamps)
+    slots = {**reply.slots, **changed}
+    return Reply(reply.kind, slots, reply.laser, stamps, reply.clock, reply.volts, reply.values)
 
 
 def _fitting(stamp: Stamp) -> Stamp:

@@ -25,6 +25,7 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 from nclient.errors import WireError
 from nclient.protocol import language
 from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.mask import Mask
 from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.state import STATE_SIZE
@@ -41,13 +42,26 @@ _CONNECT_TYPES = frozenset(BY_NAME[name].tcp_type for name in _CONNECTS)
 _TYPE_BYTES = 2
 
 
+class Told(NamedTuple):
+    """A state reply, and what it was made from: one look at the robot, on these terms."""
+
+    slots: list[int]
+    mask: Mask
+    laser_mode: int
+    reply: Reply
+
+
 @dataclass(slots=True, eq=False)
 class Visit:
-    """What the server knows of one connection: whose robot, on what terms, and the State values last sent."""
+    """What the server knows of one connection: whose robot, on what terms, and the State values last sent.
+
+    `told`: the state last told on a robot's own line, where nothing else decides what a packet says.
+    """
 
     terms: Terms = field(default_factory=lambda: tcp_terms(N150))
     robot_id: int | None = None
     kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
+    told: Told | None = None
 
     def keep(self, slots: Mapping[int, int]) -> None:
         """These were sent, too; the list itself may be another connection's as well, so it is not changed."""

@@ -15,7 +15,7 @@ from nclient.protocol.replies import Reply
 from nserver_emu.server.arm import Arm
 from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import Told, Visit
 from nserver_emu.server.state_reply import clock_ms, state_reply, state_slots
 from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -83,7 +83,8 @@ class Stage:
     def state(self, visit: Visit) -> Reply:
         """The state reply that most commands answer with.
 
-        Between two steps a robot changes by commands only, so many who ask cost one look at it.
+        Between two steps a robot changes by commands only, so many who ask cost one look at it; on a line they get
+        the same reply.
         """
         assert visit.robot_id is not None
         robot, now_s = self.simulation.robots[visit.robot_id], self.simulation.time_s
@@ -91,7 +92,12 @@ class Stage:
         if looked_s != now_s:
             slots = state_slots(robot, self.pace.speed_tenths)
             self._looked[visit.robot_id] = (now_s, slots)
-        return state_reply(robot, visit, now_s, slots)
+        if not visit.terms.line:
+            return state_reply(robot, visit, now_s, slots)
+        told, mask, mode = visit.told, visit.terms.mask, visit.terms.laser_mode
+        if told is None or told.slots is not slots or told.mask is not mask or told.laser_mode != mode:
+            told = visit.told = Told(slots, mask, mode, state_reply(robot, visit, now_s, slots))
+        return told.reply
 
     @property
     def clock_ms(self) -> int:
