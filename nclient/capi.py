@@ -17,6 +17,8 @@ Rules: as the C library does it. Nothing is raised, nothing printed: a call give
 or the link is lost (`last_error` says why); the code of a refusal stands in State[44]. Numbers are in wire units, cut
 off to integers as by C. A list stands for a C array or pointer and is filled in place. One program, one thread, one
 robot. The settings in capitals are this module's: assign them by `capi.`, since an import with * only copies names.
+The direct library's connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) talks to a robot on its own line: bumper bits
+as they come (State[33] is 0xF00000 at rest), a NAK for done, State[0], [42] and [44] left alone.
 """
 
 from __future__ import annotations
@@ -25,11 +27,12 @@ from collections.abc import MutableSequence, Sequence
 from typing import Any
 
 from nclient.backends.backend import Backend
-from nclient.connect import Wanted, is_listening, open_machine
+from nclient.connect import Wanted, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.fields import MAX_LASER_READINGS
 from nclient.protocol.mask import EVERYTHING, SLOTS, Position
+from nclient.protocol.models import N150, N200, SCOUT
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.stamps import INFRARED_KEYS, NO_STAMP, SONAR_KEYS
@@ -38,7 +41,8 @@ from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
 from nclient.robot_state import WHEEL_IN_PER_DEG
 
 __all__ = [
-    "FALSE", "LEFT", "RIGHT", "ROTATION_CONSTANT", "TRUE", "Laser", "Smask", "State", "ac", "add_obstacle",
+    "FALSE", "LEFT", "MODEL_N150", "MODEL_N200", "MODEL_SCOUT", "RIGHT", "ROTATION_CONSTANT", "TRUE", "Laser",
+    "Smask", "State", "ac", "add_obstacle",
     "arm_mv", "arm_ws", "arm_zr", "conf_cp", "conf_ir", "conf_ls", "conf_ser", "conf_sg", "conf_sn",
     "conf_tm", "connect_robot", "create_robot", "ct", "da", "delete_obstacle", "disconnect_robot", "dp",
     "draw_arc", "draw_line", "draw_robot", "get_bp", "get_cp", "get_ir", "get_ls", "get_ra", "get_rc",
@@ -53,6 +57,7 @@ __all__ = [
 ]  # fmt: skip
 
 TRUE, FALSE = 1, 0
+MODEL_N200, MODEL_N150, MODEL_SCOUT = N200.number, N150.number, SCOUT.number
 ROTATION_CONSTANT = WHEEL_IN_PER_DEG
 """Inches that a Scout's wheel travels for each degree of turn."""
 
@@ -72,6 +77,8 @@ Ints = Sequence[int]
 Out = MutableSequence[Any]
 _PACKET_HEAD = 4
 _NO_SUCH_MODES = frozenset({6, 7, 8})
+_NAK = Reply("nak")
+"""What the C library takes for done."""
 
 _backend: Backend | None = None
 _held = HeldState()
@@ -86,9 +93,13 @@ def last_error() -> NomadError | None:
 # connecting
 
 
-def connect_robot(robot_id: int) -> int:
-    """Connect to a robot of the server, anew where one is connected: the server's port, or FALSE."""
-    return _connect(robot_id, create=False)
+def connect_robot(robot_id: int, model: int | None = None, dev: str = "", conn: int = 0) -> int:
+    """Connect to a robot of the server, anew where one is connected: the server's port, or FALSE.
+
+    With a model: to a robot on its own line, as the direct library does. `dev` and `conn`: a device (/dev/ttyUSB0) and
+    its baud rate, or a host and its TCP port; then TRUE or FALSE.
+    """
+    return _connect(robot_id, line=None if model is None else (int(model), dev, int(conn)))
 
 
 def create_robot(robot_id: int) -> int:
@@ -146,8 +157,9 @@ def pr(t_pr: int, s_pr: int, r_pr: int) -> int:
 
 
 def pa(t_pa: int, s_pa: int, r_pa: int) -> int:
-    """Absolute positions: refused by the client itself, without a word to the server."""
-    del t_pa, s_pa, r_pa
+    """Absolute positions: only on a N200's own line; for a server refused by the client, without a word to it."""
+    if _backend is not None and _backend.terms.line:
+        return _send("pa", t_pa, s_pa, r_pa)
     return _refuse("pa", "clients of an Nserver do not send it")
 
 
@@ -555,17 +567,20 @@ def sim_control(verb: int, value: int) -> int:
     return _send("sim_control", verb, value)
 
 
-def _connect(robot_id: int, *, create: bool) -> int:
+def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] | None = None) -> int:
     global _backend, _error, _held
     if _backend is not None:
         disconnect_robot(robot_id)
     try:
         wanted = Wanted(ANSWER_TIMEOUT_S, int(robot_id), create)
-        _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), wanted)
+        if line is None:
+            _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), wanted)
+        else:
+            _backend = open_line(*line, wanted)
     except NomadError as error:
         _error = error
         return FALSE
-    Smask[:] = EVERYTHING.smask
+    Smask[:] = (_backend.terms.mask if _backend.terms.model.sends_mask else EVERYTHING).smask
     _held = HeldState()
     if _backend.greeting is not None:
         _hold(_backend.greeting)
@@ -584,7 +599,7 @@ def _reply(name: str, *args: Any) -> Reply | None:
         _error = error
         if isinstance(error, RobotRefused) and error.code is not None:
             _hold(Reply("error", values=(error.code,)))
-        return None
+        return _NAK if isinstance(error, RobotRefused) and error.is_nak else None
     _hold(reply)
     return reply
 

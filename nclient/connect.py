@@ -2,6 +2,8 @@
 
     nserver://host[:port]/id?timeout_s=2&model=scout     an Nserver over TCP; port 7019, robot 1, an N150 where left out
     sim:WORLD?robot=n150&seed=1&noisy=1                  the emulator in this process (whatever is installed for it)
+    serial:///dev/ttyUSB0?model=n150&baud=38400          a robot on a cable, or an emulated one on a pseudo-terminal
+    robotd://host[:port]?model=n200                      the same line over TCP; port 65001
 
 Rules: what schemes and options there are stands in the two tables of nclient.schemes. What is wrong with an address
 is said before anything is opened, with the nearest thing that would be right.
@@ -18,12 +20,14 @@ from typing import Any
 from nclient import address as text
 from nclient.async_robot import AsyncRobot
 from nclient.backends.backend import Backend
-from nclient.errors import ConnectionLost
+from nclient.errors import AddressError, ConnectionLost
+from nclient.protocol.models import MODELS
 from nclient.robot import Robot
 from nclient.schemes import Wanted, known_schemes, open_nserver, open_tcp, opening_of
 from nclient.transports.tcp import TcpStream, names_of_this_machine
 
-__all__ = ["Wanted", "connect", "connect_async", "is_listening", "known_schemes", "open_backend", "open_machine"]
+__all__ = ["Wanted", "connect", "connect_async", "is_listening", "known_schemes", "open_backend",
+           "open_line", "open_machine"]  # fmt: skip
 
 DEFAULT_ADDRESS = "nserver://localhost:7019/1"
 VARIABLE = "NOMAD_ROBOT"
@@ -33,9 +37,10 @@ VARIABLE = "NOMAD_ROBOT"
 def connect(address: str | None = None, *, timeout_s: float | None = None) -> Robot:
     """A robot by its address; by NOMAD_ROBOT when none is given, else a local Nserver's first.
 
-    `timeout_s`: how long an answer may take (5 s where nothing is said); `timeout_s=` in the address wins. Raises
-    AddressError, ConnectionLost, ReplyTimeout, RobotRefused (no robot of that number), or what an opener has against
-    its world or start.
+    `timeout_s`: how long an answer may take (5 s of a server, 1 s on a robot's own line where nothing is said);
+    `timeout_s=` in the address wins. Where time runs by itself the robot's time-out of motion is set and fed, so that
+    a program that is gone leaves a robot that stops (`tm_s=`, `feed=`). Raises AddressError, ConnectionLost,
+    ReplyTimeout, RobotRefused (no robot of that number), or what an opener has against its world or start.
     """
     return Robot(open_backend(address, Wanted(timeout_s)))
 
@@ -76,6 +81,19 @@ def open_machine(name: str, port: int, wanted: Wanted) -> Backend:
     if _is_address(name):
         return open_backend(name, wanted)
     return open_nserver(_find(name, port, wanted.timeout_s), wanted)
+
+
+def open_line(model_number: int, device: str, conn: int, wanted: Wanted) -> Backend:
+    """What C programs of the direct library name: a model's number, a device and its baud rate, or a host and its port.
+
+    As that library: no time-out of motion set, nothing asked twice, nothing checked but the checksum.
+    """
+    models = {model.number: model.name for model in MODELS.values()}
+    if model_number not in models:
+        raise AddressError(f"a model's number is one of {', '.join(map(str, sorted(models)))}, not {model_number}")
+    where = f"serial://{device}?baud={conn}&" if device.startswith("/") else f"robotd://{device}:{conn}?"
+    bare = "&tm_s=0&retries=0&reconnect=0&checks=0"
+    return open_backend(f"{where}model={models[model_number]}{bare}", wanted)
 
 
 def is_listening(name: str, port: int) -> bool:

@@ -1,6 +1,7 @@
 """A robot on its own line that says what a test tells it to, built on the protocol room alone, in this process.
 
-    ScriptedLine(answers)   send, receive, close: what MemoryStream wants; `calls` are the commands that came
+    ScriptedLine(answers)    send, receive, close: what MemoryStream wants; `calls` are the commands that came
+    RecordedRobot(session)   the same, of the recorded sessions: it insists on the C library's bytes
 
 An answer is a Reply, bytes as they are, None for silence, or Late(reply): it comes only when the next command has.
 A list of answers is used up one a command; then the dull one comes. Rules: no emulator, no clock.
@@ -11,9 +12,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from recorded import SERIAL, exchanges, model_of
+
 from nclient.backends.direct import DirectBackend
 from nclient.protocol import language
 from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.hello import Hello, build_hello
+from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N150, Model
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFramer
@@ -114,3 +119,25 @@ def direct_on(robot: ScriptedLine, *, hello: bool = False) -> DirectBackend:
 def spoiled(frame: bytes, at: int = 6) -> bytes:
     """The frame with one byte changed."""
     return frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :]
+
+
+class RecordedRobot:
+    """The robot of a recorded session: its bytes for the host's, in order. Closed before the end is a failure."""
+
+    def __init__(self, session: str) -> None:
+        self.exchanges = list(exchanges(SERIAL[session], model_of(session)))
+        self.out = build_hello(Hello(EVERYTHING, 51)) if session == "n200_tcp" else b""
+        self._position = 0
+
+    def send(self, data: bytes) -> None:
+        exchange = self.exchanges[self._position]
+        assert data == exchange.request, exchange.call
+        self.out += exchange.reply
+        self._position += 1
+
+    def receive(self) -> bytes:
+        data, self.out = self.out, b""
+        return data
+
+    def close(self) -> None:
+        assert self._position == len(self.exchanges)

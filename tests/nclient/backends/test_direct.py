@@ -7,8 +7,8 @@ import random
 from typing import Any
 
 import pytest
-from recorded import LINE_SESSIONS, SERIAL, exchanges, model_of
-from robot_line import NAK, Late, ScriptedLine, direct_on, spoiled
+from recorded import LINE_SESSIONS, model_of
+from robot_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled
 
 from nclient.backends.direct import DirectBackend
 from nclient.backends.line import QUIET_S
@@ -40,32 +40,9 @@ def test_an_exchange() -> None:
     assert (backend.link.exchanges, backend.link.answers, backend.link.frames) == (1, 1, 1)
 
 
-class Recording:
-    """A peer that plays the robot of the recorded sessions: its bytes to the host's, in order."""
-
-    def __init__(self, session: str) -> None:
-        self.exchanges = list(exchanges(SERIAL[session], model_of(session)))
-        tcp_n200 = session == "n200_tcp"
-        self.out = build_hello(Hello(EVERYTHING, 51)) if tcp_n200 else b""
-        self._position = 0
-
-    def send(self, data: bytes) -> None:
-        exchange = self.exchanges[self._position]
-        assert data == exchange.request, exchange.call
-        self.out += exchange.reply
-        self._position += 1
-
-    def receive(self) -> bytes:
-        data, self.out = self.out, b""
-        return data
-
-    def close(self) -> None:
-        assert self._position == len(self.exchanges)
-
-
 @pytest.mark.parametrize("session", LINE_SESSIONS)
 def test_what_the_c_library_said_and_held(session: str) -> None:
-    peer = Recording(session)
+    peer = RecordedRobot(session)
     model = model_of(session)
     backend = DirectBackend(MemoryStream(peer), model, hello=session == "n200_tcp", checks=False)
     held = HeldState()

@@ -1,0 +1,146 @@
+"""The C mirror on a robot's own line, against the recorded exchanges of the direct library: bytes, State, answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from recorded import LINE_SESSIONS, SERIAL, model_of
+from robot_line import NAK, RecordedRobot, ScriptedLine
+
+from nclient import capi
+from nclient.errors import AddressError, RobotRefused
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N200, SCOUT
+from nclient.transports.memory import MemoryStream
+
+TYPE_OF_THE_RECORDER = 200
+
+
+@pytest.fixture(autouse=True)
+def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The mirror as it is when a program starts."""
+    monkeypatch.setattr(capi, "SERVER_MACHINE_NAME", "")
+    monkeypatch.setattr(capi, "_backend", None)
+    monkeypatch.setattr(capi, "_error", None)
+    monkeypatch.setattr(capi, "_held", type(capi._held)())
+    capi.State[:] = [0] * 45
+    capi.Smask[:] = EVERYTHING.smask
+    capi.Laser[:] = [0] * 965
+    yield
+    capi.disconnect_robot(1)
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What was opened; the peer that answers next is `peers[0]`."""
+    calls: list[tuple[Any, ...]] = []
+    peers.clear()
+
+    def opens(*where: Any) -> MemoryStream:
+        calls.append(where)
+        return MemoryStream(peers.pop(0))
+
+    monkeypatch.setattr("nclient.openers.SerialStream", opens)
+    monkeypatch.setattr("nclient.openers.TcpStream", opens)
+    return calls
+
+
+peers: list[Any] = []
+
+
+def play(case: dict[str, Any]) -> int:
+    """Make the recorded call through the mirror; what it returned."""
+    name, args = case["call"], case["args"]
+    out: list[Any] = [0] * 40
+    match name:
+        case "mask":
+            capi.Smask[:] = args
+            return capi.ct()
+        case "conf_ir" | "conf_sn":
+            return int(getattr(capi, name)(args[0], args[1:]))
+        case "special_request":
+            returned = capi.special_request([4 + len(args), 0, 0, TYPE_OF_THE_RECORDER, *args], out)
+            special = case["decoded"]["special"]
+            assert out[: len(special)] == special[: len(out)]
+            return returned
+        case "tk":
+            return capi.tk(args)
+        case _:
+            return int(getattr(capi, name)(*args))
+
+
+@pytest.mark.parametrize("session", LINE_SESSIONS)
+def test_a_recorded_session_through_the_mirror(session: str, opened: list[tuple[Any, ...]]) -> None:
+    first, *cases = SERIAL[session]
+    peers.append(RecordedRobot(session))
+    number = model_of(session).number
+    device, conn = ("lab", 65001) if session.endswith("_tcp") else ("/dev/ttyUSB0", 38400)
+    assert capi.connect_robot(1, number, device, conn) == 1
+    assert opened[0][:2] == (device, conn)
+    check_held(first)
+    for case in cases:
+        assert play(case) == case["decoded"].get("arm", case["decoded"]["return"]), case["call"]
+        check_held(case)
+    assert capi.disconnect_robot(1) == capi.TRUE
+
+
+def check_held(case: dict[str, Any]) -> None:
+    decoded = case["decoded"]
+    assert capi.State == decoded["State"], case["call"]
+    assert capi.posDataCheck() == decoded["pos"]
+    if "Laser" in decoded:
+        assert capi.Laser[: len(decoded["Laser"])] == decoded["Laser"]
+    if decoded.get("time"):
+        assert capi.posTimeGet() == decoded["time"]
+        assert capi.voltCpuGet() == pytest.approx(decoded["volt_cpu"], abs=1e-5)
+        assert capi.voltMotorGet() == pytest.approx(decoded["volt_motor"], abs=1e-5)
+    for key, get in {"pos_sonar_0": lambda out: capi.posSonarGet(out, 0), "pos_bumper": capi.posBumperGet}.items():
+        if any(decoded.get(key, ())):
+            taken = [0] * 9
+            assert get(taken) == 1
+            assert taken == decoded[key]
+
+
+def test_the_models_by_their_numbers(opened: list[tuple[Any, ...]]) -> None:
+    assert (capi.MODEL_N200, capi.MODEL_N150, capi.MODEL_SCOUT) == (0, 1, 2)
+    peers.append(ScriptedLine(model=SCOUT))
+    assert capi.connect_robot(1, capi.MODEL_SCOUT, "/dev/ttyS0", 9600)
+    assert opened == [("/dev/ttyS0", 9600)]
+    assert capi.connect_robot(1, 7, "/dev/ttyS0", 9600) == capi.FALSE
+    assert isinstance(capi.last_error(), AddressError)
+
+
+def test_bumper_bits_are_raw_and_a_nak_is_done(opened: list[tuple[Any, ...]]) -> None:
+    peers.append(ScriptedLine({"vm": NAK}))
+    assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
+    assert capi.gs() == capi.TRUE
+    assert capi.State[33] == 0xF00000
+    before = list(capi.State)
+    assert capi.vm(100, 0, 0) == capi.TRUE
+    assert capi.State == before
+    assert isinstance(capi.last_error(), RobotRefused)
+    assert capi.real_robot() == capi.FALSE
+    assert capi.get_bp() == capi.TRUE
+    assert opened
+
+
+def test_the_mask_of_a_n200_is_the_one_it_said(opened: list[tuple[Any, ...]]) -> None:
+    robot = ScriptedLine(model=N200)
+    peers.append(robot)
+    assert capi.connect_robot(1, capi.MODEL_N200, "/dev/ttyUSB0", 38400)
+    assert capi.Smask == list(EVERYTHING.smask)
+    assert capi.pa(100, 0, 0) == capi.TRUE
+    assert robot.names() == ["ct", "pa"]
+    assert opened
+
+
+def test_an_address_of_a_line_is_a_machine_too(opened: list[tuple[Any, ...]]) -> None:
+    robot = ScriptedLine()
+    peers.extend([robot, ScriptedLine()])
+    capi.SERVER_MACHINE_NAME = "serial:///dev/ttyUSB0?model=n150&tm_s=0"
+    assert capi.connect_robot(1) == 1
+    assert capi.server_is_running() == capi.TRUE
+    assert capi.gs() == capi.TRUE
+    assert len(opened) == 2
