@@ -24,9 +24,13 @@ async def kept(gateway: Gateway, daemon: Daemon, summary_s: float) -> AsyncItera
     """Let robots answer while this is entered; `summary_s`: from one summary of a shadow in the log to the next."""
     loop = asyncio.get_running_loop()
 
+    def look() -> None:
+        gateway.tick()
+        daemon.tick()
+
     def news() -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed: a robot that answers after the end
-            loop.call_soon_threadsafe(daemon.tick)
+            loop.call_soon_threadsafe(look)
 
     for side in gateway.sides.values():
         side.robot.news = news

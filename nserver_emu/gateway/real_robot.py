@@ -3,9 +3,10 @@
     submit(calls) ──> row ──> work() ──> backend.execute ──> ticket.outcome ──> news()
                                  └── silence ──> every ticket ERROR 6 ──> reconnect, with growing pauses ──> opening
 
-Rules: only the thread that works waits for the robot. st goes before all others and takes along the motions that have
-not begun. Who asks for the state while such a question still waits shares its answer. `work` can be called without a
-thread; it knows no clock, and says how long to pause.
+Rules: only the thread that works waits for the robot. st goes before all others, voids the motions that have not begun,
+and breaks off what keeps the line for long; one that does not get through is said as soon as the robot answers again.
+Who asks for the state while such a question still waits shares its answer. `work` can be called without a thread; it
+knows no clock, and says how long to pause.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from nclient.backends.backend import Backend
-from nclient.errors import BumperHit, NomadError, RobotRefused, WireError
+from nclient.errors import BumperHit, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.robot_state import Link
@@ -34,6 +35,10 @@ LONGEST_PAUSE_S: Final = 8.0
 """Pauses between attempts to reach a silent robot grow from the first to the longest, twice as long each time."""
 LAST_WORDS_S: Final = 3.0
 """How long the end may take: longer than an answer does, and than the host's time-out of 1 s for one."""
+
+STOP: Final = Call("st")
+SLOW: Final = frozenset({"zr", "arm_zr", "arm_ws", "special_request"})
+"""Commands that keep the line for many seconds."""
 
 Opening = Callable[[Link, bool], Iterable[Call]]
 """What is to be said to a robot that has just been reached, again or for the first time: what all else relies on."""
@@ -58,6 +63,11 @@ class Ticket:
     outcome: Outcome | None = field(default=None)
 
     @property
+    def stops(self) -> bool:
+        """Whether it is a stop."""
+        return self.calls[0] == STOP
+
+    @property
     def simulated(self) -> tuple[Call, ...]:
         """What a simulation does that is to do the same."""
         return self.calls if self.meant is None else (self.meant,)
@@ -66,7 +76,7 @@ class Ticket:
 class RealRobot:
     """One robot behind an address. `opens` reaches it, at once and whenever it was lost.
 
-    Raises what `opens` raises when it cannot be reached at the start.
+    Raises what `opens` raises when it cannot be reached at the start, ReplyTimeout when it does not answer.
     """
 
     def __init__(self, opens: Callable[[], Backend], opening: Opening = lambda _link, _again: ()) -> None:
@@ -75,9 +85,6 @@ class RealRobot:
         """Called after each outcome, by the thread that works."""
         self.finished: deque[Ticket] = deque()
         """Tickets that were carried out, in that order, for whoever follows the robot."""
-        self._opens = opens
-        self._backend = opens()
-        self.link = Link(self._backend.terms.model, self._backend.terms.line)
         self.silent = False
         self.saying: str | None = None
         """The call that is being made."""
@@ -85,10 +92,22 @@ class RealRobot:
         self._refreshing: Ticket | None = None
         self._pause_s = 0.0
         self._lost = False
+        self._owes_a_stop = False
         self._changed = threading.Condition()
         self._ending = False
         self._thread: threading.Thread | None = None
-        self._settle(again=False)
+        self._opens = opens
+        self._backend = opens()
+        try:
+            self.link = Link(self._backend.terms.model, self._backend.terms.line)
+            self._settle(again=False)
+            self._backend.execute(REFRESH)
+        except ReplyTimeout as error:
+            self._backend.close()
+            raise ReplyTimeout(f"the real robot does not answer: {error}; is it on, is its cable in?") from error
+        except BaseException:
+            self._backend.close()
+            raise
 
     def start(self) -> None:
         """Work on a thread of its own until `close`."""
@@ -99,14 +118,20 @@ class RealRobot:
         """Have calls made in turn; a stop at once. A robot that is silent has its outcome already."""
         ticket = Ticket(calls, moves, meant)
         with self._changed:
-            if self.silent or self._ending:
-                ticket.outcome = Outcome(code=NO_ANSWER)
-            elif calls[0].name == "st":
+            hopeless = self.silent and (self._pause_s > 0.0 or not ticket.stops)
+            if hopeless or self._ending:
+                self._fail(ticket)
+                return ticket
+            if ticket.stops:
                 self._void_motions()
                 self._row.appendleft(ticket)
             else:
                 self._row.append(ticket)
             self._changed.notify()
+            slow = self.saying if ticket.stops and self.saying in SLOW else None
+        if slow:
+            log.warning("%s is broken off by a stop", slow)
+            self._backend.close()
         return ticket
 
     def refresh(self) -> Ticket:
@@ -135,6 +160,7 @@ class RealRobot:
         finally:
             self.saying = None
             ticket.outcome = outcome
+            self._owes_a_stop |= ticket.stops and outcome.code == NO_ANSWER
             if outcome.code is None:
                 self.finished.append(ticket)
             self.news()
@@ -195,7 +221,7 @@ class RealRobot:
         with self._changed:
             self.silent = True
             self._pause_s = 0.0
-            self._fail_all()
+            self._fail_all(but_stops=True)
 
     def _recover(self) -> bool:
         """Try to reach it; first at once, for a line that lost one answer and is there. Else it may have been off."""
@@ -205,13 +231,14 @@ class RealRobot:
                 self._backend = self._opens()
             if self._lost:
                 self._settle(again=True)
-            self._backend.execute(REFRESH)
+            self._backend.execute(STOP if self._owes_a_stop else REFRESH)
         except NomadError as error:
             self._lost = True
+            self._fail_all()
             self._pause_s = min(max(2 * self._pause_s, FIRST_PAUSE_S), LONGEST_PAUSE_S)
             log.info("the real robot is still silent, next attempt in %g s: %s", self._pause_s, error)
             return False
-        self.silent = self._lost = False
+        self.silent = self._lost = self._owes_a_stop = False
         log.warning("the real robot answers again")
         self.news()
         return True
@@ -231,8 +258,15 @@ class RealRobot:
                 ticket.outcome = Outcome(code=REFUSED)
         self._row = deque(kept)
 
-    def _fail_all(self) -> None:
-        for ticket in self._row:
-            ticket.outcome = Outcome(code=NO_ANSWER)
-        self._row.clear()
-        self._refreshing = None
+    def _fail_all(self, *, but_stops: bool = False) -> None:
+        with self._changed:
+            kept = [ticket for ticket in self._row if but_stops and ticket.stops]
+            for ticket in self._row:
+                if ticket not in kept:
+                    self._fail(ticket)
+            self._row = deque(kept)
+            self._refreshing = None
+
+    def _fail(self, ticket: Ticket) -> None:
+        ticket.outcome = Outcome(code=NO_ANSWER)
+        self._owes_a_stop |= ticket.stops

@@ -20,7 +20,7 @@ from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.following import Follower
 from nserver_emu.gateway.ownership import Ownership, moves
-from nserver_emu.gateway.real_robot import Outcome, RealRobot, Ticket
+from nserver_emu.gateway.real_robot import SLOW, STOP, Outcome, RealRobot, Ticket
 from nserver_emu.gateway.robot_state import REAL_TIME, Link, moving_axes, state_for
 from nserver_emu.gateway.translate import HIGHEST_TIMEOUT_S, REFRESH, Plan, Shaping, plan
 from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
@@ -31,9 +31,6 @@ TIMEOUT_S: Final = 5
 """A robot that nobody speaks to for so long stops; it is what a gateway that dies leaves behind."""
 POLL_S: Final = 0.05
 """Between two questions of one ws whether the axes are still."""
-STOP: Final = Call("st")
-_SLOW: Final = frozenset({"zr", "arm_zr", "arm_ws", "special_request"})
-"""Commands that keep the line for many seconds; who asks for the state meanwhile gets the last there was."""
 _CLOCK: Final = 2**32
 _SPEED_SLOT: Final = 0
 
@@ -87,7 +84,7 @@ class RealSide:
                 pass
         if found.calls != (REFRESH,):
             return self._promise(self._submit(found.calls, call), found.shape, visit)
-        if self.robot.saying in _SLOW and self.last is not None:
+        if self.robot.saying in SLOW and self.last is not None:  # what there is: its clock tells how old it is
             return found.shape(visit, self.last, self.robot.link)
         return self._promise(self.refresh(), found.shape, visit)
 
@@ -131,7 +128,7 @@ class RealSide:
             assert ticket.outcome is not None
             states = [reply for reply in ticket.outcome.replies if reply.kind == "state"]
             self.last = states[-1] if states else self.last
-            slow = ticket.calls[0].name in _SLOW
+            slow = ticket.calls[0].name in SLOW
             self._follow(() if slow else ticket.simulated, states[-1] if states else None)
 
     def opening(self, link: Link, again: bool) -> Iterable[Call]:
@@ -165,7 +162,7 @@ class RealSide:
 
     def _submit(self, calls: tuple[Call, ...], meant: Call | None = None) -> Ticket:
         self._said_s = self._clock()
-        if calls[0].name in _SLOW and not self.robot.silent:
+        if calls[0].name in SLOW and not self.robot.silent:
             self._follow(calls)
         return self.robot.submit(calls, moves=meant is not None and moves(meant), meant=meant)
 
@@ -176,6 +173,7 @@ class RealSide:
 
     def _promise(self, ticket: Ticket, shape: Shaping, visit: Visit) -> Later:
         def later() -> Reply | None:
+            self._hear(visit)
             self.catch_up()
             return None if ticket.outcome is None else self._shaped(ticket.outcome, shape, visit)
 

@@ -167,14 +167,14 @@ def test_read_only_asks_and_changes_nothing() -> None:
     assert guest.ask("gs").slots[34] == 100
     assert guest.ask("simulated_robot").values == (0,)
     house.side.close()
-    assert robot.names() == ["gs"]
+    assert robot.names() == ["gs", "gs"]
 
 
 def test_read_only_lets_anybody_stop_it() -> None:
     robot = ScriptedRobot()
     house = House(lambda: robot, read_only=True)
     assert house.guest().ask("st").kind == "state"
-    assert robot.names() == ["st"]
+    assert robot.names() == ["gs", "st"]
 
 
 def test_the_robot_and_its_shadow_are_capped_alike() -> None:
@@ -278,7 +278,7 @@ def test_who_asks_for_the_state_during_zr_gets_the_last_one() -> None:
 def test_the_time_out_is_the_gateways_until_a_client_sets_one() -> None:
     robot = ScriptedRobot()
     house = House(lambda: robot)
-    assert robot.calls == [Call("conf_tm", (5,))]
+    assert robot.calls == [Call("conf_tm", (5,)), Call("gs")]
     guest, other = house.guest(), house.guest()
     guest.ask("vm", 10, 0, 0)
     robot.names()
@@ -356,7 +356,7 @@ def test_a_robot_is_fed_as_fast_as_its_time_runs(speed: int | None, fed_after_s:
 def test_position_data_are_asked_for_once_for_all_who_want_them() -> None:
     robot = ScriptedRobot(N200)
     house = House(lambda: robot)
-    assert robot.calls == [Call("conf_tm", (5,)), Call("ct", EVERYTHING.smask)]
+    assert robot.calls == [Call("conf_tm", (5,)), Call("ct", EVERYTHING.smask), Call("gs")]
     one, other = house.guest(), house.guest()
     robot.calls.clear()
     one.ask("ct", *EVERYTHING.with_position(2).smask)

@@ -35,7 +35,7 @@ def test_calls_are_said_in_turn_and_a_ticket_has_all_its_replies() -> None:
     script, heard = ScriptedRobot(), list[str]()
     robot = RealRobot(lambda: script, opening)
     robot.news = lambda: heard.append("news")
-    assert script.names() == ["conf_tm"]
+    assert script.names() == ["conf_tm", "gs"]
     both = robot.submit((Call("dp", (1, 2)), Call("da", (3, 4))))
     state = robot.submit((GS,))
     assert not robot.finished
@@ -51,6 +51,7 @@ def test_calls_are_said_in_turn_and_a_ticket_has_all_its_replies() -> None:
 def test_a_stop_goes_first_and_voids_the_motions_that_wait() -> None:
     script = ScriptedRobot()
     robot = RealRobot(lambda: script)
+    script.names()
     motion = robot.submit((VM,), moves=True)
     question = robot.submit((Call("get_sn"),))
     stop = robot.submit((ST,))
@@ -62,6 +63,7 @@ def test_a_stop_goes_first_and_voids_the_motions_that_wait() -> None:
 def test_who_asks_for_the_state_together_is_answered_together() -> None:
     script = ScriptedRobot()
     robot = RealRobot(lambda: script)
+    script.names()
     first, second = robot.refresh(), robot.refresh()
     assert first is second
     work(robot)
@@ -91,7 +93,6 @@ def test_one_lost_answer_is_error_6_and_the_next_question_is_answered(caplog: py
     lost, waiting = robot.submit((VM,), moves=True), robot.submit((GS,))
     assert robot.work() == 0.0
     assert [code(ticket) for ticket in (lost, waiting)] == [NO_ANSWER, NO_ANSWER]
-    assert code(robot.submit((ST,))) == NO_ANSWER
     assert code(robot.refresh()) == NO_ANSWER
     assert robot.work() is None
     assert not robot.silent
@@ -102,6 +103,88 @@ def test_one_lost_answer_is_error_6_and_the_next_question_is_answered(caplog: py
     assert [record.message for record in caplog.records] == [
         "the real robot does not answer: no answer within 1 s", "the real robot answers again"
     ]  # fmt: skip
+
+
+def test_a_stop_that_comes_while_an_answer_is_missed_is_said_at_once_after() -> None:
+    script = ScriptedRobot()
+    robot = RealRobot(lambda: script)
+    script.names()
+    script.trouble.append(ReplyTimeout("no answer"))
+    before = robot.submit((GS,))
+    robot.work()
+    stop = robot.submit((ST,))
+    work(robot)
+    assert script.names() == ["gs", "gs", "st"]
+    assert (code(before), code(stop)) == (NO_ANSWER, None)
+
+
+@pytest.mark.parametrize("silences", [1, 3])
+def test_a_stop_that_got_no_answer_is_said_again_when_the_robot_is_back(silences: int) -> None:
+    script = ScriptedRobot()
+    robot = RealRobot(lambda: script)
+    script.names()
+    script.trouble += [ReplyTimeout("no answer")] * silences
+    stop = robot.submit((ST,))
+    for _ in range(silences):
+        robot.work()
+    assert code(stop) == NO_ANSWER
+    assert code(robot.submit((GS,))) == NO_ANSWER
+    assert robot.work() is None
+    assert script.names() == ["st"] * (silences + 1)
+
+
+def test_a_stop_for_a_robot_that_is_away_is_owed() -> None:
+    script = ScriptedRobot()
+    robot = RealRobot(lambda: script)
+    script.trouble += [ReplyTimeout("no answer")] * 2
+    robot.submit((GS,))
+    robot.work()
+    assert robot.work() == FIRST_PAUSE_S
+    script.names()
+    assert code(robot.submit((ST,))) == NO_ANSWER
+    assert robot.work() is None
+    assert script.names() == ["st"]
+
+
+def test_a_stop_breaks_off_what_keeps_the_line_for_long(caplog: pytest.LogCaptureFixture) -> None:
+    zeroing, again = ScriptedRobot(), ScriptedRobot()
+    scripts = iter([zeroing, again])
+    robot = RealRobot(lambda: next(scripts), opening)
+    begun, broken_off = threading.Event(), threading.Event()
+
+    def zero() -> None:
+        begun.set()
+        assert broken_off.wait(10)
+
+    def close() -> None:
+        zeroing.closed = True
+        broken_off.set()
+
+    zeroing.first, zeroing.close = zero, close
+    robot.start()
+    zero_ticket = robot.submit((Call("zr"),), moves=True)
+    assert begun.wait(10)
+    stopped = threading.Event()
+    robot.news = stopped.set
+    stop = robot.submit((ST,))
+    while stop.outcome is None:
+        assert stopped.wait(10)
+        stopped.clear()
+    robot.close()
+    assert (code(zero_ticket), code(stop)) == (NO_ANSWER, None)
+    assert again.names()[:2] == ["st", "conf_tm"]
+    assert "zr is broken off by a stop" in caplog.text
+
+
+def test_who_does_not_answer_at_the_start_is_an_error_that_says_what_to_look_at() -> None:
+    script = ScriptedRobot(answers={"gs": ReplyTimeout("no answer within 1 s")})
+    with pytest.raises(ReplyTimeout, match="is it on, is its cable in"):
+        RealRobot(lambda: script)
+    assert script.closed
+    refusing = ScriptedRobot(answers={"gs": RobotRefused("gs", 3)})
+    with pytest.raises(RobotRefused):
+        RealRobot(lambda: refusing)
+    assert refusing.closed
 
 
 def test_a_robot_that_stays_silent_is_tried_ever_more_rarely_and_stopped_when_it_is_back() -> None:
@@ -148,6 +231,7 @@ def test_who_cannot_be_reached_at_the_start_is_an_error() -> None:
 def test_the_end_says_its_last_words_and_answers_nobody_more() -> None:
     script = ScriptedRobot()
     robot = RealRobot(lambda: script)
+    script.names()
     waiting = robot.submit((VM,), moves=True)
     robot.close(ST)
     robot.close(ST)
@@ -159,6 +243,7 @@ def test_the_end_says_its_last_words_and_answers_nobody_more() -> None:
 def test_a_silent_robot_has_no_last_words() -> None:
     script = ScriptedRobot()
     robot = RealRobot(lambda: script)
+    script.names()
     script.trouble += [ReplyTimeout("no answer")] * 2
     robot.submit((GS,))
     robot.work()
@@ -175,8 +260,9 @@ def test_on_a_thread_nobody_waits_but_it() -> None:
         asked.set()
         assert let.wait(10)
 
-    script.first = waits
     robot = RealRobot(lambda: script)
+    script.names()
+    script.first = waits
     robot.news = answered.set
     robot.start()
     ticket = robot.submit((GS,))
