@@ -15,6 +15,8 @@ import pytest
 from line_host import emulated
 
 from nclient.errors import AddressError, ConnectionLost
+from nclient.faults.kinds import Cut, HangUp
+from nclient.faults.plan import GREETING, Plan, Rule, When
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.hello import read_hello
@@ -286,6 +288,37 @@ def test_a_fault_of_ours_pulls_the_line_and_the_next_host_finds_it_whole(
     with caplog.at_level(logging.ERROR):
         with_house(path, visit)
     assert "because of a fault of ours" in caplog.text
+
+
+def test_a_plan_pulls_the_line_under_its_host_and_the_next_host_finds_it_whole(path: Path) -> None:
+    async def visit(house: House) -> None:
+        rule = Rule("pulled", (HangUp(),), When(at=(3,)), lines=("serial",))
+        house.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
+        host, _ = house.at_link()
+        other, _ = await house.at_port()
+        await host.ask("vm", 0, 100, 0)
+        await host.ask("gs")
+        host.send(GS)
+        assert await host.some() == b""
+        assert not house.moving
+        again, _ = house.at_link()
+        for _ in range(5):
+            assert (await again.ask("gs")).kind == (await other.ask("gs")).kind == "state"
+        assert house.daemon.faults.counts()["serial:1"]["pulled"]["hang_up"] == 1
+
+    with_house(path, visit)
+    with_house(path, visit, new_cable=lambda: PacedCable(BAUD))
+
+
+def test_a_plan_knows_the_hello_of_an_n200_from_what_follows(path: Path) -> None:
+    async def visit(house: House) -> None:
+        rule = Rule("mumbled", (Cut(keep=3),), commands=(GREETING,))
+        house.daemon.faults.put(Plan((rule,)), ["serial:1", "robotd:1"])
+        host, _ = await house.at_port()
+        assert await host.some() == b"\xff\xff\xff"
+        assert (await host.ask("get_rv")).kind == "velocity"
+
+    with_house(path, visit, model="n200")
 
 
 def test_a_line_for_a_robot_that_is_not_there_names_those_that_are() -> None:
