@@ -1,0 +1,137 @@
+"""The client of a robot's own line against a whole nserver: a pseudo-terminal, a TCP line, programs that die."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from nclient import ConnectionLost, capi, connect
+from nclient.errors import ReplyTimeout
+from nclient.robot import Robot
+
+WHOLE_S = 30.0
+
+
+class Emulated:
+    """An nserver with lines; `said`: where it listens, by kind."""
+
+    def __init__(self, *words: str) -> None:
+        command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        count = 1 + sum(word in ("--serial-link", "--robotd") for word in words)
+        lines = [self.process.stdout.readline().split() for _ in range(count)]
+        self.said = {kind: where for _, kind, where in lines}
+
+    def end(self, how: signal.Signals = signal.SIGTERM) -> None:
+        self.process.send_signal(how)
+        self.process.communicate(timeout=WHOLE_S)
+
+
+@contextlib.contextmanager
+def emulated(*words: str) -> Iterator[Emulated]:
+    running = Emulated(*words)
+    try:
+        yield running
+    finally:
+        if running.process.poll() is None:
+            running.end()
+
+
+def until(true: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + WHOLE_S
+    while not true():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("model", ["n150", "n200", "scout"])
+def test_the_same_drive_on_a_cable_and_over_tcp(model: str, tmp_path: Path) -> None:
+    link = tmp_path / "robot"
+    with emulated("--robot", model, "--serial-link", str(link), "--robotd", "0") as server:
+        for address in (f"serial://{link}", f"robotd://{server.said['robotd']}"):
+            with connect(f"{address}?model={model}") as robot:
+                start = robot.read_pose().y_in
+                robot.set_position(x_in=0, y_in=0)
+                robot.move(translation_in=5)
+                assert robot.wait_until_still(20).x_in == pytest.approx(5, abs=0.3)
+                assert robot.state.bumpers == ()
+                assert robot.link is not None
+                assert robot.link.answers == robot.link.exchanges
+                assert start == 0
+
+
+def test_the_mirror_opens_a_line_as_the_direct_library_did(tmp_path: Path) -> None:
+    link = tmp_path / "robot"
+    with emulated("--serial-link", str(link)):
+        try:
+            assert capi.connect_robot(1, capi.MODEL_N150, str(link), 38400) == capi.TRUE
+            assert capi.gs() == capi.TRUE
+            assert capi.State[33] == 0xF00000
+            assert capi.connect_robot(1, capi.MODEL_N150, str(tmp_path / "none"), 38400) == capi.FALSE
+        finally:
+            capi.disconnect_robot(1)
+
+
+def comes_back(robot: Robot) -> int:
+    """How many calls said that the robot was lost until one was answered."""
+    lost = 0
+    while True:
+        try:
+            robot.refresh()
+        except (ConnectionLost, ReplyTimeout):
+            lost += 1
+            assert lost < 100
+            continue
+        return lost
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_daemon_that_dies_is_reported_and_its_successor_found(how: signal.Signals, tmp_path: Path) -> None:
+    link = tmp_path / "robot"
+    with emulated("--serial-link", str(link)) as first, connect(f"serial://{link}?reconnect=0.2") as robot:
+        robot.refresh()
+        first.end(how)
+        with pytest.raises(ConnectionLost):
+            robot.refresh()
+        with emulated("--serial-link", str(link)):
+            comes_back(robot)
+            assert robot.link is not None
+            assert (robot.link.losses, robot.link.reconnects) == (1, 1)
+
+
+DRIVES_AND_SLEEPS = """
+import sys, time
+from nclient import connect
+robot = connect(sys.argv[1])
+robot.drive(translation_in_s=0.5)
+print("driving", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_program_that_sleeps_keeps_its_robot_moving_and_one_that_is_killed_leaves_it_at_rest(tmp_path: Path) -> None:
+    link = tmp_path / "robot"
+    with emulated("--serial-link", str(link)) as server, connect(f"nserver://{server.said['nserver']}/1?tm_s=0") as eye:
+        command = [sys.executable, "-c", DRIVES_AND_SLEEPS, f"serial://{link}?tm_s=2"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+            assert program.stdout is not None
+            assert program.stdout.readline() == "driving\n"
+            time.sleep(3.0)
+            assert eye.truth().x_in > 0.5 * 2.5
+            program.kill()
+        until(lambda: not seen_moving(eye))
+
+
+def seen_moving(eye: Robot) -> bool:
+    """By the truth; asking for it feeds the robot too, so that it comes to rest when its line hangs up."""
+    before = eye.truth()
+    until(lambda: eye.truth().time_s > before.time_s + 0.1)
+    return eye.truth().x_in != before.x_in
