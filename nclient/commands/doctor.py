@@ -1,0 +1,55 @@
+"""Examine a robot without moving it: link, firmware, sensors, bumpers, batteries, clock.
+
+    nomad doctor nserver://localhost:7019/1
+    nomad doctor "serial:///dev/ttyUSB0?model=n150" --exchanges 500 --json
+
+A line for each finding, OK, WARN or FAIL, with what to do about it. Exit code 1 where anything is FAIL.
+
+Rules: options and printing only; the questions are nclient.doctor.examination's, what they mean is report.py's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+
+from nclient.doctor.examination import EXCHANGES, INTERVAL_S, Examination
+from nclient.doctor.finding import Finding, Grade, worst
+from nclient.doctor.report import report
+from nclient.schemes import Wanted, opening_of
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """An address, how much is asked, and in what form it is told."""
+    parser.add_argument("address", help="such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room")
+    parser.add_argument("--exchanges", type=_count, default=EXCHANGES, metavar="N",
+                        help=f"how often gs is asked (default {EXCHANGES})")
+    parser.add_argument("--interval", type=float, default=INTERVAL_S, metavar="S",
+                        help=f"seconds from one to the next (default {INTERVAL_S:g})")
+    parser.add_argument("--json", action="store_true", help="print one object instead of lines")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Examine and tell; the exit code."""
+    opening = opening_of(options.address, Wanted())
+    chart = Examination(opening.talk, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
+    findings = report(chart)
+    grade = worst(findings)
+    if options.json:
+        print(json.dumps({"address": options.address, "model": chart.model, "worst": grade.name,
+                          "findings": [_as_object(finding) for finding in findings]}))
+    else:
+        for finding in findings:
+            print(finding)
+    return int(grade is Grade.FAIL)
+
+
+def _as_object(finding: Finding) -> dict[str, str]:
+    return {"grade": finding.grade.name, "what": finding.what, "seen": finding.seen, "remedy": finding.remedy}
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdecimal()) or not 1 <= int(text) <= 1_000_000:
+        raise argparse.ArgumentTypeError(f"1 to 1000000 exchanges, not {text}")
+    return int(text)

@@ -1,0 +1,1 @@
+"""Whether a robot is well, without moving it."""
