@@ -94,6 +94,7 @@ class RealRobot:
         self._lost = False
         self._owes_a_stop = False
         self._changed = threading.Condition()
+        self._breaking_off = threading.Lock()
         self._ending = False
         self._thread: threading.Thread | None = None
         self._opens = opens
@@ -131,7 +132,8 @@ class RealRobot:
             slow = self.saying if ticket.stops and self.saying in SLOW else None
         if slow:
             log.warning("%s is broken off by a stop", slow)
-            self._backend.close()
+            with self._breaking_off:
+                self._backend.close()
         return ticket
 
     def refresh(self) -> Ticket:
@@ -228,7 +230,8 @@ class RealRobot:
         try:
             if self._backend.closed:
                 self._lost = True
-                self._backend = self._opens()
+                with self._breaking_off:  # a port must be let go before it can be opened again
+                    self._backend = self._opens()
             if self._lost:
                 self._settle(again=True)
             self._backend.execute(STOP if self._owes_a_stop else REFRESH)
