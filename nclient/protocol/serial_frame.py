@@ -60,6 +60,18 @@ def only_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
     return SerialFrame(data[3], data[4:-2])
 
 
+def _is_frame(data: bytes, limit: int) -> bool:
+    """Whether these bytes are one whole frame and nothing else."""
+    size = len(data)
+    return (
+        _OVERHEAD + _SMALLEST_LENGTH <= size <= limit
+        and data[0] == START
+        and data[1] | data[2] << 8 == size - _OVERHEAD
+        and data[-1] == END
+        and sum(data[:-2]) & 255 == data[-2]
+    )
+
+
 class SerialFramer:
     """Frames out of a stream. `limit`: the longest whole frame that the other end sends, in bytes."""
 
@@ -77,6 +89,9 @@ class SerialFramer:
 
     def receive(self, data: bytes) -> list[SerialFrame]:
         """The frames that these bytes complete, in order."""
+        if not self._buffer and _is_frame(data, self.limit):  # what a clean line delivers
+            self.frames += 1
+            return [SerialFrame(data[3], bytes(data[4:-2]))]
         self._buffer += data
         found: list[SerialFrame] = []
         while (size := self._candidate()) and len(self._buffer) >= size:
@@ -111,7 +126,7 @@ class SerialFramer:
 
     def _take(self, size: int) -> SerialFrame | None:
         candidate = bytes(self._buffer[:size])
-        if candidate[-1] != END or sum(candidate[:-2]) & 255 != candidate[-2]:
+        if not _is_frame(candidate, self.limit):
             self.bad_checksums += candidate[-1] == END
             self._discard(1)
             return None

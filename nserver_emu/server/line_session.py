@@ -74,7 +74,8 @@ class LineSession(Conversation[SerialFrame]):
             return
         self._expire()
         self._queue.extend(self._framer.receive(data))
-        self._note_beginning()
+        if self._framer.pending or self._begun_s is not None:
+            self._note_beginning()
 
     def tick(self) -> bytes:
         """What time brings: the answer that was to come later, and those to frames behind one that is given up."""
