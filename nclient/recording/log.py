@@ -6,7 +6,8 @@
     {"t": 0.2, "event": "open", "connection": "127.0.0.1:4711", "wire": "tcp", "model": "n150"}   and "close"
 
 `out` went to the robot and `in` came from it, whoever wrote the file; `bytes` are as they came, `decoded` the frames
-that they made whole. `steps` are pieces of simulated time that passed since the entry before: [seconds, how many].
+that they made whole. A daemon notes what it takes to do the same again: `steps`, pieces of simulated time that passed
+since the entry before, [seconds, how many]; `by_time`, an answer that time brought; `at`, its clock on a robot's line.
 
 Rules: time is handed in. What cannot be read names file, line and remedy; a last line cut short, as after a power cut,
 is left out and remarked upon. A disk that fills up costs the recording, never the robot's run: it is told once.

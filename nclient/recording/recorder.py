@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from nclient.protocol.models import Model
-from nclient.recording.follower import Follower
+from nclient.recording.follower import TCP, Follower
 from nclient.recording.log import CLOSE, IN, OPEN, OUT, TIME, Entry, LogWriter
 
 _MOST_PIECES: Final = 1000
@@ -28,8 +28,8 @@ class Tape(Protocol):
         """These bytes went to the robot."""
         ...
 
-    def to_host(self, data: bytes) -> None:
-        """These came from it; none: it was asked something, and has said nothing yet."""
+    def to_host(self, data: bytes, by_time: bool = False) -> None:
+        """These came from it; none: it was asked something, and has said nothing yet. `by_time`: since time passed."""
         ...
 
     def close(self) -> None:
@@ -38,16 +38,23 @@ class Tape(Protocol):
 
 
 class Recorder:
-    """Everything of a daemon, or of a client. `clock`: seconds since the start; None: the robot's own clock."""
+    """Everything of a daemon, or of a client.
 
-    def __init__(self, log: LogWriter, clock: Callable[[], float] | None = None) -> None:
+    clock       seconds since the start; None: the robot's own clock
+    line_clock  what a daemon takes the age of half a frame from on a robot's own line, noted as `at`
+    """
+
+    def __init__(
+        self, log: LogWriter, clock: Callable[[], float] | None = None, line_clock: Callable[[], float] | None = None
+    ) -> None:
         self._log = log
         self._clock = clock
+        self.line_clock = line_clock
         self._steps: list[tuple[float, int]] = []
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
         """A tape for a connection of that name. `line`: one of follower.LINES; `robot_id`: whose own line it is."""
-        tape = _ConnectionTape(self, name, Follower(line, model))
+        tape = _ConnectionTape(self, name, Follower(line, model), None if line == TCP else self.line_clock)
         whose: dict[str, object] = {} if robot_id is None else {"robot_id": robot_id}
         self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name} | whose)
         return tape
@@ -89,22 +96,29 @@ class Recorder:
 class _ConnectionTape:
     """See Tape."""
 
-    def __init__(self, recorder: Recorder, name: str, follower: Follower) -> None:
+    def __init__(
+        self, recorder: Recorder, name: str, follower: Follower, clock: Callable[[], float] | None
+    ) -> None:
         self._recorder, self._name, self._follower = recorder, name, follower
+        self._clock = clock
         self._over = False
 
     def to_robot(self, data: bytes) -> None:
         decoded = tuple(self._follower.to_robot(data))
-        self._recorder.write(OUT, self._name, self._follower.clock_s, data, decoded)
+        self._recorder.write(OUT, self._name, self._follower.clock_s, data, decoded, self._at())
 
-    def to_host(self, data: bytes) -> None:
+    def to_host(self, data: bytes, by_time: bool = False) -> None:
         decoded = tuple(self._follower.to_host(data))
-        self._recorder.write(IN, self._name, self._follower.clock_s, data, decoded)
+        more: dict[str, object] = {"by_time": True} if by_time else {}
+        self._recorder.write(IN, self._name, self._follower.clock_s, data, decoded, self._at() | more)
 
     def close(self) -> None:
         if not self._over:
             self._over = True
             self._recorder.write(CLOSE, self._name, self._follower.clock_s)
+
+    def _at(self) -> dict[str, object]:
+        return {} if self._clock is None else {"at": self._clock()}
 
 
 class _Off:
@@ -116,7 +130,7 @@ class _Off:
 
     def to_robot(self, data: bytes) -> None: ...
 
-    def to_host(self, data: bytes) -> None: ...
+    def to_host(self, data: bytes, by_time: bool = False) -> None: ...
 
     def stepped(self, dt_s: float) -> None: ...
 

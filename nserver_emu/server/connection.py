@@ -74,8 +74,8 @@ class Connection(Talker, asyncio.BufferedProtocol):
         self.session = Session(self._behind.answer, name, lambda: self._daemon.acquaintances.get(self._host))
         self._tape = self._daemon.recorder.open(name, TCP, N150)
 
-    def _guarded(self, speak: Callable[[], bytes]) -> None:
-        super()._guarded(speak)
+    def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
+        super()._guarded(speak, by_time)
         if self.session.met != self._met:
             self._met = self.session.met
             self._daemon.remember(self._host, self._met)

@@ -49,13 +49,15 @@ class Daemon:
     emulator's pace says. `host`: who answers, where that is not the emulator itself. `recorder` is told all that
     decides what the simulation does, in its order."""
 
-    def __init__(self, emulator: Emulator, speed: float | None = 1.0, host: Host | None = None) -> None:
+    def __init__(
+        self, emulator: Emulator, speed: float | None = 1.0, host: Host | None = None, faults: FaultDesk | None = None
+    ) -> None:
         self.emulator = emulator
         self.host: Host = emulator if host is None else host
         self.recorder: AnyRecorder = OFF
         self.connections: set[Talker] = set()
         self.acquaintances: dict[str, Acquaintance] = {}
-        self.faults = FaultDesk(time.monotonic)
+        self.faults = FaultDesk(time.monotonic) if faults is None else faults
         self.places: dict[str, str] = {}
         """Where each line is reached, by its name."""
         self._servers: list[asyncio.Server] = []
@@ -101,7 +103,8 @@ class Daemon:
 
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
-        self.recorder = Recorder(LogWriter(path, header), lambda: self.emulator.simulation.time_s)
+        clock = asyncio.get_running_loop().time
+        self.recorder = Recorder(LogWriter(path, header), lambda: self.emulator.simulation.time_s, clock)
 
     def remember(self, host: str, met: Acquaintance | None) -> None:
         """Note what the last CONNECT from an address agreed."""

@@ -9,13 +9,16 @@ well. Nothing here knows a clock or a socket; the first difference ends it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from nclient.errors import RecordingError
+from nclient.protocol.models import model_named
+from nclient.recording.follower import HELLO_FIRST, TCP
 from nclient.recording.log import IN, OUT, Entry, Recording
 from nserver_emu.server.in_process import SCHEME, InProcess, open_address
+from nserver_emu.server.line_session import LineSession
 from nserver_emu.server.recording import DAEMON, beginning_of
-from nserver_emu.server.session import Acquaintance, Session
+from nserver_emu.server.session import Acquaintance, Conversation, Session
 
 _SHOWN = 12
 
@@ -73,13 +76,16 @@ class _DaemonAgain:
         self._emulator = beginning_of(recording.header, recording.name).emulator()
         self._emulator.port = recording.header["port"]
         self._most = recording.header["requests_a_turn"]
-        self._sessions: dict[str, Session] = {}
+        self._sessions: dict[str, Conversation[Any]] = {}
+        self._greetings: dict[str, bytes] = {}
+        self._line_clock_s = 0.0
         self._acquaintances: dict[str, Acquaintance | None] = {}
 
     def follow(self, entry: Entry) -> bytes:
         for dt_s, count in entry.more.get("steps", ()):
             for _ in range(count):
                 self._emulator.simulation.step(dt_s)
+        self._line_clock_s = entry.more.get("at", self._line_clock_s)
         if "pace" in entry.more:
             self._emulator.pace.factor, self._emulator.pace.paused = entry.more["pace"]
             self._emulator.look_anew()
@@ -89,22 +95,34 @@ class _DaemonAgain:
             case "out":
                 self._sessions[entry.connection].receive(entry.data)
             case "in":
-                return self._turn(entry.connection)
+                return self._turn(entry)
             case "close":
                 session = self._sessions.pop(entry.connection)
                 self._emulator.leave(session.visit)
         return b""
 
     def _open(self, entry: Entry) -> None:
-        host = _host(entry.connection)
-        self._sessions[entry.connection] = Session(
-            self._emulator.answer, entry.connection, lambda: self._acquaintances.get(host)
-        )
+        answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
+        wire, model = entry.more["wire"], model_named(entry.more["model"])
+        if wire == TCP:
+            self._sessions[name] = Session(answer, name, lambda: self._acquaintances.get(host))
+            return
+        line = LineSession(answer, entry.more["robot_id"], model, lambda: self._line_clock_s, name)
+        self._sessions[name] = line
+        self._greetings[name] = line.greeting if wire == HELLO_FIRST else b""
 
-    def _turn(self, name: str) -> bytes:
+    def _turn(self, entry: Entry) -> bytes:
+        """What the daemon did at such an entry: greet, look whether time has brought an answer, or take a turn."""
+        name = entry.connection
         session = self._sessions[name]
+        if greeting := self._greetings.pop(name, b""):
+            return greeting
+        if entry.more.get("by_time"):
+            return session.tick()
+        if not session.ready:
+            session.tick()  # half a frame was given up, and what is behind it found
         before = session.met
-        said = session.tick() if session.waiting else session.answers(self._most)
+        said = session.answers(self._most)
         if session.met != before:
             self._acquaintances[_host(name)] = session.met
         return said

@@ -53,7 +53,7 @@ class Talker(ABC):
     def tick(self) -> None:
         """Time has passed: an answer may be there."""
         if self.session.waiting or self.session.unfinished:
-            self._guarded(self.session.tick)
+            self._guarded(self.session.tick, by_time=True)
             self._answer()
 
     def _came(self, data: bytes) -> None:
@@ -83,8 +83,8 @@ class Talker(ABC):
             self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
         self._pace()
 
-    def _guarded(self, speak: Callable[[], bytes]) -> None:
-        asked = self.session.ready
+    def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
+        asked = self.session.ready and not by_time
         try:
             replies = speak()
         except Exception:
@@ -92,7 +92,7 @@ class Talker(ABC):
             self._abort()
             return
         if asked or replies:
-            self._tape.to_host(replies)
+            self._tape.to_host(replies, by_time)
         if replies:
             self._say(replies)
         if self.session.closing:
