@@ -66,7 +66,8 @@ def faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:
         except FaultPlanError:
             stream.close()
             raise
-        kept["faults"] = Injector(plan, opening.address.scheme, time.monotonic())
+        injector = Injector(plan, opening.address.scheme, time.monotonic())
+        kept["faults"] = lambda: injector
     line = _line_of(opening)
     greets = line == HELLO_FIRST and opening.model.sends_mask
     language = TcpLanguage(wide=False) if line == TCP else LineLanguage(greets)

@@ -16,6 +16,7 @@ import logging
 import re
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from difflib import get_close_matches
@@ -34,8 +35,9 @@ from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.server import snapshot
 from nserver_emu.server.control_options import add_options as add_control_options
-from nserver_emu.server.control_options import controlled
+from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
+from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.line_options import add_options as add_line_options
 from nserver_emu.server.line_options import at_port, open_lines
@@ -95,16 +97,20 @@ def main(argv: list[str] | None = None) -> int:
 
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
-    with reached(options) as sides:
-        return await _serve_with(sides, setups, options)
+    faults = FaultDesk(time.monotonic)
+    with reached(options, faults if may_have_faults(options) else None) as sides:
+        return await _serve_with(sides, setups, options, faults)
 
 
-async def _serve_with(sides: Mapping[int, RealSide], setups: OldSetup, options: argparse.Namespace) -> int:
+async def _serve_with(
+    sides: Mapping[int, RealSide], setups: OldSetup, options: argparse.Namespace, faults: FaultDesk
+) -> int:
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
     emulator = beginning.emulator()
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
-    daemon = Daemon(emulator, options.speed, gateway)
+    daemon = Daemon(emulator, options.speed, gateway, faults)
+    daemon.places |= real_options.places(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
     if options.save:

@@ -8,7 +8,7 @@ Rules: no I/O and no clock.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from nclient.faults.frames import Piece
 from nclient.faults.injector import Delivery, Injector
@@ -17,9 +17,9 @@ from nclient.faults.plan import Direction
 
 
 class FaultyLine:
-    """One connection and the injector of its line."""
+    """One connection under a plan. `injector` is asked each time, so that a new plan counts at once."""
 
-    def __init__(self, language: Language, injector: Injector) -> None:
+    def __init__(self, language: Language, injector: Callable[[], Injector]) -> None:
         self.injector = injector
         self._language = language
 
@@ -54,7 +54,7 @@ class FaultyLine:
 
     def _passed_on(self, piece: Piece, now_s: float) -> list[Delivery]:
         name, language = self._language.request_name(piece), self._language
-        deliveries = self.injector.pass_on(piece.data, name, Direction.REQUEST, now_s, language.nak)
+        deliveries = self.injector().pass_on(piece.data, name, Direction.REQUEST, now_s, language.nak)
         if any(not delivery.back for delivery in deliveries):
             language.went_through(name)
         return deliveries
@@ -63,7 +63,7 @@ class FaultyLine:
         language, found = self._language, []
         for piece in pieces:
             name = language.reply_name(piece)
-            found += self.injector.pass_on(piece.data, name, Direction.REPLY, now_s, language.nak)
+            found += self.injector().pass_on(piece.data, name, Direction.REPLY, now_s, language.nak)
         return found
 
 

@@ -20,8 +20,9 @@ from nclient.protocol.commands import BY_NAME
 
 GREETING = "hello"
 """What a plan calls the eleven bytes that an N200 sends first over TCP."""
-LINE_KINDS = ("serial", "robotd", "nserver", "sim", "replay")
-"""What lines there are: a robot's own, two ways; Nserver's; a simulation or a recording in a program's own process."""
+LINE_KINDS = ("serial", "robotd", "nserver", "real", "sim", "replay")
+"""What lines there are: a robot's own, two ways; Nserver's; a gateway's to the real robot; a simulation or a recording
+in a program's own process."""
 MOST_SEED = 2**63
 
 

@@ -65,7 +65,9 @@ class FaultyStream:
         """Let go; what waits in `receive` ends with ConnectionLost. The counts so far stand in the log."""
         if not self._closed:
             self._closed = True
-            log.info("faults on %s so far: %s", self._line.injector.line, dict(total(self._line.injector.counts)))
+            injector = self._line.injector()
+            if injector.counts:
+                log.info("faults on %s so far: %s", injector.line, dict(total(injector.counts)))
         self._over = self._over or "this end has closed the connection"
         self._stream.close()
 

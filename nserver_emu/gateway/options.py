@@ -23,9 +23,12 @@ from nclient.opening import Wanted
 from nclient.schemes import opening_of
 from nserver_emu.gateway import report
 from nserver_emu.gateway.side import TIMEOUT_S, RealSide
+from nserver_emu.server.fault_desk import NOTHING, FaultDesk
 
 ROBOT_ID: Final = 1
 """The robot whose real side --real names."""
+LINE: Final = f"real:{ROBOT_ID}"
+"""What a plan of faults calls the line to it."""
 SUMMARY_S: Final = 60.0
 _OWN: Final = ("tm_s", "feed", "reconnect")
 _NEED_REAL: Final = ("real_read_only", "max_speed", "max_turn", "shadow")
@@ -65,15 +68,16 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 
 @contextlib.contextmanager
-def reached(options: argparse.Namespace) -> Iterator[dict[int, RealSide]]:
+def reached(options: argparse.Namespace, faults: FaultDesk | None = None) -> Iterator[dict[int, RealSide]]:
     """The real sides by number: the robot of --real, if there is one; in the end stopped, let go, and reported on.
 
+    `faults`: what may act on the line to it, where its address names no plan of its own.
     Raises what `connect` raises, and RecordingError where the report cannot be written.
     """
     if options.real is None:
         yield {}
         return
-    side = _side(options)
+    side = _side(options, faults)
     try:
         yield {ROBOT_ID: side}
     finally:
@@ -95,10 +99,21 @@ def around(options: argparse.Namespace) -> Callable[[Backend], Backend]:
     return lambda backend: Capped(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
 
 
-def _side(options: argparse.Namespace) -> RealSide:
-    """The way to the robot is the same one each time; caps in its address count as well, the lower of two."""
+def places(options: argparse.Namespace) -> dict[str, str]:
+    """Where the real robot is reached, by the name of its line."""
+    return {} if options.real is None else {LINE: options.real}
+
+
+def _side(options: argparse.Namespace, faults: FaultDesk | None) -> RealSide:
+    """The way to the robot is the same one each time; caps in its address count as well, the lower of two.
+
+    Faults are those of the address, or where it names none those that the daemon has for this line.
+    """
     opening = opening_of(options.real, Wanted())
     opening.values = {**opening.values, **dict.fromkeys(_OWN)}
+    if faults is not None and "faults" not in opening.values:
+        opening.values = {**opening.values, "faults": NOTHING}
+        opening.kept["faults"] = lambda: faults.injector(LINE)
     capped = around(options)
     feed_s = POLL_S if opening.values.get("bumper_stop") else TIMEOUT_S / 3
     return RealSide(

@@ -37,6 +37,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        "in your runtime folder)")
 
 
+def may_have_faults(options: argparse.Namespace) -> bool:
+    """Whether a plan can come into force."""
+    return options.faults is not None or options.control is not None
+
+
 @asynccontextmanager
 async def controlled(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
     """Faults and control as the options say, while it lasts; what to print of it.

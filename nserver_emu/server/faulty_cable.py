@@ -2,9 +2,8 @@
 
     host ──> FaultyLine ──> late? ──> the cable ──> robot          and back the same way
 
-Rules: the cable asks for the injector of its line each time, so that a new plan counts at once. It is plugged in
-between two frames and then stays. A hang-up ends the connection when what was sent before it has come through, and
-what was sent behind it is lost.
+Rules: it is plugged in between two frames and then stays. A hang-up ends the connection when what was sent before it
+has come through, and what was sent behind it is lost.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ class FaultyCable:
     """See the head of this file. `injector`: what acts on this line at present; `cable`: what lies behind."""
 
     def __init__(self, language: Language, injector: Callable[[], Injector], cable: Cable | None = None) -> None:
-        self._injector = injector
-        self._line = FaultyLine(language, injector())
+        self._line = FaultyLine(language, injector)
         self._cable = Wireless() if cable is None else cable
         self._asked, self._answered = InTransit(), InTransit()
         self._patient_until_s: float | None = None
@@ -42,7 +40,6 @@ class FaultyCable:
 
     def to_robot(self, data: bytes, now_s: float) -> None:
         """The host sends these."""
-        self._line.injector = self._injector()
         deliveries = self._line.request(data, now_s)
         self._asked.add((delivery for delivery in deliveries if not delivery.back), now_s)
         self._answered.add((delivery for delivery in deliveries if delivery.back), now_s)
@@ -51,7 +48,6 @@ class FaultyCable:
 
     def to_host(self, data: bytes, now_s: float) -> None:
         """The robot sends these."""
-        self._line.injector = self._injector()
         self._answered.add(self._line.reply(data, now_s), now_s)
 
     def arrived(self, now_s: float) -> Arrival | None:

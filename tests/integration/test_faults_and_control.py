@@ -176,3 +176,22 @@ def test_a_world_is_no_socket(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main(["--control", "thesis_room"])
     assert "not 'thesis_room'; the world goes before --control" in capsys.readouterr().err
+
+
+def test_faults_on_the_line_to_a_real_robot_and_on_its_own(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The gateway's robot is another daemon's; what the plan refuses never comes to it."""
+    with bench(folder) as robot:
+        own = folder / "gateway"
+        own.mkdir()
+        (own / "plan.toml").write_text('[[rule]]\ndo = "nak"\ncommand = "pr"\ndirection = "request"\nline = "real"')
+        address = f"serial://{folder / 'robot'}?model=n150"
+        with bench(own, "--real", address, "--faults", str(own / "plan.toml")) as gateway, \
+                closing(gateway.over_tcp()) as tcp:  # fmt: skip
+            assert gateway.ctl("status", capsys=capsys)["lines"]["real:1"] == address
+            move = Call("pr", (100, 0, 0))
+            assert answered(tcp, move, 1) == [False]
+            assert not robot.ctl("status", capsys=capsys)["robots"][0]["moving"]
+            counts = gateway.ctl("faults", "clear", capsys=capsys)["counts"]
+            assert counts == {"real:1": {"rule 1": {"seen": 1, "nak": 1}}}
+            assert answered(tcp, move, 1) == [True]
+            assert robot.ctl("status", capsys=capsys)["robots"][0]["moving"]

@@ -25,7 +25,8 @@ def faulty(
     fault: Fault, command: str, spoken: Language, direction: Direction = REPLY, when: When | None = None
 ) -> FaultyLine:
     rule = Rule("it", (fault,), when or When(), (command,), frozenset({direction}))
-    return FaultyLine(spoken, Injector(Plan((rule,)), "serial:1"))
+    injector = Injector(Plan((rule,)), "serial:1")
+    return FaultyLine(spoken, lambda: injector)
 
 
 def told(deliveries: list[Delivery]) -> bytes:
@@ -79,7 +80,8 @@ def test_a_greeting_has_a_name_of_its_own() -> None:
 def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
     spoken = TcpLanguage(wide=False)
     rules = (Rule("lost", (Drop(),), When(), ("vm",), frozenset({REQUEST})), Rule("it", (Drop(),), When(), ("gs",)))
-    line = FaultyLine(spoken, Injector(Plan(rules), "nserver"))
+    injector = Injector(Plan(rules), "nserver")
+    line = FaultyLine(spoken, lambda: injector)
     for name, args in (("st", ()), ("vm", (1, 2, 3)), ("gs", ()), ("lp", ())):
         line.request(language.tcp_request(Call(name, args)), 0.0)
     answered = [line.reply(tcp_reply(), 0.0) for _ in range(3)]

@@ -128,5 +128,5 @@ def test_counting_goes_on_when_the_connection_is_made_anew(server: ScriptedServe
             answered.append(False)
         backend.close()
     assert answered == [True, True, False, True, True, False]
-    assert opening.kept["faults"].counts == {"rule 1": {"seen": 6, "drop": 2}}
+    assert opening.kept["faults"]().counts == {"rule 1": {"seen": 6, "drop": 2}}
     assert server.closed == 6

@@ -70,7 +70,7 @@ class Rig:
         rule = Rule("it", (fault,), when or When(), (command,), frozenset({direction}))
         self.clock, self.echo = Clock(), Echo(cut)
         self.injector = Injector(Plan((rule,)), "serial", self.clock.now())
-        line = FaultyLine(LineLanguage(), self.injector)
+        line = FaultyLine(LineLanguage(), lambda: self.injector)
         self.stream = FaultyStream(self.echo, line, self.clock.now, self.clock.sleep)
 
     def ask(self, data: bytes = GS, patience_s: float = 100.0) -> bytes:
