@@ -20,7 +20,7 @@ from nclient.protocol.state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.terms import LINES
 from nserver_emu.gateway.laser_shape import in_shape
 from nserver_emu.server.session import Visit
-from nserver_emu.server.state_reply import INFRARED_NOTHING, UNMASKED_SLOTS
+from nserver_emu.server.state_reply import INFRARED_NOTHING, as_sent
 from nserver_emu.simulation.laser import LineFit
 from worlds.bodies import BODIES
 
@@ -62,17 +62,11 @@ def whole_state(reply: Reply, link: Link) -> list[int]:
 
 def state_for(visit: Visit, reply: Reply, link: Link) -> Reply:
     """The state reply that this connection gets; it counts as sent."""
-    mask, slots = visit.terms.mask, whole_state(reply, link)
-    laser = None
+    slots, laser = whole_state(reply, link), None
     if link.model.has_laser:
         slots[LASER_SLOT] = visit.terms.laser_mode
-        laser = shaped(reply.laser, visit.terms.laser_width, link) if mask.has(LASER_SLOT) else None
-    if not mask.whole:
-        slots = [
-            value if slot in UNMASKED_SLOTS or mask.has(slot) else visit.kept[slot] for slot, value in enumerate(slots)
-        ]
-    visit.kept = slots
-    return replace(reply, slots=dict(enumerate(slots)), laser=laser)
+        laser = shaped(reply.laser, visit.terms.laser_width, link) if visit.terms.mask.has(LASER_SLOT) else None
+    return replace(reply, slots=dict(enumerate(as_sent(visit, slots))), laser=laser)
 
 
 def laser_for(visit: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:

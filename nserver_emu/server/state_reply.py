@@ -88,14 +88,20 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[
     """The whole state of a robot, `slots` as of now, on the terms of this connection."""
     mask = visit.terms.mask
     slots, laser = with_laser(robot, visit.terms, slots, wanted=mask.has(LASER_SLOT))
+    slots = as_sent(visit, slots)
+    stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
+    return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
+
+
+def as_sent(visit: Visit, slots: list[int]) -> list[int]:
+    """State[0..44] as this connection gets it; from now on that is what it was sent last."""
+    mask, kept = visit.terms.mask, visit.kept
     if not mask.whole and not visit.terms.line:
-        kept = visit.kept
         slots = [
             value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)
         ]
     visit.kept = slots
-    stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
-    return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
+    return slots
 
 
 def with_laser(
