@@ -18,10 +18,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.faults.plan import nearest
 from nclient.faults.plan_file import read_plan
 from nserver_emu.server.control import BY_NAME, COMMANDS
 from nserver_emu.server.control_socket import default_path
 
+HELP: Final = "help"
+"""Answered here, daemon or not."""
 PATIENCE_S: Final = 30.0
 _CHUNK: Final = 65536
 _GROUPS: Final = frozenset(row.name.partition(" ")[0] for row in COMMANDS if " " in row.name)
@@ -32,6 +35,9 @@ def main(argv: Sequence[str]) -> int:
     parser = _parser()
     options = parser.parse_args(argv)
     name, argument = _command(parser, options.words)
+    if name == HELP:
+        parser.print_help()
+        return 0
     path = options.control or default_path(os.environ)
     try:
         said = ask(path, name, _argument(name, argument))
@@ -76,8 +82,6 @@ def shown(said: dict[str, Any]) -> Iterator[str]:
         yield said["plan"].rstrip()
     elif "counts" in said:
         yield from _counts(said["counts"])
-    elif "commands" in said:
-        yield from _rows({f"{name} {argument}".strip(): about for name, (argument, about) in said["commands"].items()})
     elif "robots" in said:
         yield from _status(said)
     elif "time_s" in said:
@@ -133,7 +137,7 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     length = 2 if words[0] in _GROUPS else 1
     name, arguments = " ".join(words[:length]), words[length:]
     if name not in BY_NAME:
-        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}")
+        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{nearest(name, BY_NAME)}")
     wanted = BY_NAME[name].argument
     if len(arguments) != bool(wanted):
         parser.error(f"{name} takes {wanted or 'no argument'}, not {' '.join(arguments) or 'nothing'}")

@@ -120,7 +120,6 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         ({"time_s": 1, "paused": False, "lockstep_s": 0.1, "speed": 1}, "time 1.000 s, lockstep, 0.1 s a request"),
         ({"time_s": 1, "paused": False, "lockstep_s": None, "speed": "max"}, "time 1.000 s, as fast as it can"),
         ({"saved": "/x"}, "saved: /x"),
-        ({"commands": {"speed": ["X", "so fast"], "pause": ["", "stand"]}}, "speed X  so fast\npause    stand"),
     ],
 )
 def test_answers_are_shown_for_people(said: dict[str, Any], shown: str) -> None:
@@ -150,6 +149,7 @@ def test_where_nobody_answers_the_remedy_is_told(
     [
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "no command 'fly'; there are status, faults show"),
+        (["puase"], "help; did you mean pause?"),
         (["faults"], "no command 'faults'"),
         (["speed"], "speed takes X, not nothing"),
         (["pause", "now"], "pause takes no argument, not now"),
@@ -168,3 +168,5 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert stop.value.code == 0
     out = capsys.readouterr().out
     assert all(f"\n  {row.name}" in out for row in COMMANDS)
+    assert cli.main(["ctl", "help"]) == 0
+    assert capsys.readouterr().out == out
