@@ -17,12 +17,12 @@ from typing import Final
 
 from nclient.errors import WireError
 from nclient.protocol import language
-from nclient.protocol.commands import BY_NAME
+from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.hello import Hello, build_hello
 from nclient.protocol.mask import BUMPER_SLOT
 from nclient.protocol.models import Model
-from nclient.protocol.replies import LINE_STATE, Reply
-from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer
 from nclient.protocol.stamps import Stamp
 from nclient.protocol.terms import line_terms
 from nserver_emu.server.session import Answer, Conversation, Visit
@@ -30,6 +30,8 @@ from nserver_emu.server.session import Answer, Conversation, Visit
 EXPIRY_S: Final = 0.5
 """A frame must be whole so long after its first byte: half the time that a host waits, and twice what the longest
 frame of a host takes at 9600 baud."""
+MOST_KNOWN: Final = 256
+"""Different requests of a host that are kept with what they mean: most hosts ask the same all the time."""
 NAK: Final = Reply("nak")
 _POSITION_SLOTS: Final = (34, 35)
 _SHORT, _LONG = 0x7FFF, 0x7FFFFFFF
@@ -48,7 +50,8 @@ class LineSession(Conversation[SerialFrame]):
         self._framer = SerialFramer(limit=HOST_LIMIT)
         self._begun_s: float | None = None
         self._progress = (0, 0)
-        self._told: tuple[Reply | None, bytes] = (None, b"")
+        self._known: dict[SerialFrame, Call] = {}
+        self._told: tuple[Reply | None, dict[str, bytes]] = (None, {})
 
     @property
     def greeting(self) -> bytes:
@@ -100,11 +103,15 @@ class LineSession(Conversation[SerialFrame]):
     def _answer_one(self, request: SerialFrame) -> bytes:
         self._later = None
         terms = self.visit.terms
-        try:
-            call = language.line_call(request, terms)
-        except WireError as error:
-            self._count_refusal(str(error))
-            return language.line_reply(BY_NAME["gs"], NAK, terms)
+        call = self._known.get(request)
+        if call is None:
+            try:
+                call = language.line_call(request, terms)
+            except WireError as error:
+                self._count_refusal(str(error))
+                return language.line_reply(BY_NAME["gs"], NAK, terms)
+            if len(self._known) < MOST_KNOWN:
+                self._known[request] = call
         language.note(call, terms)
         return self._say(call.name, self._answer(call, self.visit))
 
@@ -113,16 +120,20 @@ class LineSession(Conversation[SerialFrame]):
             self._count_refusal(f"{name}: error {reply.values[0]}")
             reply = NAK
         if reply.kind == "state":
-            return build_frame(BY_NAME[name].line_type or 0, self._packet(reply))
+            return self._state_frame(name, reply)
         return language.line_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.terms)
 
-    def _packet(self, reply: Reply) -> bytes:
-        """A state packet; the one reply that is told again and again between two steps is built once."""
-        told, packet = self._told
+    def _state_frame(self, name: str, reply: Reply) -> bytes:
+        """A state packet; the one reply that is told again and again between two steps is built once a command."""
+        told, frames = self._told
         if told is not reply:
-            packet = LINE_STATE.build(as_the_line_has_it(reply, self.model), self.visit.terms)
-            self._told = (reply, packet)
-        return packet
+            frames = {}
+            self._told = (reply, frames)
+        if name not in frames:
+            frames[name] = language.line_reply(
+                BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.terms
+            )
+        return frames[name]
 
 
 def as_the_line_has_it(reply: Reply, model: Model) -> Reply:
