@@ -129,11 +129,8 @@ class RealRobot:
             else:
                 self._row.append(ticket)
             self._changed.notify()
-            slow = self.saying if ticket.stops and self.saying in SLOW else None
-        if slow:
-            log.warning("%s is broken off by a stop", slow)
-            with self._breaking_off:
-                self._backend.close()
+        if ticket.stops:
+            self._break_off()
         return ticket
 
     def refresh(self) -> Ticket:
@@ -178,6 +175,8 @@ class RealRobot:
                 self._row.extend(Ticket((call,)) for call in last_words)
             self._ending = True
             self._changed.notify()
+        if last_words:
+            self._break_off()
         if self._thread is None:
             while self._row and not self.silent:
                 self.work()
@@ -188,7 +187,7 @@ class RealRobot:
             self._thread.join(LAST_WORDS_S)
 
     def _run(self) -> None:
-        while not (self._ending and (self.silent or not self._row)):
+        while not (self._ending and (self._pause_s > 0.0 or not self._row)):
             try:
                 pause_s = self.work()
             except Exception:
@@ -242,9 +241,18 @@ class RealRobot:
             log.info("the real robot is still silent, next attempt in %g s: %s", self._pause_s, error)
             return False
         self.silent = self._lost = self._owes_a_stop = False
+        self._pause_s = 0.0
         log.warning("the real robot answers again")
         self.news()
         return True
+
+    def _break_off(self) -> None:
+        """What keeps the line for long is not waited for: the line is let go, and opened again."""
+        slow = self.saying
+        if slow in SLOW:
+            log.warning("%s is broken off by a stop", slow)
+            with self._breaking_off:
+                self._backend.close()
 
     def _settle(self, *, again: bool) -> None:
         """What is to be said first; what it refuses it has not."""

@@ -146,7 +146,8 @@ def test_a_stop_for_a_robot_that_is_away_is_owed() -> None:
     assert script.names() == ["st"]
 
 
-def test_a_stop_breaks_off_what_keeps_the_line_for_long(caplog: pytest.LogCaptureFixture) -> None:
+def zeroing_robots() -> tuple[RealRobot, ScriptedRobot, Ticket]:
+    """A robot on its thread that zeroes and does not end; the one that is there when the line is opened again."""
     zeroing, again = ScriptedRobot(), ScriptedRobot()
     scripts = iter([zeroing, again])
     robot = RealRobot(lambda: next(scripts), opening)
@@ -162,8 +163,13 @@ def test_a_stop_breaks_off_what_keeps_the_line_for_long(caplog: pytest.LogCaptur
 
     zeroing.first, zeroing.close = zero, close
     robot.start()
-    zero_ticket = robot.submit((Call("zr"),), moves=True)
+    ticket = robot.submit((Call("zr"),), moves=True)
     assert begun.wait(10)
+    return robot, again, ticket
+
+
+def test_a_stop_breaks_off_what_keeps_the_line_for_long(caplog: pytest.LogCaptureFixture) -> None:
+    robot, again, zero = zeroing_robots()
     stopped = threading.Event()
     robot.news = stopped.set
     stop = robot.submit((ST,))
@@ -171,9 +177,17 @@ def test_a_stop_breaks_off_what_keeps_the_line_for_long(caplog: pytest.LogCaptur
         assert stopped.wait(10)
         stopped.clear()
     robot.close()
-    assert (code(zero_ticket), code(stop)) == (NO_ANSWER, None)
-    assert again.names()[:2] == ["st", "conf_tm"]
+    assert (code(zero), code(stop)) == (NO_ANSWER, None)
+    assert again.names() == ["st", "conf_tm", "gs", "st"]
     assert "zr is broken off by a stop" in caplog.text
+
+
+def test_the_end_breaks_it_off_as_well_and_leaves_a_robot_that_stands() -> None:
+    robot, again, zero = zeroing_robots()
+    robot.close(ST)
+    assert code(zero) == NO_ANSWER
+    assert again.names() == ["st", "conf_tm", "gs", "st"]
+    assert again.closed
 
 
 def test_who_does_not_answer_at_the_start_is_an_error_that_says_what_to_look_at() -> None:
