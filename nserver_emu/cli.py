@@ -118,7 +118,8 @@ async def _serve_with(
     try:
         port = await daemon.listen(options.bind, port)
         if options.record:
-            daemon.record(options.record, header(beginning, _now(), port=port, requests_a_turn=REQUESTS_A_TURN))
+            numbers = {"port": port, "requests_a_turn": REQUESTS_A_TURN, "real_robots": len(sides)}
+            daemon.record(options.record, header(beginning, _now(), **numbers))
         lines = await open_lines(daemon, options)
         async with controlled(daemon, options) as control, kept(gateway, daemon, options.shadow_every):
             for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control):

@@ -47,7 +47,8 @@ def header(beginning: Beginning, started: str, **of_daemon: int) -> dict[str, An
     """What the recording of a daemon begins with.
 
     started      when, as ISO 8601
-    of_daemon    `port`, which connecting is answered; `requests_a_turn`, answered before it is another client's turn
+    of_daemon    `port`, which connecting is answered; `requests_a_turn`, answered before it is another client's turn;
+                 `real_robots`, how many answer in place of the simulation
     """
     setting = beginning.setting
     world = Path(setting.world)

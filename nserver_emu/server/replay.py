@@ -58,6 +58,9 @@ def replay(recording: Recording) -> Outcome:
 
 def _emulator(recording: Recording) -> Again:
     header = recording.header
+    if header.get("real_robots"):
+        raise RecordingError(f"{recording.name}: real robots answered, which no emulator can be again; "
+                             f"`nomad play` answers as they did")
     if header.get("by") == DAEMON:
         return _DaemonAgain(recording)
     address = str(header.get("address", ""))

@@ -255,6 +255,9 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     LogWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
     with pytest.raises(RecordingError, match=r"recorded at serial:///dev/ttyUSB0.*`nomad play` answers as it did"):
         replay(read_recording(path))
+    LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20, real_robots=1)).close()
+    with pytest.raises(RecordingError, match="real robots answered"):
+        replay(read_recording(path))
     LogWriter(path, {"by": "nserver"}).close()
     with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
