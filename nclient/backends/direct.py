@@ -26,7 +26,7 @@ from nclient.protocol.models import Model
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFrame
 from nclient.protocol.terms import Terms, line_terms
-from nclient.transports.byte_stream import ByteStream, Deadline
+from nclient.transports.byte_stream import ByteStream
 
 QUICK_S = 1.0
 """How long a host waits for what a robot answers at once."""
@@ -44,7 +44,8 @@ class DirectBackend:
     """A conversation with a robot on its own line. `hello`: it says eleven bytes first (a N200 over TCP).
 
     `timeout_s`: for what is answered at once, 1 s where None; zr 120 s, ws its own time more, special packets 30 s.
-    `checks`: answers that cannot be true count as corrupt. Raises ReplyTimeout or ConnectionLost when greeting fails.
+    `checks`: answers that cannot be true count as corrupt. `clock`: seconds, by which all waiting goes, that of a
+    simulation too. Raises ReplyTimeout or ConnectionLost when greeting fails.
     """
 
     def __init__(
@@ -227,7 +228,7 @@ class DirectBackend:
         return self.execute(Call("ct", EVERYTHING.smask))
 
     def _adopt_hello(self) -> None:
-        data = self._line.receive_bare(HELLO_SIZE, Deadline.after(HELLO_S))
+        data = self._line.receive_bare(HELLO_SIZE, self._line.deadline(HELLO_S))
         if len(data) < HELLO_SIZE:
             raise ReplyTimeout(f"a N200 says {HELLO_SIZE} bytes first, and {len(data)} came; is it another model?")
         adopt(read_hello(data), self._terms)

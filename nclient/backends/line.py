@@ -28,7 +28,7 @@ _FLUSHES = 64
 
 
 class Line:
-    """One end of a line. `clock`: seconds, for latencies alone."""
+    """One end of a line. `clock`: seconds, of which every wait and every latency is."""
 
     def __init__(self, stream: ByteStream, link: LinkStatistics, clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = stream
@@ -37,6 +37,10 @@ class Line:
         self._framer = SerialFramer()
         self._owed: list[int] = []
         self._asked_s = 0.0
+
+    def deadline(self, seconds: float) -> Deadline:
+        """So many seconds from now."""
+        return Deadline.after(seconds, self._clock)
 
     def owes(self, frame_type: int | None) -> bool:
         """Whether an answer of this type may still come late."""
@@ -80,7 +84,7 @@ class Line:
         """Take what has come, so that it answers nothing that is asked from now on."""
         try:
             for _ in range(_FLUSHES):
-                for frame in self._framer.receive(self._stream.receive(Deadline.after(0))):
+                for frame in self._framer.receive(self._stream.receive(self.deadline(0))):
                     self._is_awaited(frame)
                     self._link.strays += 1
         except ReplyTimeout:
@@ -90,10 +94,10 @@ class Line:
 
     def wait_for_quiet(self) -> None:
         """Wait until what is late comes no more; then nothing is owed. Raises ReplyTimeout on a line that babbles."""
-        limit = Deadline.after(_LONGEST_QUIET_S)
+        limit = self.deadline(_LONGEST_QUIET_S)
         while limit.remaining():
             try:
-                self._stream.receive(Deadline.after(QUIET_S))
+                self._stream.receive(self.deadline(QUIET_S))
             except ReplyTimeout:
                 self._owed.clear()
                 return
@@ -105,10 +109,10 @@ class Line:
 
     def _answer(self, patience_s: float) -> SerialFrame:
         """The frame that answers the last question. Raises ReplyTimeout at the deadline, or at a gap behind rubbish."""
-        deadline, over = Deadline.after(patience_s), False
+        deadline, over = self.deadline(patience_s), False
         while not over:
             rubbish = self._framer.skipped_bytes + self._framer.pending
-            wait = Deadline.after(min(GAP_S, deadline.remaining())) if rubbish >= SMALLEST_FRAME else deadline
+            wait = self.deadline(min(GAP_S, deadline.remaining())) if rubbish >= SMALLEST_FRAME else deadline
             try:
                 frames = self._framer.receive(self._stream.receive(wait))
             except ReplyTimeout:

@@ -9,25 +9,28 @@ nothing will ever come (ConnectionLost). Whatever wraps a stream (a recorder, a 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 
 class Deadline:
-    """A moment of the monotonic clock by which something must have come."""
+    """A moment by which something must have come. `clock`: seconds; the monotonic one, or that of a simulation."""
 
-    __slots__ = ("_at_s",)
+    __slots__ = ("_at_s", "_clock")
 
-    def __init__(self, at_s: float) -> None:
+    def __init__(self, at_s: float, clock: Callable[[], float] | None = None) -> None:
         self._at_s = at_s
+        self._clock = clock or time.monotonic
 
     @classmethod
-    def after(cls, seconds: float) -> Deadline:
+    def after(cls, seconds: float, clock: Callable[[], float] | None = None) -> Deadline:
         """The moment so many seconds from now."""
-        return cls(time.monotonic() + seconds)
+        clock = clock or time.monotonic
+        return cls(clock() + seconds, clock)
 
     def remaining(self) -> float:
         """Seconds left; 0 when it is past."""
-        return max(0.0, self._at_s - time.monotonic())
+        return max(0.0, self._at_s - self._clock())
 
 
 class ByteStream(Protocol):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import random
 from typing import Any
 
@@ -395,10 +394,26 @@ def test_how_long_a_command_may_take(call: Call, timeout_s: float | None, patien
 
 
 def test_latencies_by_a_clock_that_is_handed_in() -> None:
-    ticks = itertools.count(0.0, 0.25)
-    backend = DirectBackend(MemoryStream(ScriptedLine()), N150, clock=lambda: next(ticks))
+    robot = ScriptedLine()
+    backend = DirectBackend(MemoryStream(robot), N150, clock=lambda: robot.clock / 64)
     backend.execute(GS)
     assert backend.link.longest_s == 0.25
+
+
+def test_deadlines_of_a_clock_that_is_handed_in() -> None:
+    simulated_s = 100.0
+
+    class Silent(MemoryStream):
+        def receive(self, deadline: Deadline) -> bytes:
+            nonlocal simulated_s
+            simulated_s += deadline.remaining()
+            return super().receive(deadline)
+
+    robot = ScriptedLine({"gs": None})
+    backend = DirectBackend(Silent(robot), N150, clock=lambda: simulated_s)
+    with pytest.raises(ReplyTimeout, match="within 1 s"):
+        backend.execute(GS)
+    assert simulated_s == 101.0
 
 
 # the end

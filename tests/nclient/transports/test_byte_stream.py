@@ -16,3 +16,11 @@ def test_a_deadline_counts_down_to_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     assert deadline.remaining() == 0.5
     now[0] = 103.0
     assert deadline.remaining() == 0.0
+
+
+def test_a_deadline_of_another_clock() -> None:
+    now = [5.0]
+    deadline = Deadline.after(1.5, lambda: now[0])
+    assert deadline.remaining() == 1.5
+    now[0] = 6.0
+    assert (deadline.remaining(), Deadline(5.5, lambda: now[0]).remaining()) == (0.5, 0.0)
