@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from nclient import address as text
 from nclient.errors import AddressError
+from nclient.schemes import OPTIONS, SCHEMES
 
 
 def test_scheme_and_options() -> None:
@@ -57,6 +59,10 @@ def test_the_others_options_are_left_alone_where_asked() -> None:
         (text.speed, "8", 8.0, "fast", "a number above 0"),
         (text.count, "2", 2, "-2", "a whole number"),
         (text.count, "0", 0, "²", "a whole number"),
+        (text.baud, "38400", 38400, "0", "bits a second"),
+        (text.motion_timeout, "0", 0, "1", "2 to 255, or 0"),
+        (text.motion_timeout, "255", 255, "256", "2 to 255, or 0"),
+        (text.one_of(["a", "b"]), "b", "b", "c", "one of a, b"),
         (text.flag, "1", True, "yes", "1 or 0"),
         (text.flag, "0", False, "", "1 or 0"),
         (text.path, "a.toml", "a.toml", "", "the name of a file"),
@@ -66,3 +72,15 @@ def test_readers(reader: Callable[[str], Any], good: str, value: object, bad: st
     assert reader(good) == value
     with pytest.raises(AddressError, match=f"x is .*{wanted}.*, not {bad!r}"):
         text.parsed(f"a:?x={bad}").read({"x": reader})
+
+
+def test_the_page_of_addresses_has_every_scheme_and_option_and_no_other() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "addresses.md").read_text()
+    rows = [line.split("|") for line in page.splitlines() if line.startswith("| `")]
+    named = [row[1].strip(" `") for row in rows]
+    schemes = {name.partition(":")[0] for name in named if ":" in name}
+    assert schemes == {*SCHEMES, "sim"}
+    assert [name for name in named if ":" not in name] == [option.name for option in OPTIONS]
+    for option, row in zip(OPTIONS, rows[len(schemes) :], strict=True):
+        told = set(row[2].replace(",", " ").split())
+        assert told == (set(option.schemes) if option.schemes else {"all"}), option.name
