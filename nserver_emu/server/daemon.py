@@ -82,7 +82,7 @@ class Daemon:
         return [
             {"name": session.name, "robot": session.visit.robot_id, "waiting": session.waiting,
              "refused": session.refused}
-            for session in (talker.session for talker in self.connections)
+            for session in (talker.session for talker in self.connections if talker.here)
         ]  # fmt: skip
 
     def paced(self) -> None:

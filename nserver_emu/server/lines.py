@@ -63,17 +63,17 @@ class SerialLine(Talker):
         self.lost = 0
         """Bytes that no host took."""
         self._new_cable = new_cable
-        self._here = self._listening = False
+        self.here = self._listening = False
         self._rest = b""
         self._begin()
         daemon.connections.add(self)
 
     def tick(self) -> None:
         """Time has passed: a host may have come, an answer may be there."""
-        if self._here:
+        if self.here:
             super().tick()
         elif not self.terminal.deserted:
-            self._here = True
+            self.here = True
             self._tape = self._daemon.recorder.open(self.session.name, SERIAL, self.own.model, self.own.robot_id)
             log.info("%s: opened", self.session.name)
             self._listen(True)
@@ -104,9 +104,9 @@ class SerialLine(Talker):
         self._listen(False)
         self._loop.remove_writer(self.terminal.fd)
         self._rest = b""
-        if self._here:
+        if self.here:
             log.info("%s: left after %d refusals", self.session.name, self.session.refused)
-        self._here = False
+        self.here = False
         self._daemon.emulator.leave(self.session.visit)
         self._tape.close()
         self._tape = OFF
@@ -130,7 +130,7 @@ class SerialLine(Talker):
             self._loop.remove_writer(self.terminal.fd)
 
     def _listen(self, on: bool) -> None:
-        if on == self._listening or (on and not self._here):
+        if on == self._listening or (on and not self.here):
             return
         self._listening = on
         if on:

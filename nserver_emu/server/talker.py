@@ -44,6 +44,8 @@ class Talker(ABC):
         self._faulty = False
         self._delivering = False
         self._tape: Tape = OFF
+        self.here = True
+        """Whether there is anybody: a port may be open with nobody at its other end."""
         self.blocked = False
         """Whether what is said is not taken at present."""
         self._turn: asyncio.Handle | None = None

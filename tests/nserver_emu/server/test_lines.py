@@ -146,6 +146,19 @@ def test_a_robot_is_driven_over_its_line_and_stops_when_the_host_leaves(path: Pa
     with_house(path, visit)
 
 
+def test_only_who_is_there_is_a_visitor(path: Path) -> None:
+    async def visit(house: House) -> None:
+        assert house.daemon.visitors() == []
+        host, leave = house.at_link()
+        await host.ask("gs")
+        (visitor,) = house.daemon.visitors()
+        assert (visitor["name"], visitor["robot"]) == (f"serial {path}", 1)
+        leave()
+        await house.until(lambda: not house.daemon.visitors())
+
+    with_house(path, visit)
+
+
 def test_it_stops_too_when_a_host_on_its_port_vanishes(path: Path) -> None:
     async def visit(house: House) -> None:
         host, writer = await house.at_port()
@@ -165,7 +178,7 @@ def test_who_leaves_without_having_driven_stops_nobody(path: Path) -> None:
         host, leave = house.at_link()
         assert (await host.ask("gs")).slots[39] == 100
         leave()
-        await house.until(lambda: not house.line._here)
+        await house.until(lambda: not house.line.here)
         assert house.moving
 
     with_house(path, visit)
@@ -221,7 +234,7 @@ def test_what_one_host_did_not_read_the_next_does_not_get(path: Path) -> None:
                 deaf.send(GS * 20)
             await asyncio.sleep(0)
         leave()
-        await house.until(lambda: not house.line._here)
+        await house.until(lambda: not house.line.here)
         assert house.line._rest == b""
         host, _ = house.at_link()
         assert (await host.ask("get_rc")).kind == "configuration"
@@ -261,7 +274,7 @@ def test_a_paced_line_is_as_slow_as_a_cable(path: Path) -> None:
         assert loop.time() - start_s > 9 * SHORTEST_S
         host.send(GS * 50)
         leave()
-        await house.until(lambda: not house.line._here)
+        await house.until(lambda: not house.line.here)
         again, _ = house.at_link()
         assert (await again.ask("get_rc")).kind == "configuration"
 
