@@ -16,8 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
-from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
+from nserver_emu.simulation.polaroid import NO_ROBOTS, Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
@@ -64,12 +65,16 @@ class SonarNoise:
         """The chance of one cry: one number, or none where there is no noise."""
         return (chance.standard_normal(),) if self.least_std_in or self.std_share else (0.0,)
 
-    def heard_in(self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body) -> float:
-        """The range from the ring along the ray, with its noise, inches; inf for nothing."""
+    def heard_in(
+        self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body, others: FloatArray = NO_ROBOTS
+    ) -> float:
+        """The range from the ring along the ray, to a wall or a robot, with its noise, inches; inf for nothing."""
         del earlier
-        way = cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis, _ = cast_rays((cry.x_in, cry.y_in), way, scene.walls)
-        range_in = float(from_axis) - body.sonar_ring_radius_in
+        here, way = (cry.x_in, cry.y_in), (cos(cry.direction_rad), sin(cry.direction_rad))
+        from_axis = float(cast_rays(here, way, scene.walls)[0])
+        if len(others):
+            from_axis = min(from_axis, float(cast_discs(here, way, others)))
+        range_in = from_axis - body.sonar_ring_radius_in
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
 
 
@@ -96,6 +101,11 @@ class Eye(NamedTuple):
     turret_rad: float
     discs: FloatArray = NOBODY[0]
     own: int = NOBODY[1]
+
+    @property
+    def others(self) -> FloatArray:
+        """The robots (k, 3) without this one."""
+        return np.delete(self.discs, self.own, axis=0) if len(self.discs) > 1 else NO_ROBOTS
 
 
 class Firing(NamedTuple):
@@ -181,20 +191,9 @@ class SonarRing:
         another size would round another way, so that looking more often could change a reading."""
         for sonar, (cry, earlier, eye) in self._unheard.items():
             if sonar not in self.model.dead:
-                of_walls = self.model.heard_in(cry, earlier, self._scene, self.body)
-                self._readings[sonar] = _reading(min(of_walls, self._heard_of_robots(cry, eye)))
+                heard_in = self.model.heard_in(cry, earlier, self._scene, self.body, eye.others)
+                self._readings[sonar] = _reading(heard_in)
         self._unheard.clear()
-
-    def _heard_of_robots(self, cry: Cry, eye: Eye) -> float:
-        """The range to another robot along the axis of the beam, with the noise of this cry; inf for none."""
-        if len(eye.discs) == 1:
-            return inf
-        way = cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis = float(cast_discs((eye.x_in, eye.y_in), way, np.delete(eye.discs, eye.own, axis=0)))
-        if from_axis == inf:
-            return inf
-        range_in = from_axis - self.body.sonar_ring_radius_in
-        return range_in + cry.chances[0] * max(self.model.std_share * range_in, self.model.least_std_in)
 
 
 def _reading(heard_in: float) -> int:

@@ -8,8 +8,9 @@ from math import cos, erf, inf, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
+from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import to_ps
-from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
+from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sonar import Eye, SonarRing
 from worlds.bodies import N150
