@@ -12,7 +12,7 @@ from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.snapshot import dumps, loads
 from nserver_emu.server.state_reply import clock_ms, volts_raw
-from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.models import N150, N200
 from nserver_emu.simulation.setup import IDEAL, MEASURED, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
@@ -119,6 +119,23 @@ def test_the_laser_gives_points_lines_and_pixels_by_its_mode() -> None:
     pixels = client.ask("conf_ls", 3, 0, 0, 0, 0).laser
     assert pixels is not None
     assert (pixels[0], len(pixels), min(pixels[1:]) > 0) == (482, 483, True)
+
+
+def test_other_robots_are_in_laser_and_infrareds_of_state() -> None:
+    emulator = n200(BEFORE_A_WALL)
+    client, _ = meet(emulator)
+    emulator.simulation.add_robot(2, StartPose(65.0, 45.0), N150)
+    points = client.ask("get_ls").laser
+    assert points is not None
+    xy = [(points[at] / 10, points[at + 1] / 10) for at in range(1, len(points), 2)]
+    arc = [point for point in xy if point[0] < 62.0]
+    assert all(math.hypot(x - 25.0, y) == pytest.approx(9.72, abs=0.08) for x, y in arc)
+    half_deg = math.degrees(math.asin(9.72 / 16.0))
+    assert half_deg > 30.0
+    assert len(xy) == len(arc) == 482
+    emulator.simulation.robots[2].place(62.0, 67.0, 0.0, 0.0)
+    emulator.simulation.step(0.1)
+    assert client.ask("gs").slots[3] == round(math.hypot(22.0, 22.0) - 18.72) == 12
 
 
 def test_each_connection_has_its_own_laser_mode_and_even_modes_are_off(emulator: Emulator, client: WireClient) -> None:
