@@ -72,6 +72,8 @@ def main(argv: list[str] | None = None) -> int:
 
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
+    for key in setups.unused:
+        log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     emulator = _emulator(options, setups.robot or READY_MODELS[0])
     daemon = Daemon(emulator, options.speed)

@@ -85,12 +85,13 @@ def test_the_old_style_with_both_setup_files(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     robot, world = tmp_path / "robot.setup", tmp_path / "world.setup"
-    robot.write_text("[robot]\ntype = n200\n")
+    robot.write_text("[robot]\ntype = n200\n[laser]\noffset = 1 2\n")
     world.write_text(f"[server]\nport = {port}\n")
     with program("-n", str(robot), str(world)) as started:
         assert started.port == port
         assert started.client.ask("arm_mv", 0, 0, 0, 0).kind == "special"
         assert 0 < started.client.ask("vm", 100, 0, 0).slots[38] < 100
+        assert "[laser] offset of the setup file is read and has no effect" in started.end()
     with program("-noisy", "-po", "0", str(robot), str(world)) as started:
         assert started.port != port
 

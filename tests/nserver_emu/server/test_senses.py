@@ -165,6 +165,15 @@ def test_conf_ls_takes_the_number_of_columns_and_conf_sg_what_a_line_is() -> Non
     assert client.ask("conf_sg", 256, 0, 0).values == (2,)
 
 
+@pytest.mark.parametrize("mode", [3, 33, 51])
+def test_threshold_width_and_processing_of_conf_ls_have_no_effect(mode: int) -> None:
+    client, _ = meet(n200(StartPose(20.0, 45.0, 0.3, 0.2), MEASURED))
+    plain = client.ask("conf_ls", mode, 0, 0, 100, 0).laser
+    for numbers in ((255, 0, 100, 0), (0, 255, 100, 0), (0, 0, 100, 255), (120, 7, 100, 1)):
+        assert client.ask("conf_ls", mode, *numbers).laser == plain
+    assert client.ask("conf_ls", mode, 0, 0, 50, 0).laser != plain
+
+
 def test_a_prediction_has_infrareds_compass_and_laser_of_the_other_place(client: WireClient) -> None:
     here = client.ask("gs")
     reply = client.ask("predict_sensors", 400, 450, 0, 900)
