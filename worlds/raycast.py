@@ -60,7 +60,8 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
     ways = np.asarray(directions, dtype=np.float64)
     segments = np.ascontiguousarray(walls, dtype=np.float64)
     if starts.ndim == ways.ndim == 1 and len(segments):
-        nearest, row = cast_ray(*starts.tolist(), *ways.tolist(), segments)
+        (x, y), (dx, dy) = starts.tolist(), ways.tolist()
+        nearest, row = cast_ray(x, y, dx, dy, segments)
         return np.array(nearest), np.array(row, dtype=np.intp)
     shape = np.broadcast_shapes(starts.shape, ways.shape)
     ranges, rows = _cast_many(

@@ -119,8 +119,10 @@ class Axis:
         """What the encoders show: never 0 while the axis moves, exactly 0 when it does not."""
         if not self._phases:
             return 0.0
-        velocity = self.velocity
-        return copysign(max(abs(velocity), self.limits.resolution), velocity or self._phases[0].acceleration)
+        velocity, resolution = self.velocity, self.limits.resolution
+        if abs(velocity) >= resolution:
+            return velocity
+        return copysign(resolution, velocity or self._phases[0].acceleration)
 
     def command(self, command: Command, value: float) -> None:
         """Do what one axis of mv says; LEAVE and LIMP need no value."""

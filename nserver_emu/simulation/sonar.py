@@ -22,7 +22,7 @@ from nserver_emu.simulation.polaroid import NO_ROBOTS, Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_discs, cast_rays
+from worlds.raycast import cast_discs, cast_ray
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -70,10 +70,10 @@ class SonarNoise:
     ) -> float:
         """The range from the ring along the ray, to a wall or a robot, with its noise, inches; inf for nothing."""
         del earlier
-        here, way = (cry.x_in, cry.y_in), (cos(cry.direction_rad), sin(cry.direction_rad))
-        from_axis = float(cast_rays(here, way, scene.walls)[0])
+        x, y, dx, dy = cry.x_in, cry.y_in, cos(cry.direction_rad), sin(cry.direction_rad)
+        from_axis, _ = cast_ray(x, y, dx, dy, scene.walls)
         if len(others):
-            from_axis = min(from_axis, float(cast_discs(here, way, others)))
+            from_axis = min(from_axis, float(cast_discs((x, y), (dx, dy), others)))
         range_in = from_axis - body.sonar_ring_radius_in
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
 
@@ -129,7 +129,9 @@ class SonarRing:
         self._unheard: dict[int, Firing] = {}
         self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
-        self._interval_ps = self._start_ps = self._count = 0
+        self._interval_ps = self._count = 0
+        self.due_ps = NEVER_PS
+        """When the next sonar fires; NEVER_PS if the ring is off."""
 
     @property
     def readings_in(self) -> tuple[int, ...]:
@@ -143,11 +145,6 @@ class SonarRing:
         """The moment of each of those readings."""
         return tuple(self._stamps)
 
-    @property
-    def due_ps(self) -> int:
-        """When the next sonar fires; NEVER_PS if the ring is off."""
-        return self._start_ps + self._count * self._interval_ps if self._order else NEVER_PS
-
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
         """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
 
@@ -158,8 +155,8 @@ class SonarRing:
         end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
         self._order = tuple(order[:end])
         self._interval_ps = min(max(rate, 1), SLOWEST_RATE) * TICK_PS
-        self._start_ps = now_ps
         self._count = 0
+        self.due_ps = now_ps if self._order else NEVER_PS
 
     def fire_due(self, eye: Eye, stamp: Stamp) -> None:
         """The sonar that is due fires here and now."""
@@ -168,6 +165,7 @@ class SonarRing:
         cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
         self._recent = (*self._recent, cry) if life_ps else ()
         self._count += 1
+        self.due_ps += self._interval_ps
 
     def fire_all(self, eye: Eye, stamp: Stamp) -> None:
         """All sixteen as at power-on, each as if it were alone."""
