@@ -124,6 +124,15 @@ def test_a_paused_start_that_clients_may_step() -> None:
         assert "--allow-control" in started.end()
 
 
+def test_a_setup_of_ones_own(tmp_path: Path) -> None:
+    setup = tmp_path / "room12.toml"
+    setup.write_text('base = "measured"\nsonar.dead = [3, 11]\n', encoding="utf-8")
+    with program("--port", "0", "--lockstep", "0.1", "--setup", str(setup)) as started:
+        slots = started.client.ask("gs").slots
+        assert [number for number in range(16) if slots[17 + number] == 0] == [3, 11]
+        assert 0 < started.client.ask("vm", 100, 0, 0).slots[38] < 100
+
+
 def test_quit_ends_the_program_where_it_is_allowed() -> None:
     with program("--port", "0", "--allow-quit") as started:
         assert started.client.ask("quit_server").values == (0,)
