@@ -10,15 +10,16 @@ Left out: side lobes, ways off three walls and more, cries later than one's own,
 
 from __future__ import annotations
 
+from cmath import rect
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import cos, inf, radians, sin
+from math import inf, radians
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from nserver_emu.simulation import disc_ways, echo_ways
-from nserver_emu.simulation.echo_ways import Beam, Losses, Point, Scene, Way
+from nserver_emu.simulation.echo_ways import Beam, Losses, Scene, Way
 from nserver_emu.simulation.instants import to_s
 from worlds.bodies import Body
 from worlds.geometry import FloatArray
@@ -104,6 +105,8 @@ class Polaroid:
             own = source is cry
             head_start_in = self.sound_in_s * to_s(cry.instant_ps - source.instant_ps)
             nearest_in = -inf if own else self.blanking_in
+            if self.way_loss_db_in * (nearest_in + head_start_in / 2.0) > margin_db:
+                continue
             for way in self._ways(self._beam(source, body), back, scene, others, own=own):
                 range_in = (way.length_in - head_start_in) / 2.0 - self.recess_in
                 if way.loss_db <= margin_db and range_in >= nearest_in:
@@ -122,7 +125,6 @@ class Polaroid:
     def _beam(self, cry: Cry, body: Body) -> Beam:
         return Beam(self._face(cry, body), cry.direction_rad, self.cone_rad / 2.0, self.cone_loss_db / 2.0)
 
-    def _face(self, cry: Cry, body: Body) -> Point:
+    def _face(self, cry: Cry, body: Body) -> complex:
         """Where the transducer is."""
-        out = body.sonar_ring_radius_in - self.recess_in
-        return cry.x_in + out * cos(cry.direction_rad), cry.y_in + out * sin(cry.direction_rad)
+        return complex(cry.x_in, cry.y_in) + rect(body.sonar_ring_radius_in - self.recess_in, cry.direction_rad)

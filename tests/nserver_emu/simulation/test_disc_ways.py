@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from math import asin, cos, hypot, inf, log10, pi, radians, sin, sqrt
 
@@ -11,10 +12,10 @@ import pytest
 from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import to_ps
 from nserver_emu.simulation.models import N150 as N150_MODEL
+from nserver_emu.simulation.noise import NO_NOISE
 from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.setup import MEASURED
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.sonar import Eye, SonarRing
 from worlds.bodies import N150
 from worlds.geometry import FloatArray
 from worlds.world import StartPose, World
@@ -193,21 +194,50 @@ def test_a_slanted_wall_shows_the_robot_that_it_mirrors_too_far_away() -> None:
     assert first(robot, replace(mute, margin_db=needed_db - 0.01), mirror) == inf
 
 
-def test_the_ring_hears_robots_of_the_moment_it_cried() -> None:
-    sonars = SonarRing(N150, MODEL, NO_WALLS, np.random.default_rng(2))
-    sonars.configure(15, (0, 255), 0)
-    others = np.array([[0.0, 0.0, RADIUS], [60.0, 8.0, RADIUS]])
-    sonars.fire_due(Eye(0.0, 0.0, 0.0, others, 0), sonars.stamps[0])
-    near = hypot(60.0 - FACE, 8.0) - RADIUS - 0.5
-    assert sonars.readings_in[0] == pytest.approx(near, abs=2.5)
-    sonars.fire_due(Eye(0.0, 0.0, 0.0), sonars.stamps[0])
-    assert sonars.readings_in[0] == 255
-
-
 def test_in_the_measured_setup_a_robot_beside_the_axis_is_heard(room: World) -> None:
     simulation = Simulation(room, 1)
     simulation.add_robot(1, StartPose(0.0, 0.0), N150_MODEL, MEASURED)
     simulation.add_robot(2, StartPose(50.0, 11.0), N150_MODEL, MEASURED)
     simulation.step(1.0)
     assert RADIUS < 11.0
-    assert simulation.robots[1].sonar.readings_in[0] == pytest.approx(hypot(50.0 - FACE, 11.0) - RADIUS - 0.5, abs=2.0)
+    readings = simulation.robots[1].sonar.readings_in
+    assert readings[0] == pytest.approx(hypot(50.0 - FACE, 11.0) - RADIUS - 0.5, abs=2.0)
+    simulation.robots[2].place(-50.0, 60.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert simulation.robots[1].sonar.readings_in[0] > 80
+
+
+def two_measured(room: World) -> Simulation:
+    """Two robots that pass one another, their motion exact, firing as fast as they can."""
+    simulation = Simulation(room, 1)
+    setup = replace(MEASURED, motion=NO_NOISE)
+    for robot_id, (x, y, heading) in enumerate(((-40.0, -12.0, 0.0), (40.0, 12.0, pi)), start=1):
+        robot = simulation.add_robot(robot_id, StartPose(x, y, heading, heading), N150_MODEL, setup)
+        robot.configure_sonars(3, tuple(range(16)))
+        robot.set_velocities(15.0, 0.0, 0.3)
+    return simulation
+
+
+def heard(simulation: Simulation) -> list[tuple[int, ...]]:
+    return [robot.sonar.readings_in for robot in simulation.robots.values()]
+
+
+def test_what_is_heard_of_a_passing_robot_does_not_depend_on_how_time_is_cut_or_who_looks(room: World) -> None:
+    results = []
+    for step_s in (0.5, 0.01, 0.007):
+        simulation = two_measured(room)
+        while simulation.time_s < 1.5 - 1e-9:
+            simulation.step(min(step_s, 1.5 - simulation.time_s))
+            if step_s == 0.007:
+                heard(simulation)
+        results.append(heard(simulation))
+    assert results[0] == results[1] == results[2]
+
+
+def test_a_copy_goes_on_with_what_its_robots_hear_of_one_another(room: World) -> None:
+    simulation = two_measured(room)
+    simulation.step(0.777)
+    twin = copy.deepcopy(simulation)
+    for one in (simulation, twin):
+        one.step(1.0)
+    assert heard(simulation) == heard(twin)
