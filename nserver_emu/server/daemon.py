@@ -208,11 +208,11 @@ class Daemon:
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.pace
         if pace.runs_alone and pace.factor is None:
-            self.emulator.simulation.step(FAST_STEP_S)
+            self.emulator.pass_time(FAST_STEP_S)
         elif pace.runs_alone and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
-            self.emulator.simulation.step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
+            self.emulator.pass_time(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
         elif pace.asked_s:
             self._step_for_the_waiting(pace.asked_s)
         self._tick()
@@ -222,7 +222,7 @@ class Daemon:
         for _ in range(LOCKSTEPS_A_TURN):
             if not any(connection.session.waiting for connection in self.connections):
                 return
-            self.emulator.simulation.step(step_s)
+            self.emulator.pass_time(step_s)
             self._tick()
 
     def _tick(self) -> None:

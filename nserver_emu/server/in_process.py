@@ -42,7 +42,7 @@ class InProcess:
         self._session.receive(data)
         while self._session.ready or (self._session.waiting and self.emulator.pace.asked_s):
             if self._session.waiting:
-                self.emulator.simulation.step(self.emulator.pace.asked_s)
+                self.emulator.pass_time(self.emulator.pace.asked_s)
                 self._outgoing += self._session.tick()
             self._outgoing += self._session.answers(most=1)
 

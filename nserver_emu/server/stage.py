@@ -10,18 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 from nclient.protocol.replies import Reply
 from nserver_emu.server.arm import Arm
 from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Visit
+from nserver_emu.server.promises import Promises
+from nserver_emu.server.session import Later, Visit
 from nserver_emu.server.state_reply import clock_ms, state_reply, state_slots
 from nserver_emu.server.transcript import Transcript
+from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
 
 ALL_AXES = (0, 1, 2)
+
+PIECE_PS: Final = PS_PER_S // 10
+"""The longest time that passes before those who wait for it are asked, a tenth of a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +54,28 @@ class Stage:
         self.arms: dict[int, Arm] = {}
         self._drivers: dict[int, list[Visit | None]] = {}
         self._looked: dict[int, tuple[float, list[int]]] = {}
+        self._promises = Promises()
 
     def leave(self, visit: Visit) -> None:
         """A connection is gone: a robot with an axis that obeys its last motion command stops."""
         self.look_anew()
+        self._promises.drop(visit)
         for robot_id in [robot_id for robot_id, drivers in self._drivers.items() if visit in drivers]:
             del self._drivers[robot_id]
             self.simulation.robots[robot_id].stop()
+
+    def pass_time(self, seconds: float) -> None:
+        """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
+        left_ps = to_ps(seconds)
+        while left_ps:
+            piece_ps = min(left_ps, PIECE_PS)
+            self.simulation.step(to_s(piece_ps))
+            self._promises.ask()
+            left_ps -= piece_ps
+
+    def promise(self, visit: Visit, later: Later) -> Later:
+        """The same answer, made at the moment it is there even if nobody asks for it then."""
+        return self._promises.make(visit, later)
 
     def look_anew(self) -> None:
         """Something changed other than by time: no look at a robot is still good."""
