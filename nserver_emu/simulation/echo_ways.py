@@ -42,28 +42,37 @@ STRAIGHT_RAD: Final = 1e-3
 
 
 class Scene:
-    """What sound meets: walls (m, 4), rows x1 y1 x2 y2 in inches."""
+    """What sound meets: walls (m, 4), rows x1 y1 x2 y2 in inches. All it keeps is real, for snapshots are."""
 
     def __init__(self, walls: FloatArray) -> None:
         self.walls = walls
 
-    @cached_property
+    @property
     def mirrors(self) -> ComplexArray:
         """The walls that have a length (k, 3): first end, way to the second, and its direction squared."""
-        ends = np.ascontiguousarray(self.walls, dtype=np.float64).view(np.complex128).reshape(-1, 2)
-        first, along = ends[:, 0], ends[:, 1] - ends[:, 0]
-        long = along != 0.0
-        first, along = first[long], along[long]
-        return np.stack((first, along, (along / np.abs(along)) ** 2), axis=-1)
+        return self._mirrors.view(np.complex128)
 
-    @cached_property
+    @property
     def edges(self) -> ComplexArray:
         """Ends and vertices of the walls (k,), but for those where a wall goes straight on."""
-        ways: dict[complex, list[float]] = {}
+        return self._edges.view(np.complex128)[:, 0]
+
+    @cached_property
+    def _mirrors(self) -> FloatArray:
+        first, along = self.walls[:, :2], self.walls[:, 2:] - self.walls[:, :2]
+        long = (along != 0.0).any(axis=1)
+        first, along = first[long], along[long]
+        direction = (along[:, 0] + 1j * along[:, 1]) / np.hypot(along[:, 0], along[:, 1])
+        twist = direction * direction
+        return np.column_stack((first, along, twist.real, twist.imag))
+
+    @cached_property
+    def _edges(self) -> FloatArray:
+        ways: dict[tuple[float, float], list[float]] = {}
         for x1, y1, x2, y2 in self.walls.tolist():
-            ways.setdefault(complex(x1, y1), []).append(atan2(y2 - y1, x2 - x1))
-            ways.setdefault(complex(x2, y2), []).append(atan2(y1 - y2, x1 - x2))
-        return np.array([point for point, out in ways.items() if not _straight(out)], dtype=np.complex128)
+            ways.setdefault((x1, y1), []).append(atan2(y2 - y1, x2 - x1))
+            ways.setdefault((x2, y2), []).append(atan2(y1 - y2, x1 - x2))
+        return np.array([point for point, out in ways.items() if not _straight(out)]).reshape(-1, 2)
 
 
 class Way(NamedTuple):
