@@ -99,3 +99,24 @@ def test_a_connection_that_leaves_while_it_waits_is_forgotten() -> None:
     assert len(emulator._promises) == 1
     emulator.leave(session.visit)
     assert len(emulator._promises) == 0
+
+
+@pytest.mark.parametrize("call", ["ws", "zr"])
+def test_whoever_waits_feeds_the_time_out_until_it_is_answered(call: str) -> None:
+    emulator = Emulator(simulation())
+    client, session = meet(emulator)
+    client.ask("conf_tm", 1)
+    client.ask("sp", 50, 30, 30)
+    if call == "zr":
+        client.ask("place_robot", 0, 0, 900, 900)
+        session.receive(language.tcp_request(Call("zr")))
+    else:
+        client.ask("pr", 0, 900, 900)
+        session.receive(language.tcp_request(Call("ws", (1, 1, 1, 25))))
+    assert session.answers(most=1) == b""
+    emulator.pass_time(24.0)
+    assert emulator.simulation.robots[1].moving[1:] == (True, True)
+    emulator.pass_time(6.5)
+    (reply,) = client.read("ws", session.tick())
+    assert (reply.clock or 0) // 1000 == (25 if call == "ws" else 30)
+    assert emulator.simulation.robots[1].moving[1:] == (False, False)
