@@ -96,19 +96,24 @@ def open_backend(address: str | None, wanted: Wanted) -> Backend:
 
 
 def open_machine(name: str, port: int, wanted: Wanted) -> Backend:
-    """What C programs name: a bare host, "" for this machine; or an address that is answered in this process."""
-    if _is_in_process(name):
+    """What C programs name: a host, "" for this machine, host:port, which wins over `port`; or an address."""
+    if _is_address(name):
         return open_backend(name, wanted)
     return _open_nserver(_find(name, port, wanted.timeout_s), wanted)
 
 
 def is_listening(name: str, port: int) -> bool:
     """Whether there is somebody to connect to, with names as `open_machine` takes them."""
-    if not _is_in_process(name):
-        try:
-            _find(name, port, CONNECT_TIMEOUT_S).close()
-        except ConnectionLost:
-            return False
+    try:
+        if not _is_address(name):
+            stream = _find(name, port, CONNECT_TIMEOUT_S)
+        elif name.lower().startswith("nserver:"):
+            stream = _open_tcp(*_host_and_port(name), CONNECT_TIMEOUT_S)
+        else:
+            return True
+    except (AddressError, ConnectionLost):
+        return False
+    stream.close()
     return True
 
 
@@ -119,6 +124,18 @@ def known_schemes() -> tuple[str, ...]:
 
 def _nserver(text: str, wanted: Wanted) -> Backend:
     """nserver://host[:port]/id?options"""
+    host, port = _host_and_port(text)
+    parts = urlsplit(text)
+    options = _options(text, parts.query, _NSERVER_OPTIONS)
+    timeout_s = _timeout(text, options.get("timeout_s", str(wanted.timeout_s)))
+    model = model_named(options.get("model", N150.name))
+    robot_id = _robot_id(text, parts) if wanted.robot_id is None else wanted.robot_id
+    stream = _open_tcp(host, port, timeout_s)
+    return _open_nserver(stream, Wanted(timeout_s, robot_id, wanted.create), model)
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    """Of an Nserver's address. Raises AddressError."""
     if not text.partition(":")[2].startswith("//"):
         raise AddressError(f"{text!r}: an Nserver's address is nserver://host[:port]/id, {_EXAMPLE}")
     try:
@@ -126,12 +143,7 @@ def _nserver(text: str, wanted: Wanted) -> Backend:
         port = parts.port
     except ValueError as error:
         raise AddressError(f"{text!r}: {error}; an address is nserver://host[:port]/id") from None
-    options = _options(text, parts.query, _NSERVER_OPTIONS)
-    timeout_s = _timeout(text, options.get("timeout_s", str(wanted.timeout_s)))
-    model = model_named(options.get("model", N150.name))
-    robot_id = _robot_id(text, parts) if wanted.robot_id is None else wanted.robot_id
-    stream = _open_tcp(parts.hostname or "localhost", DEFAULT_PORT if port is None else port, timeout_s)
-    return _open_nserver(stream, Wanted(timeout_s, robot_id, wanted.create), model)
+    return parts.hostname or "localhost", DEFAULT_PORT if port is None else port
 
 
 def _in_process(text: str, scheme: str, wanted: Wanted) -> Backend:
@@ -151,6 +163,9 @@ def _open_tcp(host: str, port: int, timeout_s: float) -> TcpStream:
 
 def _find(name: str, port: int, timeout_s: float) -> TcpStream:
     """A stream to the host; where none is named, to the first name of this machine that answers."""
+    host, colon, digits = name.rpartition(":")
+    if colon and digits.isdecimal() and (":" not in host or host.endswith("]")):
+        name, port = host.strip("[]"), int(digits)
     *others, last = (name,) if name else names_of_this_machine()
     for host in others:
         with contextlib.suppress(ConnectionLost):
@@ -158,13 +173,13 @@ def _find(name: str, port: int, timeout_s: float) -> TcpStream:
     return _open_tcp(last, port, timeout_s)
 
 
-def _is_in_process(name: str) -> bool:
-    scheme, colon, _ = name.partition(":")
-    return bool(colon) and scheme in memory.schemes()
-
-
 _SCHEMES: dict[str, Callable[[str, Wanted], Backend]] = {"nserver": _nserver}
 """Schemes that this package serves by itself."""
+
+
+def _is_address(name: str) -> bool:
+    scheme, colon, rest = name.partition(":")
+    return bool(colon) and not rest.isdecimal() and scheme.lower() in known_schemes()
 
 
 def _no_scheme(text: str, scheme: str) -> AddressError:
