@@ -14,6 +14,7 @@ from typing import Final
 
 from nclient.protocol.replies import Reply
 from nserver_emu.server.arm import Arm
+from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
@@ -23,8 +24,6 @@ from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
-
-ALL_AXES = (0, 1, 2)
 
 PIECE_PS: Final = PS_PER_S // 10
 """The longest time that passes before those who wait for it are asked, a tenth of a second."""
@@ -52,17 +51,15 @@ class Stage:
         self.graphics = Graphics()
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
-        self._drivers: dict[int, list[Visit | None]] = {}
+        self._drivers = Drivers()
         self._looked: dict[int, tuple[float, list[int]]] = {}
         self._promises = Promises()
 
     def leave(self, visit: Visit) -> None:
-        """A connection is gone: a robot with an axis that obeys its last motion command stops."""
+        """A connection is gone: what moves by its commands stops."""
         self.look_anew()
         self._promises.drop(visit)
-        for robot_id in [robot_id for robot_id, drivers in self._drivers.items() if visit in drivers]:
-            del self._drivers[robot_id]
-            self.simulation.robots[robot_id].stop()
+        self._drivers.leave(visit, self.simulation.robots)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
@@ -89,9 +86,7 @@ class Stage:
     def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """The robot, these axes of it from now on obeying this connection."""
         assert visit.robot_id is not None
-        drivers = self._drivers.setdefault(visit.robot_id, [None] * len(ALL_AXES))
-        for axis in axes:
-            drivers[axis] = visit
+        self._drivers.take(visit, visit.robot_id, axes)
         return self.robot_of(visit)
 
     def arm_of(self, visit: Visit) -> Arm:
