@@ -19,7 +19,7 @@ from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
 from nserver_emu.server.session import Later, Visit
-from nserver_emu.server.state_reply import clock_ms, state_reply, state_slots
+from nserver_emu.server.state_reply import Look, clock_ms, state_reply
 from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -52,7 +52,7 @@ class Stage:
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
         self._drivers = Drivers()
-        self._looked: dict[int, tuple[float, list[int]]] = {}
+        self._looked: dict[int, tuple[float, Look]] = {}
         self._promises = Promises()
 
     def leave(self, visit: Visit) -> None:
@@ -103,11 +103,11 @@ class Stage:
         """
         assert visit.robot_id is not None
         robot, now_s = self.simulation.robots[visit.robot_id], self.simulation.time_s
-        looked_s, slots = self._looked.get(visit.robot_id, (None, []))
-        if looked_s != now_s:
-            slots = state_slots(robot, self.pace.speed_tenths)
-            self._looked[visit.robot_id] = (now_s, slots)
-        return state_reply(robot, visit, now_s, slots)
+        looked_s, look = self._looked.get(visit.robot_id, (None, None))
+        if look is None or looked_s != now_s:
+            look = Look(robot, self.pace.speed_tenths)
+            self._looked[visit.robot_id] = (now_s, look)
+        return state_reply(robot, visit, now_s, look)
 
     @property
     def clock_ms(self) -> int:
