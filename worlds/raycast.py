@@ -12,7 +12,8 @@ side for both (or, within ON_LINE_IN, on the line for one of them), so no ray sl
 
 from __future__ import annotations
 
-from math import inf
+from collections.abc import Sequence
+from math import inf, sqrt
 from typing import Final
 
 import numpy as np
@@ -89,6 +90,16 @@ def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.Arr
     missed = (np.abs(side) > circles[:, 2]) | (ahead + half_chord < 0.0)
     ranges: FloatArray = np.where(missed, inf, np.maximum(ahead - half_chord, 0.0)).min(axis=-1, initial=inf)
     return ranges
+
+
+def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float]) -> float:
+    """`cast_discs` of a single ray from (x, y) along (dx, dy) and one disc (x, y, radius), to the same bit."""
+    to_x, to_y, radius = disc[0] - x, disc[1] - y, disc[2]
+    ahead, side = to_x * dx + to_y * dy, dx * to_y - dy * to_x
+    if abs(side) > radius:
+        return inf
+    half_chord = sqrt(radius * radius - side * side)
+    return inf if ahead + half_chord < 0.0 else max(ahead - half_chord, 0.0)
 
 
 def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:

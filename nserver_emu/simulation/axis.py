@@ -107,6 +107,14 @@ class Axis:
         return self._phases[0].duration_s - self._elapsed_s if self._phases else inf
 
     @property
+    def fastest(self) -> float:
+        """No less than its speed at any time until the next command, units per second: phases end at rest or cruise."""
+        phases = self._phases
+        if len(phases) == 1:
+            return abs(phases[0].velocity)
+        return max((abs(phase.velocity) for phase in phases), default=0.0)
+
+    @property
     def pace(self) -> tuple[float, float, float]:
         """`phase_left_s`, `velocity` and `phase_acceleration` at once, which is quicker."""
         if not self._phases:

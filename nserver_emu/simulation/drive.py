@@ -65,6 +65,11 @@ class SynchroDrive:
         steering_s, turn_rate, turn_acceleration = self.steering.pace
         return Stretch(min(longest_s, rolling_s, steering_s), speed, acceleration, turn_rate, turn_acceleration)
 
+    @property
+    def fastest(self) -> float:
+        """No less than the robot's speed at any time until the next command, in/s."""
+        return self.translation.fastest
+
     def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
         """What translation and steering do on a stretch."""
         return Rate(stretch.speed, stretch.acceleration), Rate(stretch.turn_rate, stretch.turn_acceleration)
@@ -159,6 +164,11 @@ class DifferentialDrive:
             if TIME_TOLERANCE_S < turns_back_s < stretch.duration_s:
                 return stretch._replace(duration_s=turns_back_s)
         return stretch
+
+    @property
+    def fastest(self) -> float:
+        """No less than the robot's speed at any time until the next command, in/s."""
+        return max(self.right.fastest, self.left.fastest)
 
     def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
         """What the right and the left wheel do on a stretch."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import copysign
+from typing import NamedTuple
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
@@ -17,16 +18,34 @@ from nserver_emu.simulation.compass import Compass
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
 from nserver_emu.simulation.infrared import InfraredRing
-from nserver_emu.simulation.instants import NEVER_PS, to_ps, to_s
+from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.laser import LineFit, ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, SonarRing
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, Lookout, SonarRing
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
+
+
+class Leg(NamedTuple):
+    """A piece of a robot's track: from this instant and place along this stretch, for so long; then it stood."""
+
+    begin_ps: int
+    x_in: float
+    y_in: float
+    heading_rad: float
+    stretch: Stretch
+    free_s: float
+
+    def place(self, time_s: float) -> tuple[float, float]:
+        """(x, y) in inches, so long after its beginning."""
+        if time_s == 0.0:
+            return self.x_in, self.y_in
+        dx, dy = self.stretch.displacement(self.heading_rad, min(time_s, self.free_s))
+        return self.x_in + dx, self.y_in + dy
 
 
 class SimulatedRobot:
@@ -45,7 +64,8 @@ class SimulatedRobot:
         model: RobotModel = N150,
         setup: RobotSetup = IDEAL,
         now_ps: int = 0,
-        others: tuple[FloatArray, int] = NOBODY,
+        lookout: Lookout = NOBODY,
+        own: int = 0,
     ) -> None:
         self.identity = identity
         self.model = model
@@ -56,7 +76,8 @@ class SimulatedRobot:
         self._zeroing = False
         self._walls = walls
         self._beside_others = False
-        self._others = others
+        self._track: list[Leg] | None = None
+        self.join(lookout, own)
         self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
@@ -96,6 +117,20 @@ class SimulatedRobot:
     def disc(self) -> tuple[float, float, float]:
         """What the robot is to others: x, y, radius in inches."""
         return (*self._chassis.place, self.model.body.radius_in)
+
+    def disc_at(self, instant_ps: int) -> tuple[float, float, float]:
+        """The disc at an instant since `begin_track`."""
+        if not self._track:
+            return self.disc
+        for leg in reversed(self._track):
+            if leg.begin_ps <= instant_ps:
+                break
+        return (*leg.place(to_s(max(instant_ps - leg.begin_ps, 0))), self.model.body.radius_in)
+
+    def reach_in(self, span_s: float) -> float:
+        """No less than it goes within some seconds if no command comes, inches; noise may add to that."""
+        way_in = self._drive.fastest * span_s
+        return way_in if self._exact else way_in * max(map(abs, self.setup.odometry.scales[:2]))
 
     @property
     def velocities(self) -> Velocities:
@@ -267,12 +302,14 @@ class SimulatedRobot:
             self._chassis.enter(Ground.of(self._walls, discs))
             self._beside_others = discs is not None
 
-    def see(self, discs: FloatArray, own: int) -> None:
-        """From now on sonars see these discs (n, 3), rows x y radius in inches, but for row `own`: that is this robot.
+    def join(self, lookout: Lookout, own: int) -> None:
+        """From now on sensors see the robots that this lookout tells of, but for row `own`: that is this one."""
+        self._lookout = lookout
+        self._own = own
 
-        The array is kept: it never changes.
-        """
-        self._others = (discs, own)
+    def begin_track(self) -> None:
+        """From now on the robot keeps where it comes along, for `disc_at`."""
+        self._track = []
 
     def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
         """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
@@ -329,7 +366,7 @@ class SimulatedRobot:
 
     def _eye(self) -> Eye:
         actual = self.actual
-        return Eye(actual.x_in, actual.y_in, actual.turret_rad, *self._others)
+        return Eye(actual.x_in, actual.y_in, actual.turret_rad, self._lookout.at(self._time_ps), self._own)
 
     def _stamp(self) -> Stamp:
         now_s = self.time_s
@@ -337,15 +374,17 @@ class SimulatedRobot:
 
     def _move(self, span_s: float) -> None:
         """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
-        while span_s > 0.0:
-            stretch = self._drive.stretch(span_s)
+        left_s = span_s
+        while left_s > 0.0:
+            stretch = self._drive.stretch(left_s)
             if stretch.at_rest:
-                self._drift(0.0, self._drive.advance(span_s))
+                self._drift(0.0, self._drive.advance(left_s))
                 return
-            span_s -= self._glide(stretch)
+            left_s -= self._glide(stretch, span_s - left_s)
 
-    def _glide(self, stretch: Stretch) -> float:
-        """Follow a stretch to its end or to where the robot is stopped; returns the seconds that took.
+    def _glide(self, stretch: Stretch, begin_s: float) -> float:
+        """Follow a stretch that begins so long after now to its end or to where the robot is stopped; returns the
+        seconds that took.
 
         Only the commanded motion stops the wheels. Where noise or a turn on the spot that goes astray pushes a robot
         into a wall it is held there for the stretch, wheels turning.
@@ -364,6 +403,9 @@ class SimulatedRobot:
             heading = chassis.heading(steering_rad) + driven.turn_at(free_s)
             blocked = told_in != 0.0 and (driven is steady or contact.pressed_by(heading, told_in))
         taken_s = free_s if blocked else duration
+        if self._track is not None:
+            begin_ps = self._time_ps + round(begin_s * PS_PER_S)
+            self._track.append(Leg(begin_ps, *chassis.place, chassis.heading(steering_rad), driven, free_s))
         chassis.follow(driven, free_s, steering_rad)
         self._encoders.follow(stretch, taken_s, steering_rad)
         self._drift(driven.turn_at(taken_s) - stretch.turn_at(taken_s), drive.advance(taken_s))

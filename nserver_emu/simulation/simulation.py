@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from nclient.errors import StartError
-from nserver_emu.simulation.company import TICK_PS, discs_of, look_around, run_together
+from nserver_emu.simulation.company import Company, discs_of
 from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.sonar import Sighting
 from worlds.world import StartPose, World
 
 
@@ -31,6 +32,7 @@ class Simulation:
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
         self._time_ps = 0
+        self._company = Company()
 
     @property
     def world(self) -> World:
@@ -54,11 +56,11 @@ class Simulation:
         place = self._world.starts[0] if start is None else start
         self.require_free(place.x_in, place.y_in, model.body.radius_in)
         identity = Identity(robot_id, self.seed)
-        seen = (np.vstack((discs_of(self.robots), (0.0, 0.0, 0.0))), len(self.robots))
-        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, seen)
+        seen, own = Sighting(np.vstack((discs_of(self.robots.values()), (0.0, 0.0, 0.0)))), len(self.robots)
+        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, seen, own)
         self.robots = dict(sorted((self.robots | {robot_id: robot}).items()))
         if len(self.robots) > 1:
-            look_around(self.robots)
+            self._company.look_around(self.robots, self._time_ps)
         return robot
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
@@ -86,16 +88,11 @@ class Simulation:
         """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result
         without noise (with it another draw of the same spread), but for
         where robots meet that both move: there by what they drive within a tick."""
-        end_ps = self._time_ps + to_ps(dt_s)
-        while len(self.robots) > 1 and self._time_ps < end_ps:
-            tick, into_ps = divmod(self._time_ps, TICK_PS)
-            if not into_ps:
-                look_around(self.robots)
-            self._time_ps = min(end_ps, (tick + 1) * TICK_PS)
-            run_together(self.robots, self._time_ps, tick)
-        self._time_ps = end_ps
+        begin_ps, self._time_ps = self._time_ps, self._time_ps + to_ps(dt_s)
+        if len(self.robots) > 1:
+            self._company.run(self.robots, begin_ps, self._time_ps)
         for robot in self.robots.values():
-            robot.advance_to(end_ps)
+            robot.advance_to(self._time_ps)
 
     def __getstate__(self) -> dict[str, Any]:
         """The world as what it is built from: its read-only views can neither be pickled nor copied."""

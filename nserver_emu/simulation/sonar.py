@@ -9,10 +9,12 @@ is an echo model's: SonarNoise, one exact ray with noise, or Polaroid (polaroid.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import cos, floor, inf, sin
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,7 +24,10 @@ from nserver_emu.simulation.polaroid import NO_ROBOTS, Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_discs, cast_ray
+from worlds.raycast import IndexArray, cast_ray, ray_to_disc
+
+FARTHEST_IN: Final = 500.0
+"""No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -72,8 +77,8 @@ class SonarNoise:
         del earlier
         x, y, dx, dy = cry.x_in, cry.y_in, cos(cry.direction_rad), sin(cry.direction_rad)
         from_axis, _ = cast_ray(x, y, dx, dy, scene.walls)
-        if len(others):
-            from_axis = min(from_axis, float(cast_discs((x, y), (dx, dy), others)))
+        for disc in others.tolist():
+            from_axis = min(from_axis, ray_to_disc(x, y, dx, dy, disc))
         range_in = from_axis - body.sonar_ring_radius_in
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
 
@@ -85,27 +90,75 @@ DEAD_IN: Final = 0
 """What a dead sonar reads, always."""
 
 
-NOBODY: Final[tuple[FloatArray, int]] = (np.zeros((1, 3)), 0)
-"""A robot alone: the only disc is its own."""
+class Sighting:
+    """Where all robots stood at one moment: discs (n, 3), rows x y radius in inches; none until that is known."""
+
+    def __init__(self, discs: FloatArray = NO_ROBOTS) -> None:
+        self.discs = discs
+
+    def at(self, instant_ps: int) -> Sighting:
+        """Whatever the instant: nobody moves."""
+        del instant_ps
+        return self
+
+    def near(self, x_in: float) -> IndexArray:
+        """Rows of the robots (k,) whose x is no farther than FARTHEST_IN from this one."""
+        first, end = bisect_left(self._xs, x_in - FARTHEST_IN), bisect_right(self._xs, x_in + FARTHEST_IN)
+        return self._order[first:end]
+
+    @cached_property
+    def _order(self) -> IndexArray:
+        return self.discs[:, 0].argsort(kind="stable")
+
+    @cached_property
+    def _xs(self) -> list[float]:
+        xs: list[float] = self.discs[self._order, 0].tolist()
+        return xs
+
+
+class Lookout(Protocol):
+    """Who tells where the robots stood at an instant."""
+
+    def at(self, instant_ps: int) -> Sighting: ...
+
+
+NOBODY: Final = Sighting()
+"""What a robot sees that is alone."""
 
 
 class Eye(NamedTuple):
     """From where the ring looks, and whom it may see.
 
     x_in, y_in, turret_rad    the robot's true place in inches and its turret's true direction in radians
-    discs, own                all robots (n, 3), rows x y radius in inches; row `own` is this one
+    seen, own                 all robots; row `own` is this one
     """
 
     x_in: float
     y_in: float
     turret_rad: float
-    discs: FloatArray = NOBODY[0]
-    own: int = NOBODY[1]
+    seen: Sighting = NOBODY
+    own: int = 0
 
     @property
     def others(self) -> FloatArray:
-        """The robots (k, 3) without this one."""
-        return np.delete(self.discs, self.own, axis=0) if len(self.discs) > 1 else NO_ROBOTS
+        """The robots (k, 3) without this one and without those beyond FARTHEST_IN."""
+        if len(self.seen.discs) < 2:
+            return NO_ROBOTS
+        rows = np.sort(self.seen.near(self.x_in))
+        discs = self.seen.discs.take(rows[rows != self.own], axis=0)
+        others: FloatArray = discs[np.abs(discs[:, 1] - self.y_in) <= FARTHEST_IN]
+        return others
+
+    def others_on_line(self, direction_rad: float) -> FloatArray:
+        """The robots (k, 3) that a ray from here in this direction can meet, or one the other way."""
+        if len(self.seen.discs) < 2:
+            return NO_ROBOTS
+        rows = self.seen.near(self.x_in)
+        x, y, radius = self.seen.discs.take(rows, axis=0).T
+        side = cos(direction_rad) * (y - self.y_in) - sin(direction_rad) * (x - self.x_in)
+        met = rows[np.abs(side) <= radius]
+        others: FloatArray = self.seen.discs.take(met[met != self.own], axis=0)
+        return others
 
 
 class Firing(NamedTuple):
@@ -189,7 +242,9 @@ class SonarRing:
         another size would round another way, so that looking more often could change a reading."""
         for sonar, (cry, earlier, eye) in self._unheard.items():
             if sonar not in self.model.dead:
-                heard_in = self.model.heard_in(cry, earlier, self._scene, self.body, eye.others)
+                ray = isinstance(self.model, SonarNoise)
+                others = eye.others_on_line(cry.direction_rad) if ray else eye.others
+                heard_in = self.model.heard_in(cry, earlier, self._scene, self.body, others)
                 self._readings[sonar] = _reading(heard_in)
         self._unheard.clear()
 

@@ -10,7 +10,7 @@ import pytest
 from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS
 from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sonar import Eye
+from nserver_emu.simulation.sonar import Eye, Sighting
 from worlds.bodies import N200
 
 HERE = Eye(0.0, 0.0, 0.0)
@@ -88,7 +88,7 @@ def test_a_flash_meets_the_walls_of_its_instant_and_other_robots() -> None:
     sensors.surround(np.empty((0, 4)))
     assert sensors.readings[0] == 5
     others = np.array([[0.0, 0.0, 9.0], [26.0, 0.0, 9.0]])
-    sensors.flash_due(Eye(0.0, 0.0, 0.0, others, 0), stamp())
+    sensors.flash_due(Eye(0.0, 0.0, 0.0, Sighting(others), 0), stamp())
     assert sensors.readings[0] == 8
 
 
@@ -116,7 +116,7 @@ def test_the_nearest_of_walls_and_robots_counts_at_its_own_slant(seed: int) -> N
     walls = np.array([[-30.0, -25.0, 30.0, -28.0], [30.0, -28.0, 25.0, 30.0], [-20.0, 33.0, -28.0, -25.0]])
     sensors = ring(walls, InfraredNoise(slanted=True))
     turret = rng.uniform(-3.0, 3.0)
-    sensors.flash_due(Eye(0.0, 0.0, turret, discs, 2), stamp())
+    sensors.flash_due(Eye(0.0, 0.0, turret, Sighting(discs), 2), stamp())
     for number, reading in enumerate(sensors.readings):
         way = np.array([cos(turret + number * radians(22.5)), np.sin(turret + number * radians(22.5))])
         met = [(float("inf"), 1.0)]
