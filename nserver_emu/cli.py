@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from nclient.errors import NomadError, SnapshotError
-from nserver_emu.server import snapshot
+from nserver_emu.server import restore_options, snapshot
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
+from nserver_emu.server.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST, Pace
 from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS, Setting, placed
 from nserver_emu.server.setup_files import read_setups
 from nserver_emu.server.stage import Allowed
@@ -39,7 +39,6 @@ log = logging.getLogger(__name__)
 Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
 MAX_SPEED = "max"
-LONGEST_LOCKSTEP_S = 10.0
 SETUP_SUFFIX = ".setup"
 MOST_SETUPS = 2
 OLD_OPTIONS = ("help", "noisy", "port")
@@ -50,9 +49,12 @@ def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
     parser = _parser()
     words = sys.argv[1:] if argv is None else argv
-    options = parser.parse_args([_as_value(_as_long_option(word)) for word in words])
+    words = [_as_value(_as_long_option(word)) for word in words]
+    options = parser.parse_args(words)
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
+    restore_options.refuse(parser, options, words)
+    options.keeps_pace = restore_options.keeps_pace(parser, words)
     logging.basicConfig(
         level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -76,7 +78,7 @@ async def _serve(options: argparse.Namespace) -> int:
         log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     emulator = _emulator(options, setups.robot or READY_MODELS[0])
-    daemon = Daemon(emulator, options.speed)
+    daemon = Daemon(emulator, emulator.pace.factor)
     stop = asyncio.Event()
     stop_on_signals(stop)
     if options.save:
@@ -108,7 +110,8 @@ def _emulator(options: argparse.Namespace, robot: str) -> Emulator:
     emulator = Emulator(setting.simulation(), pace=pace, allowed=allowed)
     if options.restore:
         snapshot.restore(emulator, options.restore)
-    if options.paused and not options.allow_control:
+        emulator.pace = emulator.pace if options.keeps_pace else pace
+    if emulator.pace.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
     return emulator
 
@@ -160,7 +163,9 @@ def _parser() -> argparse.ArgumentParser:
                         help="let DT simulated seconds pass when a client asks something, and none else")
     parser.add_argument("--allow-control", action="store_true", help="let clients pause, step and speed up the time")
     parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
-    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was")
+    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
+                        "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
+                        "are its own")
     parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
     parser.add_argument("--setup", type=_setup, metavar="NAME | FILE.toml",
                         help="how real: ideal (default), noisy (ramps, noise of motion and sonars), measured (sonars "

@@ -21,12 +21,26 @@ class Drivers:
 
     def __init__(self) -> None:
         self._drivers: dict[int, list[Visit | None]] = {}
+        self._orphans: set[int] = set()
 
     def take(self, visit: Visit, robot_id: int, axes: Iterable[int]) -> None:
         """These axes of a robot obey this connection from now on."""
         drivers = self._drivers.setdefault(robot_id, [None] * len(ALL_AXES))
         for axis in axes:
             drivers[axis] = visit
+
+    def orphan(self, robot_ids: Iterable[int]) -> None:
+        """These robots come from elsewhere, and whoever set them going is not here: nobody drives them."""
+        self._drivers.clear()
+        self._orphans = set(robot_ids)
+
+    def adopt(self, visit: Visit, robot_id: int, robot: SimulatedRobot) -> None:
+        """The first to connect to such a robot answers for what still moves on its own."""
+        if robot_id not in self._orphans:
+            return
+        self._orphans.discard(robot_id)
+        drivers = self._drivers.get(robot_id, [None] * len(ALL_AXES))
+        self.take(visit, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
 
     def leave(self, visit: Visit, robots: Mapping[int, SimulatedRobot]) -> None:
         """This connection is gone: what still moves because of it brakes and holds."""

@@ -34,6 +34,8 @@ def connect_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     robot_id = args[0]
     known = robot_id in stage.simulation.robots
     visit.robot_id = robot_id if known else visit.robot_id
+    if known:
+        stage.drivers.adopt(visit, robot_id, stage.simulation.robots[robot_id])
     return Reply("simple", values=(stage.port if known else 0,))
 
 

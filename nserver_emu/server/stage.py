@@ -51,7 +51,7 @@ class Stage:
         self.graphics = Graphics()
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
-        self._drivers = Drivers()
+        self.drivers = Drivers()
         self._looked: dict[int, tuple[float, Look]] = {}
         self._promises = Promises()
 
@@ -59,7 +59,7 @@ class Stage:
         """A connection is gone: what moves by its commands stops."""
         self.look_anew()
         self._promises.drop(visit)
-        self._drivers.leave(visit, self.simulation.robots)
+        self.drivers.leave(visit, self.simulation.robots)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
@@ -86,7 +86,7 @@ class Stage:
     def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """The robot, these axes of it from now on obeying this connection."""
         assert visit.robot_id is not None
-        self._drivers.take(visit, visit.robot_id, axes)
+        self.drivers.take(visit, visit.robot_id, axes)
         return self.robot_of(visit)
 
     def arm_of(self, visit: Visit) -> Arm:
