@@ -81,7 +81,7 @@ _PARTS: Final[tuple[tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]], 
     (BUMPER_SLOT, 34, lambda robot: (robot.bumpers,)),
     (34, 38, pose_tenths),
     (38, 41, velocity_tenths),
-    (COMPASS_SLOT, 44, lambda robot: (heading_tenths(robot.compass.direction_rad),)),
+    (COMPASS_SLOT, 44, lambda robot: (heading_tenths(robot.compass.direction_rad) if robot.compass else 0,)),
 )
 """The parts of State that a mask can leave out: first slot, the one after the last, what they show."""
 
@@ -146,7 +146,7 @@ def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str,
     if position & Position.LASER and robot.model.sees:
         stamps["laser"] = stamp_now(robot, time_s)
     if position & Position.COMPASS:
-        stamps["compass"] = compass_stamp(robot, time_s)
+        stamps |= compass_stamps(robot, time_s)
     return stamps
 
 
@@ -177,9 +177,12 @@ def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
     return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
 
 
-def compass_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
-    """The pose of now, and when the compass was read: up to a tenth of a second ago."""
-    return stamp_now(robot, time_s)._replace(sensor_time=robot_clock_ms(robot, to_s(robot.compass.taken_ps)))
+def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
+    """The pose of now, and when the compass was read: up to a tenth of a second ago; none for a robot without."""
+    if robot.compass is None:
+        return {}
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.taken_ps))
+    return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 
 def _stamp(robot: SimulatedRobot, at: Moment) -> Stamp:

@@ -92,8 +92,10 @@ class SimulatedRobot:
             self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, light)
         self.line_fit = LineFit()
         self.laser_columns = 0
-        turret_rad = self.actual.turret_rad
-        self.compass = Compass(setup.compass, turret_rad, now_ps, identity.stream(Purpose.COMPASS))
+        self.compass: Compass | None = None
+        if model.compass:
+            needle = identity.stream(Purpose.COMPASS)
+            self.compass = Compass(setup.compass, self.actual.turret_rad, now_ps, needle)
         self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
 
     # What can be seen
@@ -287,7 +289,8 @@ class SimulatedRobot:
             until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
-            self._read_compass(until)
+            if self.compass is not None:
+                self._read_compass(self.compass, until)
             self._move(to_s(until - self._time_ps))
             self._time_ps = until
             if self._zeroing:
@@ -353,16 +356,16 @@ class SimulatedRobot:
         while self.infrared is not None and self.infrared.due_ps <= self._time_ps:
             self.infrared.flash_due(self._eye(), self._stamp())
 
-    def _read_compass(self, until_ps: int) -> None:
+    def _read_compass(self, compass: Compass, until_ps: int) -> None:
         """Its last reading up to an instant that this piece of time reaches, before anything moves.
 
         Time is not cut for it: the drive tells how far the turret will have turned by then.
         """
-        due_ps = self.compass.due(until_ps)
+        due_ps = compass.due(until_ps)
         if due_ps is not None:
             turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
             direction = self._chassis.pose(0.0, turret_rad).turret_rad
-            self.compass.take(due_ps, direction, turret_rad)
+            compass.take(due_ps, direction, turret_rad)
 
     def _eye(self) -> Eye:
         actual = self.actual

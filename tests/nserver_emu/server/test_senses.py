@@ -8,11 +8,12 @@ import pytest
 from wire_client import WireClient, meet, simulation
 
 from nclient.protocol.mask import EVERYTHING, Mask, Position
+from nclient.protocol.stamps import NO_STAMP
 from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.snapshot import dumps, loads
 from nserver_emu.server.state_reply import clock_ms, volts_raw
-from nserver_emu.simulation.models import N150, N200
+from nserver_emu.simulation.models import N150, N200, SCOUT
 from nserver_emu.simulation.setup import IDEAL, MEASURED, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
@@ -45,6 +46,20 @@ def test_an_n150_has_a_compass_and_neither_infrareds_nor_laser() -> None:
     reply = client.ask("gs")
     assert [reply.slots[slot] for slot in (*range(1, 17), 42, 43)] == [15] * 16 + [0, 330]
     assert reply.laser == (0,)
+
+
+def test_a_scout_has_no_compass() -> None:
+    made = Simulation(load_world("thesis_room"))
+    made.add_robot(1, StartPose(0.0, 0.0, 0.0, 1.0), SCOUT, MEASURED)
+    client, _ = meet(Emulator(made))
+    for name, args in (("get_cp", ()), ("conf_cp", (1,)), ("conf_cp", (7,))):
+        assert client.ask(name, *args).values == (4,)
+    client.ask("ct", *EVERYTHING.with_position(Position.COMPASS | Position.BUMPER).smask)
+    made.step(1.0)
+    reply = client.ask("gs")
+    assert reply.slots[43] == 0
+    assert reply.stamps["compass"] == NO_STAMP
+    assert reply.stamps["bumper"].pose_time == 984
 
 
 # Infrareds

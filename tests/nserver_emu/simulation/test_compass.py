@@ -19,6 +19,11 @@ Lone = Callable[..., tuple[Simulation, SimulatedRobot]]
 IRON = CompassNoise(deviation_rad=radians(6.0))
 
 
+def needle_of(robot: SimulatedRobot) -> Compass:
+    assert robot.compass is not None
+    return robot.compass
+
+
 def compass(noise: CompassNoise = TRUE_NEEDLE) -> Compass:
     return Compass(noise, 0.0, 0, np.random.default_rng(2))
 
@@ -39,20 +44,20 @@ def test_it_shows_where_the_turret_pointed_at_the_last_tenth_however_time_is_cut
     for _ in range(round(3.0 / step_s)):
         simulation.step(step_s)
     simulation.step(3.05 - simulation.time_s)
-    assert robot.compass.direction_rad == pytest.approx(0.7 * 3.0)
+    assert needle_of(robot).direction_rad == pytest.approx(0.7 * 3.0)
     assert robot.actual.turret_rad == pytest.approx(0.7 * 3.05)
 
 
 def test_it_follows_a_turn_that_ends_in_between_and_a_robot_put_elsewhere(lone: Lone) -> None:
     simulation, robot = lone(StartPose(0.0, 0.0, 0.0, 0.5), RobotSetup("r", True, IDEAL.motion, IDEAL.sonar))
-    assert robot.compass.direction_rad == 0.5
+    assert needle_of(robot).direction_rad == 0.5
     robot.configure_sonars(15, ())
     robot.move_relative(0.0, 0.0, 0.3)
     simulation.step(20.0)
-    assert robot.compass.direction_rad == pytest.approx(0.8)
+    assert needle_of(robot).direction_rad == pytest.approx(0.8)
     robot.place(0.0, 0.0, 0.0, 2.0)
     simulation.step(0.1)
-    assert robot.compass.direction_rad == pytest.approx(2.0)
+    assert needle_of(robot).direction_rad == pytest.approx(2.0)
 
 
 def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() -> None:
