@@ -46,12 +46,12 @@ def get_ir(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 def conf_cp(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     """The compass off, on, or calibrating, which a full turn of the turret completes."""
-    compass = stage.robot_of(visit).compass
-    if compass is None:
+    robot = stage.robot_of(visit)
+    if robot.compass is None:
         return error_reply(NOT_AVAILABLE)
     if args[0] not in list(CompassMode):
         return error_reply(BAD_VALUES)
-    compass.configure(args[0])
+    robot.configure_compass(args[0])
     return stage.state(visit)
 
 

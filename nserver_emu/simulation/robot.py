@@ -251,7 +251,9 @@ class SimulatedRobot:
         """
         self.feed()
         self._zeroing = False
+        before_rad = self._drive.turret_rad
         self._drive.put(steering_rad, turret_rad)
+        self._carry_compass(before_rad)
         self._chassis.put(x_in, y_in)
         self._encoders = Encoders(x_in, y_in)
 
@@ -276,6 +278,12 @@ class SimulatedRobot:
         if self.infrared is not None:
             self.infrared.configure(history, order, self._time_ps)
             self._fire_due()
+
+    def configure_compass(self, mode: int) -> None:
+        """Switch the compass, where there is one; raises ValueError for no mode. C: conf_cp."""
+        self.feed()
+        if self.compass is not None:
+            self.compass.configure(mode, self._drive.turret_rad)
 
     def look_with_laser(self) -> FloatArray:
         """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing."""
@@ -343,7 +351,9 @@ class SimulatedRobot:
     def _end_zero(self) -> None:
         if not any(self.moving):
             self._zeroing = False
+            before_rad = self._drive.turret_rad
             self._drive.found_zero()
+            self._carry_compass(before_rad)
             for axis in self._drive.axes:
                 axis.count = 0.0
             self._chassis.found_zero()
@@ -366,6 +376,11 @@ class SimulatedRobot:
             turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
             direction = self._chassis.pose(0.0, turret_rad).turret_rad
             compass.take(due_ps, direction, turret_rad)
+
+    def _carry_compass(self, before_rad: float) -> None:
+        """The turret's angle was set, and not by turning."""
+        if self.compass is not None:
+            self.compass.carried(before_rad, self._drive.turret_rad)
 
     def _eye(self) -> Eye:
         actual = self.actual
