@@ -115,7 +115,7 @@ def _run_span(crew: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) -> Non
         first = tick % len(crew)
         turns = [row for row in close if row >= first] + [row for row in close if row < first]
         _run_together([crew[row] for row in turns], begin_ps)
-    _touch([crew[row] for row in close])
+    touch([crew[row] for row in close])
 
 
 def _run_together(crew: Sequence[SimulatedRobot], until_ps: int) -> None:
@@ -127,8 +127,8 @@ def _run_together(crew: Sequence[SimulatedRobot], until_ps: int) -> None:
         robot.advance_to(until_ps)
 
 
-def _touch(crew: Sequence[SimulatedRobot]) -> None:
-    """Let bumpers feel where the others stand now."""
+def touch(crew: Sequence[SimulatedRobot]) -> None:
+    """Let bumpers feel where the others of the crew stand now."""
     beside = near(crew, 0)
     for row, robot in enumerate(crew):
         robot.stand_beside(_discs(crew, beside.get(row, ())))

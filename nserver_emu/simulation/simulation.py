@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nclient.errors import StartError
-from nserver_emu.simulation.company import Company, discs_of
+from nserver_emu.simulation.company import Company, discs_of, touch
 from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity
@@ -83,6 +83,8 @@ class Simulation:
         self._world = world
         for robot in self.robots.values():
             robot.enter(world.walls)
+        if len(self.robots) > 1:
+            touch(list(self.robots.values()))
 
     def step(self, dt_s: float) -> None:
         """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result

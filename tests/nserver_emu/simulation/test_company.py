@@ -14,7 +14,7 @@ from nserver_emu.simulation.company import STRAY_IN, TICK_PS, discs_of, near, ne
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
 from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from worlds.world import StartPose, World
+from worlds.world import Polygon, StartPose, World
 
 TOUCHING = 2.0 * N150.body.radius_in
 
@@ -212,3 +212,21 @@ def test_a_change_of_the_world_keeps_the_company(room: World) -> None:
     simulation.robots[1].set_velocities(20.0, 0.0, 0.0)
     simulation.step(0.5)
     assert apart(simulation) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_bumpers_go_on_feeling_a_robot_when_the_world_changes_elsewhere(room: World) -> None:
+    simulation = two(room, 10.0)
+    first, second = simulation.robots.values()
+    first.set_velocities(20.0, 0.0, 0.0)
+    simulation.step(1.0)
+    felt = (1 << 0, 1 << 10)
+    assert (first.bumpers, second.bumpers) == felt
+    block = Polygon(((80.0, 80.0), (90.0, 80.0), (90.0, 90.0)))
+    simulation.change_world(simulation.world.with_obstacles((block,)))
+    assert (first.bumpers, second.bumpers) == felt
+    simulation.step(0.0)
+    assert (first.bumpers, second.bumpers) == felt
+    simulation.change_world(simulation.world.with_obstacles(()))
+    first.set_velocities(5.0, 0.0, 0.0)
+    simulation.step(0.001)
+    assert not first.moving[0]
