@@ -99,7 +99,8 @@ def place_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
         stage.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, visit.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
-    robot.place(place.x_in, place.y_in, place.steering_rad, place.turret_rad)
+    assert visit.robot_id is not None
+    stage.simulation.place(visit.robot_id, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
     return done()
 
 

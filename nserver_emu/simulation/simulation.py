@@ -78,6 +78,13 @@ class Simulation:
                     f"{radius_in + radius:g} in from there there is room"
                 )
 
+    def place(self, robot_id: int, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
+        """Set a robot down somewhere, as `SimulatedRobot.place` does; the others see and feel it there at once."""
+        self.robots[robot_id].place(x_in, y_in, steering_rad, turret_rad)
+        if len(self.robots) > 1:
+            self._company.look_around(self.robots, self._time_ps)
+            touch(list(self.robots.values()))
+
     def change_world(self, world: World) -> None:
         """Change what stands here, now; what was seen before was seen before."""
         self._world = world

@@ -17,6 +17,7 @@ from nserver_emu.simulation.simulation import Simulation
 from worlds.world import Polygon, StartPose, World
 
 TOUCHING = 2.0 * N150.body.radius_in
+TOUCHING_N200 = N150.body.radius_in + N200.body.radius_in
 
 
 def two(room: World, gap_in: float, setup: RobotSetup = IDEAL) -> Simulation:
@@ -230,3 +231,23 @@ def test_bumpers_go_on_feeling_a_robot_when_the_world_changes_elsewhere(room: Wo
     first.set_velocities(5.0, 0.0, 0.0)
     simulation.step(0.001)
     assert not first.moving[0]
+
+
+@pytest.mark.parametrize("before_s", [0.0, 0.013, 0.02])
+def test_a_robot_put_elsewhere_is_seen_and_felt_there_at_the_same_instant(room: World, before_s: float) -> None:
+    simulation = Simulation(room)
+    watcher = simulation.add_robot(1, StartPose(0.0, 0.0), N200)
+    other = simulation.add_robot(2, StartPose(50.0, 0.0))
+    simulation.step(before_s)
+    clear = watcher.look_with_laser().min()
+    simulation.place(2, 0.0, 40.0, 0.0, 0.0)
+    watcher.configure_sonars(15, (4,))
+    assert watcher.sonar.readings_in[4] == round(40.0 - N150.body.radius_in - N200.body.sonar_ring_radius_in)
+    assert watcher.look_with_laser().min() > clear + 10.0
+    simulation.place(2, TOUCHING_N200, 0.0, 0.0, 0.0)
+    assert watcher.bumpers == 1 << 0
+    assert other.bumpers == 1 << 10
+    simulation.place(2, 50.0, 50.0, 0.0, 0.0)
+    assert (watcher.bumpers, other.bumpers) == (0, 0)
+    watcher.configure_sonars(15, (4,))
+    assert watcher.sonar.readings_in[4] == round(100.0 - N200.body.sonar_ring_radius_in)
