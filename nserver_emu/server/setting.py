@@ -54,13 +54,14 @@ class Setting:
         models = load_models(self.model_file) if self.model_file else MODELS
         simulation = Simulation(load_world(self.world), seed=self.seed)
         setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
-        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup)
+        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, awake=False)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
             place = start or free_place(simulation, model.body.radius_in)
             if place is None:
                 raise StartError(f"no room for robot {robot_id} near the starts of {self.world}; give it a --start")
-            simulation.add_robot(robot_id, place, model, setup)
+            simulation.add_robot(robot_id, place, model, setup, awake=False)
+        simulation.wake()
         return simulation
 
 

@@ -66,6 +66,8 @@ class SimulatedRobot:
         now_ps: int = 0,
         lookout: Lookout = NOBODY,
         own: int = 0,
+        *,
+        awake: bool = True,
     ) -> None:
         self.identity = identity
         self.model = model
@@ -85,7 +87,6 @@ class SimulatedRobot:
         self._chance = identity.stream(Purpose.MOTION)
         self._exact = setup.motion == NO_NOISE and setup.odometry.turns_as_told
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
-        self.sonar.fire_all(self._eye(), self._stamp())
         self.infrared: InfraredRing | None = None
         if model.sees:
             light = identity.stream(Purpose.INFRARED)
@@ -96,6 +97,14 @@ class SimulatedRobot:
         if model.compass:
             needle = identity.stream(Purpose.COMPASS)
             self.compass = Compass(setup.compass, self.actual.turret_rad, now_ps, needle)
+        self.awake = False
+        if awake:
+            self.wake()
+
+    def wake(self) -> None:
+        """Power on what looks around, once: all sonars have a reading, and the ring runs."""
+        self.awake = True
+        self.sonar.fire_all(self._eye(), self._stamp())
         self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
 
     # What can be seen

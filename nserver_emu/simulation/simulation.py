@@ -10,16 +10,13 @@ from dataclasses import fields
 from math import hypot
 from typing import Any
 
-import numpy as np
-
 from nclient.errors import StartError
-from nserver_emu.simulation.company import Company, discs_of, touch
+from nserver_emu.simulation.company import Company, touch
 from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sonar import Sighting
 from worlds.world import StartPose, World
 
 
@@ -45,9 +42,15 @@ class Simulation:
         return to_s(self._time_ps)
 
     def add_robot(
-        self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL
+        self,
+        robot_id: int,
+        start: StartPose | None = None,
+        model: RobotModel = N150,
+        setup: RobotSetup = IDEAL,
+        *,
+        awake: bool = True,
     ) -> SimulatedRobot:
-        """Put a robot into the world, at its first start if none is given.
+        """Put a robot into the world, at its first start if none is given; not `awake` it looks around from `wake` on.
 
         Raises StartError where it does not fit beside walls and other robots, ValueError if the id is taken.
         """
@@ -56,12 +59,19 @@ class Simulation:
         place = self._world.starts[0] if start is None else start
         self.require_free(place.x_in, place.y_in, model.body.radius_in)
         identity = Identity(robot_id, self.seed)
-        seen, own = Sighting(np.vstack((discs_of(self.robots.values()), (0.0, 0.0, 0.0)))), len(self.robots)
-        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, seen, own)
+        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, awake=False)
         self.robots = dict(sorted((self.robots | {robot_id: robot}).items()))
         if len(self.robots) > 1:
             self._company.look_around(self.robots, self._time_ps)
+        if awake:
+            robot.wake()
         return robot
+
+    def wake(self) -> None:
+        """Power on all robots that came asleep, at the same instant: each sees all others, whoever came first."""
+        for robot in self.robots.values():
+            if not robot.awake:
+                robot.wake()
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
         """Refuse a place where a robot of this radius, number `robot_id` if it is here already, touches anything.

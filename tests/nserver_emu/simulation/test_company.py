@@ -251,3 +251,23 @@ def test_a_robot_put_elsewhere_is_seen_and_felt_there_at_the_same_instant(room: 
     assert (watcher.bumpers, other.bumpers) == (0, 0)
     watcher.configure_sonars(15, (4,))
     assert watcher.sonar.readings_in[4] == round(100.0 - N200.body.sonar_ring_radius_in)
+
+
+def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World) -> None:
+    def wakes(order: tuple[int, ...]) -> list[tuple[int, ...]]:
+        simulation = Simulation(room)
+        for number in order:
+            simulation.add_robot(number, StartPose(40.0 * number, 0.0, 0.0, 0.0), N200, NOISY, awake=False)
+        assert not any(robot.awake for robot in simulation.robots.values())
+        simulation.wake()
+        simulation.wake()
+        return [
+            (*robot.sonar.readings_in, *robot.infrared.readings)
+            for robot in simulation.robots.values()
+            if robot.infrared is not None
+        ]
+
+    first, *others = (wakes(order) for order in ((0, 1, 2), (2, 1, 0), (1, 2, 0)))
+    assert others == [first] * 2
+    assert first[0][0] == pytest.approx(40.0 - N200.body.radius_in - N200.body.sonar_ring_radius_in, abs=2.0)
+    assert first[1][8] == pytest.approx(first[0][0], abs=2.0)
