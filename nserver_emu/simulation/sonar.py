@@ -29,6 +29,9 @@ from worlds.raycast import IndexArray, cast_ray, ray_to_disc
 FARTHEST_IN: Final = 500.0
 """No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""
 
+GRAZING_IN: Final = 1e-6
+"""So much farther from a line than its rim a robot still counts as met, until its range is worked out: rounding."""
+
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
 
@@ -103,12 +106,35 @@ class Sighting:
 
     def near(self, x_in: float) -> IndexArray:
         """Rows of the robots (k,) whose x is no farther than FARTHEST_IN from this one."""
-        first, end = bisect_left(self._xs, x_in - FARTHEST_IN), bisect_right(self._xs, x_in + FARTHEST_IN)
-        return self._order[first:end]
+        return self._order[self._slice(x_in)]
+
+    def on_line(self, x_in: float, y_in: float, direction_rad: float) -> list[int]:
+        """Rows of those near that a line through this point in this direction meets, and perhaps of some it grazes.
+
+        A centre is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
+        """
+        near = self._slice(x_in)
+        centres = self._centres[near].view(np.complex128)[:, 0]
+        turned = (centres - complex(x_in, y_in)) * complex(cos(direction_rad), -sin(direction_rad))
+        met = (np.abs(turned.imag) <= self._reach[near]).nonzero()[0]
+        rows: list[int] = self._order[near].take(met).tolist()
+        return rows
+
+    def _slice(self, x_in: float) -> slice:
+        return slice(bisect_left(self._xs, x_in - FARTHEST_IN), bisect_right(self._xs, x_in + FARTHEST_IN))
 
     @cached_property
     def _order(self) -> IndexArray:
         return self.discs[:, 0].argsort(kind="stable")
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        return np.ascontiguousarray(self.discs[self._order, :2])
+
+    @cached_property
+    def _reach(self) -> FloatArray:
+        reach: FloatArray = self.discs[self._order, 2] + GRAZING_IN
+        return reach
 
     @cached_property
     def _xs(self) -> list[float]:
@@ -153,12 +179,8 @@ class Eye(NamedTuple):
         """The robots (k, 3) that a ray from here in this direction can meet, or one the other way."""
         if len(self.seen.discs) < 2:
             return NO_ROBOTS
-        rows = self.seen.near(self.x_in)
-        x, y, radius = self.seen.discs.take(rows, axis=0).T
-        side = cos(direction_rad) * (y - self.y_in) - sin(direction_rad) * (x - self.x_in)
-        met = rows[np.abs(side) <= radius]
-        others: FloatArray = self.seen.discs.take(met[met != self.own], axis=0)
-        return others
+        rows = [row for row in self.seen.on_line(self.x_in, self.y_in, direction_rad) if row != self.own]
+        return self.seen.discs.take(rows, axis=0) if rows else NO_ROBOTS
 
 
 class Firing(NamedTuple):
