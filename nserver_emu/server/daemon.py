@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import cast
 
 from nclient.errors import ConnectionLost
+from nserver_emu.server.acquaintances import Acquaintances
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Acquaintance, Session
 
@@ -33,8 +34,8 @@ READ_SIZE = 4096
 """Bytes of one client that are looked at before it is the others' turn."""
 LOCKSTEPS_A_TURN = 100
 """Steps made at once for a client that waits in lockstep, before the others have their turn."""
-MOST_ACQUAINTANCES = 1000
-"""Addresses of which the last CONNECT is remembered; the oldest is forgotten for a new one."""
+FORGOTTEN_AFTER_S = 0.2
+"""Who closes a connection and goes on over one made before is seen to close before the other is seen to be there."""
 LOOPBACK = "127.0.0.1"
 LOOPBACK_NAMES = (LOOPBACK, "localhost")
 HOST_NAME_LOOPBACK = "127.0.1.1"
@@ -59,13 +60,18 @@ class Connection(asyncio.BufferedProtocol):
         self._host = peer[0] if peer else ""
         name = f"{peer[0]}:{peer[1]}" if peer else "client"
         self.session = Session(
-            self._daemon.emulator.answer, name, lambda: self._daemon.acquaintances.get(self._host)
+            self._daemon.emulator.answer, name, lambda wide: self._daemon.acquaintances.find(self, self._host, wide)
         )
         self._daemon.connections.add(self)
+        self._daemon.acquaintances.arrive(self, self._host)
         log.info("%s: connected", self.session.name)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._daemon.connections.discard(self)
+        if self.session.closing:
+            self._daemon.acquaintances.leave(self, disconnected=True)
+        else:
+            self._loop.call_later(FORGOTTEN_AFTER_S, self._daemon.acquaintances.leave, self)
         if exc or self.session.unfinished:
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
@@ -109,7 +115,7 @@ class Connection(asyncio.BufferedProtocol):
             return
         if self.session.met != self._met:
             self._met = self.session.met
-            self._daemon.remember(self._host, self._met)
+            self._daemon.acquaintances.note(self, self._host, self._met)
         if replies:
             self._transport.write(replies)
         if self.session.closing:
@@ -146,7 +152,7 @@ class Daemon:
     def __init__(self, emulator: Emulator, speed: float | None = 1.0) -> None:
         self.emulator = emulator
         self.connections: set[Connection] = set()
-        self.acquaintances: dict[str, Acquaintance] = {}
+        self.acquaintances = Acquaintances()
         self._servers: list[asyncio.Server] = []
         emulator.pace.factor = speed
 
@@ -167,14 +173,6 @@ class Daemon:
                 self._servers.append(await loop.create_server(lambda: Connection(self), HOST_NAME_LOOPBACK, port))
         self.emulator.port = port
         return port
-
-    def remember(self, host: str, met: Acquaintance | None) -> None:
-        """Note what the last CONNECT from an address agreed."""
-        self.acquaintances.pop(host, None)
-        if met is not None:
-            self.acquaintances[host] = met
-        if len(self.acquaintances) > MOST_ACQUAINTANCES:
-            del self.acquaintances[next(iter(self.acquaintances))]
 
     async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
         """Let time pass until told to stop, or until a client that may ends it; then close everything.
