@@ -1,104 +1,186 @@
-"""Steps of 0.1 s a second: one ideal N150 roams between 50 walls, sonars firing and read after every step.
+"""How fast the simulation is: one robot, fifty, a thousand, and ir-sim doing the same scene.
 
-Yardstick: cast_rays of 16 rays against the same 50 walls, timed in the same run. The ratio says how many steps cost as
-much as one such cast; it moves less from machine to machine than steps a second do.
+    python benchmarks/simulation.py [--setup NAME] [--robots N ...] [--rounds N] [--json]
+    python benchmarks/simulation.py --growth       the table of README.md: cost by robots, walls and cone rays
+
+Yardstick: cast_rays of 16 rays against the 50 walls of the scene, timed in the same run, turn about. A ratio to it
+moves less from machine to machine than steps a second do. All times are of the processor, the best of some rounds.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import json
-from collections.abc import Callable, Sequence
-from math import pi, sin, tau
-from time import perf_counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from math import radians, tau
+from time import process_time
+from typing import Final
 
 import numpy as np
+from peer import INSTALL, SPEED_IN_S, TURN_RAD_S, peer
+from scenes import WALLS, alone, crowd, roam
 
-from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import SETUPS
-from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.polaroid import Polaroid
+from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
+from nserver_emu.simulation.sonar import DEFAULT_ORDER
+from worlds.geometry import FloatArray
 from worlds.raycast import cast_rays
-from worlds.world import Polygon, World
 
-DT_S = 0.1
-HALF_IN = 240.0
-WALLS = 50
-TARGET_STEPS_PER_S = 3000
+Result = dict[str, float | int | str]
 
-
-def scene() -> World:
-    """A square room of 480 in with 46 walls of 30 in strewn into it, none within 40 in of the start: 50 walls."""
-    chance = np.random.default_rng(150)
-    middles = chance.uniform(-HALF_IN, HALF_IN, (400, 2))
-    middles = middles[np.hypot(*middles.T) > 55.0][: WALLS - 4]
-    angles = chance.uniform(0.0, pi, len(middles))
-    half = 15.0 * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-    corners = ((-HALF_IN, -HALF_IN), (HALF_IN, -HALF_IN), (HALF_IN, HALF_IN), (-HALF_IN, HALF_IN))
-    return World("benchmark", rooms=(Polygon(corners),), inner_walls=np.hstack((middles - half, middles + half)))
+DT_S: Final = 0.1
+CROWD_DT_S: Final = 0.12
+"""A crowd's step: two firings of a ring."""
+TARGET_STEPS_PER_S: Final = 10_000
+TARGETS: Final = {50: 10.0, 1000: 1.0}
+"""How many times real time so many robots must reach."""
+CASTS: Final = 30
 
 
-def roam(simulation: Simulation, robot: SimulatedRobot, steps: int) -> None:
-    """Drive in arcs that change every two seconds; wherever the robot is stopped it drives back."""
-    speed = 12.0
-    for step in range(steps):
-        stopped = not robot.moving[0]
-        if stopped or step % 20 == 0:
-            speed = -speed if stopped else speed
-            robot.set_velocities(speed, 0.5 * sin(step), 0.2)
-        simulation.step(DT_S)
-        assert len(robot.sonar.readings_in) == 16
-
-
-def seconds(work: Callable[[], object], rounds: int) -> float:
-    """The least time one round of some work takes."""
-    times = []
+def best_s(works: Sequence[Callable[[], object]], rounds: int) -> list[float]:
+    """The least processor time that each of some pieces of work takes, turn about."""
+    least = [float("inf")] * len(works)
     for _ in range(rounds):
-        begin = perf_counter()
-        work()
-        times.append(perf_counter() - begin)
-    return min(times)
+        for number, work in enumerate(works):
+            begin = process_time()
+            work()
+            least[number] = min(least[number], process_time() - begin)
+    return least
 
 
-def measure(setup: str, steps: int, rounds: int) -> dict[str, float | int | str]:
-    """Run the benchmark; the best of some rounds for work and yardstick alike."""
-    world = scene()
-    simulation = Simulation(world, seed=1)
-    robot = simulation.add_robot(1, setup=SETUPS[setup])
-    step_s = seconds(lambda: roam(simulation, robot, steps), rounds) / steps
+def yardstick(walls: FloatArray) -> Callable[[], None]:
+    """CASTS times 16 rays all around against these walls."""
     angles = np.arange(16) * tau / 16
     ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
 
     def cast() -> None:
-        for _ in range(200):
-            cast_rays((0.0, 0.0), ways, world.walls)
+        for _ in range(CASTS):
+            cast_rays((0.0, 0.0), ways, walls)
 
-    cast_s = seconds(cast, rounds) / 200
+    return cast
+
+
+def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: int = 1, steps: int = 300) -> Result:
+    """Steps a second of one robot, its sonars read every so many steps."""
+    simulation = alone(setup, walls)
+    cast = yardstick(alone(IDEAL).world.walls)
+    step_s, cast_s = best_s((lambda: roam(simulation, steps, DT_S, look_every), cast), rounds)
+    step_s, cast_s = step_s / steps, cast_s / CASTS
     return {
-        "setup": setup,
-        "walls": len(world.walls),
-        "steps": steps * rounds,
+        "setup": setup.name,
+        "walls": len(simulation.world.walls),
         "steps_per_s": round(1.0 / step_s),
         "step_us": round(step_s * 1e6, 1),
         "yardstick_us": round(cast_s * 1e6, 1),
         "ratio": round(cast_s / step_s, 3),
-        "target_steps_per_s": TARGET_STEPS_PER_S,
     }
 
 
+def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8, places_for: int = 0) -> Result:
+    """How many times real time a crowd runs; every ring is read every so many steps, 0 never."""
+    simulation, simulated_s = crowd(robots, setup, places_for), 8 * CROWD_DT_S
+    cast = yardstick(alone(IDEAL).world.walls)
+    steps = round(simulated_s / CROWD_DT_S)
+    run_s, cast_s = best_s((lambda: roam(simulation, steps, CROWD_DT_S, look_every), cast), rounds)
+    robot_s = run_s / (simulated_s * robots)
+    return {
+        "robots": robots,
+        "setup": setup.name,
+        "times_real_time": round(simulated_s / run_s, 2),
+        "us_a_robot_and_second": round(robot_s * 1e6),
+        "yardstick_us": round(cast_s / CASTS * 1e6, 1),
+        "ratio": round(cast_s / CASTS / robot_s, 3),
+    }
+
+
+def against_peer(rounds: int) -> Result | None:
+    """Steps a second of ours and of ir-sim in the same scene; None where that is not installed."""
+    simulations = [alone(IDEAL), alone(IDEAL)]
+    theirs = peer(simulations[0].world)
+    if theirs is None:
+        return None
+    for simulation, rate in zip(simulations, (15, 1), strict=True):
+        robot = simulation.robots[1]
+        robot.set_velocities(SPEED_IN_S, TURN_RAD_S, 0.0)
+        robot.configure_sonars(rate, DEFAULT_ORDER)
+
+    def ours(number: int) -> None:
+        robot = simulations[number].robots[1]
+        for _ in range(100):
+            simulations[number].step(DT_S)
+            assert len(robot.sonar.readings_in) == 16
+
+    usual_s, fastest_s, their_s = best_s((lambda: ours(0), lambda: ours(1), lambda: theirs(100)), rounds)
+    assert all(simulation.robots[1].moving[0] for simulation in simulations)
+    return {
+        "steps_per_s": round(100 / usual_s),
+        "steps_per_s_25_rays": round(100 / fastest_s),
+        "irsim_steps_per_s": round(100 / their_s),
+        "ratio": round(their_s / usual_s, 1),
+        "ratio_25_rays": round(their_s / fastest_s, 1),
+    }
+
+
+def growth(rounds: int) -> str:
+    """The table of README.md: each row changes one thing. Costs are in casts of the yardstick, a robot and second."""
+    rows = ["| what | | us a robot and second | in yardsticks |", "|---|---|---|---|"]
+
+    def add(what: str, much: str, result: Result, us: float) -> None:
+        rows.append(f"| {what} | {much} | {us:.0f} | {us / float(result['yardstick_us']):.1f} |")
+
+    for robots in (1, 10, 100, 1000):
+        result = many_robots(robots, IDEAL, rounds, places_for=1000)
+        add("robots in a room for 1,000, rings read once a second", str(robots), result,
+            float(result["us_a_robot_and_second"]))
+    for walls in (4, 50, 200, 800):
+        result = one_robot(IDEAL, rounds, walls)
+        add("walls, one robot, ring read ten times a second", str(walls), result, 10.0 * float(result["step_us"]))
+    for degrees in (5, 25, 60):
+        cone = replace(MEASURED, sonar=Polaroid(cone_rad=radians(degrees)))
+        result = one_robot(cone, rounds, steps=60)
+        add("cone of measured sonars, degrees, the same", str(degrees), result, 10.0 * float(result["step_us"]))
+    for setup in (IDEAL, NOISY, MEASURED):
+        result = one_robot(setup, rounds, look_every=0)
+        add("setup, one robot, ring never read", setup.name, result, 10.0 * float(result["step_us"]))
+    return "\n".join(rows)
+
+
+def report(setup: RobotSetup, crowds: Iterable[int], rounds: int) -> dict[str, Result | str]:
+    """All that is measured, by name."""
+    found: dict[str, Result | str] = {
+        "one": one_robot(setup, rounds) | {"target_steps_per_s": TARGET_STEPS_PER_S},
+        "one, sonars never read": one_robot(setup, rounds, look_every=0),
+    }
+    for robots in crowds:
+        target: Result = {"target_times_real_time": TARGETS[robots]} if robots in TARGETS else {}
+        found[f"{robots} robots"] = many_robots(robots, setup, rounds) | target
+        found[f"{robots} robots, sonars never read"] = many_robots(robots, setup, rounds, look_every=0)
+    found["against ir-sim"] = against_peer(rounds) or INSTALL
+    return found
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description="Steps of 0.1 s a second of one N150, 16 sonars, 50 walls.")
-    parser.add_argument("--setup", choices=sorted(SETUPS), default="ideal", help="how the robot is simulated")
-    parser.add_argument("--steps", type=int, default=1000, help="steps a round (1000)")
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--setup", choices=sorted(SETUPS), default="ideal", help="how robots are simulated")
+    parser.add_argument("--robots", type=int, nargs="*", default=sorted(TARGETS), help="crowds (default 50 1000)")
     parser.add_argument("--rounds", type=int, default=5, help="rounds, the best counts (5)")
+    parser.add_argument("--growth", action="store_true", help="print the table of README.md and nothing else")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args(arguments)
-    result = measure(options.setup, options.steps, options.rounds)
-    if options.json:
-        print(json.dumps(result))
+    gc.freeze()
+    if options.growth:
+        print(growth(options.rounds))
         return 0
-    print(f"{result['steps_per_s']} steps/s ({result['step_us']} us each), {result['walls']} walls, {result['setup']}")
-    print(f"yardstick: 16 rays x {result['walls']} walls in {result['yardstick_us']} us; ratio {result['ratio']}")
-    print(f"target: {result['target_steps_per_s']} steps/s")
+    found = report(SETUPS[options.setup], options.robots, options.rounds)
+    if options.json:
+        print(json.dumps(found))
+        return 0
+    for name, result in found.items():
+        told = result if isinstance(result, str) else ", ".join(f"{key} {value}" for key, value in result.items())
+        print(f"{name}: {told}")
     return 0
 
 

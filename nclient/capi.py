@@ -62,9 +62,9 @@ ROTATION_CONSTANT = WHEEL_IN_PER_DEG
 """Inches that a Scout's wheel travels for each degree of turn."""
 
 SERVER_MACHINE_NAME = ""
-"""Host of the server, this machine when empty; or an address that is answered in this process: sim:thesis_room."""
+"""Host of the server, this machine when empty; host:port; or an address, nserver://lab:7654/1 or sim:thesis_room."""
 SERV_TCP_PORT = 7019
-"""Port of the server."""
+"""Port of the server, where its name brings none."""
 ANSWER_TIMEOUT_S: float | None = None
 """How long an answer may take, in seconds; None: 5 for a server, on a robot's own line as the C library waits."""
 

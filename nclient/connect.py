@@ -77,7 +77,8 @@ def open_backend(address: str | None, wanted: Wanted) -> Backend:
 
 
 def open_machine(name: str, port: int, wanted: Wanted) -> Backend:
-    """What C programs name: a bare host, "" for this machine; or an address, as `open_backend` takes it."""
+    """What C programs name: a host, "" for this machine, host:port, which wins over `port`; or an address, as
+    `open_backend` takes it."""
     if _is_address(name):
         return open_backend(name, wanted)
     return open_nserver(_find(name, port, wanted.timeout_s), wanted)
@@ -100,7 +101,7 @@ def is_listening(name: str, port: int) -> bool:
     """Whether there is somebody to connect to, with names as `open_machine` takes them."""
     try:
         stream = opening_of(name, Wanted()).bare_stream() if _is_address(name) else _find(name, port, None)
-    except ConnectionLost:
+    except (AddressError, ConnectionLost):
         return False
     stream.close()
     return True
@@ -108,6 +109,9 @@ def is_listening(name: str, port: int) -> bool:
 
 def _find(name: str, port: int, timeout_s: float | None) -> TcpStream:
     """A stream to the host; where none is named, to the first name of this machine that answers."""
+    host, colon, digits = name.rpartition(":")
+    if colon and digits.isdecimal() and (":" not in host or host.endswith("]")):
+        name, port = host.strip("[]"), int(digits)
     *others, last = (name,) if name else names_of_this_machine()
     for host in others:
         with contextlib.suppress(ConnectionLost):
@@ -116,4 +120,5 @@ def _find(name: str, port: int, timeout_s: float | None) -> TcpStream:
 
 
 def _is_address(name: str) -> bool:
-    return text.parsed(name).scheme in known_schemes()
+    """Whether it begins with a scheme: lab:7654 is a host and its port, whatever schemes there are."""
+    return not name.partition(":")[2].isdecimal() and text.parsed(name).scheme in known_schemes()

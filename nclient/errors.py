@@ -7,7 +7,7 @@
     ├── RobotRefused                       an answer, and it is no: ERROR or NAK, with the command
     ├── BumperHit                          a bumper touched while the robot moved, and it was stopped (bumper_stop=1)
     ├── WireError (ValueError)             bytes that are no message, or values that no message can carry
-    ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
+    ├── WorldFileError (ValueError)        a world, model or setup file in TOML that cannot be used: file, key
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
     ├── FaultPlanError (ValueError)        a plan of faults that cannot be used: file, rule, key, what was expected
@@ -93,7 +93,7 @@ class WireError(NomadError, ValueError):
 
 
 class WorldFileError(NomadError, ValueError):
-    """A world file that cannot be used; the message names file, key and what was expected."""
+    """A world, model or setup file in TOML that cannot be used: the message names file, key and what was expected."""
 
 
 class StartError(NomadError, ValueError):

@@ -21,7 +21,6 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from difflib import get_close_matches
 from importlib.metadata import version
-from itertools import zip_longest
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,7 +32,7 @@ from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
-from nserver_emu.server import snapshot
+from nserver_emu.server import restore_options, snapshot
 from nserver_emu.server.control_options import add_options as add_control_options
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
@@ -41,15 +40,17 @@ from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.line_options import add_options as add_line_options
 from nserver_emu.server.line_options import at_port, open_lines
-from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
+from nserver_emu.server.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST, Pace
 from nserver_emu.server.recording import Beginning, header
 from nserver_emu.server.replay import replay
-from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Placed, Setting, pose_from_text
+from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS, Setting, placed
 from nserver_emu.server.setup_files import OldSetup, read_setups
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
 from nserver_emu.simulation.setup import SETUPS
+from nserver_emu.simulation.setup_toml import SUFFIX
 from worlds.files import load_world, world_names
+from worlds.tables import nearest
 
 log = logging.getLogger(__name__)
 
@@ -58,10 +59,8 @@ DEFAULT_PORT = 7019
 MAX_SPEED = "max"
 CONTROL = "ctl"
 """Instead of options: what follows is for a daemon that runs (ctl.py)."""
-LONGEST_LOCKSTEP_S = 10.0
 SETUP_SUFFIX = ".setup"
 MOST_SETUPS = 2
-MOST_ROBOTS = 1000
 OLD_OPTIONS = ("help", "noisy", "port")
 """What the original took after a single dash, by as few first letters as one likes."""
 
@@ -72,10 +71,13 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if words[:1] == [CONTROL]:
         return ctl.main(words[1:])
-    options = parser.parse_args([_as_value(_as_long_option(word)) for word in words])
+    words = [_as_value(_as_long_option(word)) for word in words]
+    options = parser.parse_args(words)
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
     real_options.refuse(parser, options)
+    restore_options.refuse(parser, options, words)
+    options.keeps_pace = restore_options.keeps_pace(parser, words)
     logging.basicConfig(
         level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(message)s",
@@ -97,6 +99,8 @@ def main(argv: list[str] | None = None) -> int:
 
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
+    for key in setups.unused:
+        log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
     faults = FaultDesk(time.monotonic)
     with reached(options, faults if may_have_faults(options) else None) as sides:
         return await _serve_with(sides, setups, options, faults)
@@ -108,8 +112,10 @@ async def _serve_with(
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
     emulator = beginning.emulator()
+    if emulator.pace.paused and not options.allow_control:
+        log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
-    daemon = Daemon(emulator, options.speed, gateway, faults)
+    daemon = Daemon(emulator, emulator.pace.factor, gateway, faults)
     daemon.places |= real_options.places(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
@@ -139,26 +145,15 @@ def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Na
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
 
 
-def _robots(options: argparse.Namespace, default: str) -> list[Placed]:
-    """The robots that the options ask for: the last model counts for the rest, who has no start gets a free one."""
-    models = options.robot or [default]
-    starts = [pose_from_text(text) for text in options.start or ()]
-    count = max(len(models), len(starts), options.robots)
-    models = [*models, *[models[-1]] * (count - len(models))]
-    return list(zip_longest(models, starts))
-
-
 def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
     """The simulation as the options say, or as a snapshot has it."""
-    (model, start), *others = _robots(options, robot)
+    (model, start), *others = placed(options.robot or [robot], options.start or (), options.robots)
     setting = Setting(
-        options.world, model, start, options.seed, options.noisy, options.setup, tuple(others), options.model_file
+        options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
     )
     pace = Pace(options.speed, options.paused, options.lockstep)
     allowed = Allowed(quit=options.allow_quit, control=options.allow_control)
-    if options.paused and not options.allow_control:
-        log.warning("paused, and no client can resume: --allow-control lets them")
-    return Beginning(setting, pace, allowed, options.restore)
+    return Beginning(setting, pace, allowed, options.restore, options.keeps_pace)
 
 
 def _replay(path: Path) -> int:
@@ -225,15 +220,20 @@ def _parser() -> argparse.ArgumentParser:
                         help="let DT simulated seconds pass when a client asks something, and none else")
     parser.add_argument("--allow-control", action="store_true", help="let clients pause, step and speed up the time")
     parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
-    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was")
+    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
+                        "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
+                        "are its own")
     parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="write down all that is said, with what it takes to have it said again")
     parser.add_argument("--replay", type=Path, metavar="FILE",
                         help="ask what a recording asked once more, compare every byte, and stop")
-    parser.add_argument("--setup", choices=tuple(SETUPS), default="",
-                        help="how real: ideal, noisy, or measured (sonars like a Polaroid ring, compass errs too)")
-    parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
+    parser.add_argument("--setup", type=_setup, metavar="NAME | FILE.toml",
+                        help="how real: ideal (default), noisy (ramps, noise of motion and sonars), measured (sonars "
+                        "like a Polaroid ring, compass errs too), worn (wheels that err the same way every time); or a "
+                        "file made from one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] "
+                        "(every key is in docs/setups.md)")
+    parser.add_argument("--noisy", action="store_true", help="the same as --setup noisy")
     add_line_options(parser)
     real_options.add_options(parser)
     add_control_options(parser)
@@ -293,6 +293,15 @@ def _port(text: str) -> int:
 
 def _seed(text: str) -> int:
     return _number(text, int, (0, 2**31 - 1), "a seed is 0 to 2147483647")
+
+
+def _setup(text: str) -> str:
+    """The name of a setup, or a file, which is read later."""
+    if text not in SETUPS and not text.endswith(SUFFIX):
+        raise argparse.ArgumentTypeError(
+            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{nearest(text, SETUPS)}"
+        )
+    return text
 
 
 def _host(text: str) -> str:

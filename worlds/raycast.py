@@ -12,7 +12,8 @@ side for both (or, within ON_LINE_IN, on the line for one of them), so no ray sl
 
 from __future__ import annotations
 
-from math import inf
+from collections.abc import Sequence
+from math import inf, sqrt
 from typing import Final
 
 import numpy as np
@@ -60,7 +61,8 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
     ways = np.asarray(directions, dtype=np.float64)
     segments = np.ascontiguousarray(walls, dtype=np.float64)
     if starts.ndim == ways.ndim == 1 and len(segments):
-        nearest, row = _cast_one(starts, ways, segments)
+        (x, y), (dx, dy) = starts.tolist(), ways.tolist()
+        nearest, row = cast_ray(x, y, dx, dy, segments)
         return np.array(nearest), np.array(row, dtype=np.intp)
     shape = np.broadcast_shapes(starts.shape, ways.shape)
     ranges, rows = _cast_many(
@@ -90,13 +92,25 @@ def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.Arr
     return ranges
 
 
-def _cast_one(origin: FloatArray, direction: FloatArray, walls: FloatArray) -> tuple[float, int]:
-    """One ray: sides and aheads of all corners in arrays, then one by one the few walls worth a look.
+def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float]) -> float:
+    """`cast_discs` of a single ray from (x, y) along (dx, dy) and one disc (x, y, radius), to the same bit."""
+    to_x, to_y, radius = disc[0] - x, disc[1] - y, disc[2]
+    ahead, side = to_x * dx + to_y * dy, dx * to_y - dy * to_x
+    if abs(side) > radius:
+        return inf
+    half_chord = sqrt(radius * radius - side * side)
+    return inf if ahead + half_chord < 0.0 else max(ahead - half_chord, 0.0)
 
-    A corner is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
+
+def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
+    """`cast_rays` of a single ray from (x, y) along (dx, dy), in numbers: the quickest way for one.
+
+    walls       (m, 4) as there, contiguous
+    returns     the range, and the row of the wall that is met
+
+    Sides and aheads of all corners in arrays, then one by one the few walls worth a look. A corner is the complex
+    number x + iy; times the conjugate of the direction it is ahead + i side.
     """
-    x, y = origin.tolist()
-    dx, dy = direction.tolist()
     seen = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).view(np.float64)
     rows = (seen[:, 1] * seen[:, 3] <= _WORTH_A_LOOK).nonzero()[0]
     nearest, hit = inf, NO_WALL

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 from nclient.faults.language import Language, TcpLanguage
 from nclient.protocol.models import N150
 from nclient.recording.follower import TCP
+from nserver_emu.server.acquaintances import FORGOTTEN_AFTER_S
 from nserver_emu.server.session import Acquaintance, Host, Session
 from nserver_emu.server.talker import READ_SIZE, Talker
 
@@ -38,11 +39,16 @@ class Connection(Talker, asyncio.BufferedProtocol):
         self._host = peer[0] if peer else ""
         self._meet(f"{peer[0]}:{peer[1]}" if peer else "client")
         self._daemon.connections.add(self)
+        self._daemon.acquaintances.arrive(self, self._host)
         log.info("%s: connected", self.session.name)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._silence()
         self._daemon.connections.discard(self)
+        if self.session.closing:
+            self._daemon.acquaintances.leave(self, disconnected=True)
+        else:
+            self._loop.call_later(FORGOTTEN_AFTER_S, self._daemon.acquaintances.leave, self)
         if exc or self.session.unfinished:
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
@@ -71,14 +77,16 @@ class Connection(Talker, asyncio.BufferedProtocol):
 
     def _meet(self, name: str) -> None:
         """Begin the conversation."""
-        self.session = Session(self._behind.answer, name, lambda: self._daemon.acquaintances.get(self._host))
+        self.session = Session(
+            self._behind.answer, name, lambda wide: self._daemon.acquaintances.find(self, self._host, wide)
+        )
         self._tape = self._daemon.recorder.open(name, TCP, N150)
 
     def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
         super()._guarded(speak, by_time)
         if self.session.met != self._met:
             self._met = self.session.met
-            self._daemon.remember(self._host, self._met)
+            self._daemon.acquaintances.note(self, self._host, self._met)
 
     def _language(self) -> Language:
         return TcpLanguage(None if self.session.met is None else self.session.met.wide)

@@ -21,10 +21,11 @@ from typing import Any
 from nclient.errors import ConnectionLost
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
+from nserver_emu.server.acquaintances import Acquaintances
 from nserver_emu.server.connection import Connection
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Acquaintance, Host
+from nserver_emu.server.session import Host
 from nserver_emu.server.talker import Talker
 
 log = logging.getLogger(__name__)
@@ -36,8 +37,6 @@ LONGEST_CATCH_UP_S = 0.25
 FAST_STEP_S = 0.1
 LOCKSTEPS_A_TURN = 100
 """Steps made at once for a client that waits in lockstep, before the others have their turn."""
-MOST_ACQUAINTANCES = 1000
-"""Addresses of which the last CONNECT is remembered; the oldest is forgotten for a new one."""
 LOOPBACK = "127.0.0.1"
 LOOPBACK_NAMES = (LOOPBACK, "localhost")
 HOST_NAME_LOOPBACK = "127.0.1.1"
@@ -56,7 +55,7 @@ class Daemon:
         self.host: Host = emulator if host is None else host
         self.recorder: AnyRecorder = OFF
         self.connections: set[Talker] = set()
-        self.acquaintances: dict[str, Acquaintance] = {}
+        self.acquaintances = Acquaintances()
         self.faults = FaultDesk(time.monotonic) if faults is None else faults
         self.places: dict[str, str] = {}
         """Where each line is reached, by its name."""
@@ -105,14 +104,6 @@ class Daemon:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
         clock = asyncio.get_running_loop().time
         self.recorder = Recorder(LogWriter(path, header), lambda: self.emulator.simulation.time_s, clock)
-
-    def remember(self, host: str, met: Acquaintance | None) -> None:
-        """Note what the last CONNECT from an address agreed."""
-        self.acquaintances.pop(host, None)
-        if met is not None:
-            self.acquaintances[host] = met
-        if len(self.acquaintances) > MOST_ACQUAINTANCES:
-            del self.acquaintances[next(iter(self.acquaintances))]
 
     async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
         """Let time pass until told to stop, or until a client that may ends it; then close everything.
@@ -166,7 +157,7 @@ class Daemon:
     def step(self, dt_s: float) -> None:
         """Let simulated time pass."""
         self.recorder.stepped(dt_s)
-        self.emulator.simulation.step(dt_s)
+        self.emulator.pass_time(dt_s)
 
     def tick(self) -> None:
         """Answers that were to come later may be there."""

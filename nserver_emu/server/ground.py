@@ -22,6 +22,7 @@ from nserver_emu.server.state_reply import state_slots, with_laser
 from nserver_emu.simulation.company import discs_of
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL
+from nserver_emu.simulation.sonar import Sighting
 from worlds.geometry import area, crossing, inside, lengths, nearest_points
 from worlds.world import Polygon, StartPose
 
@@ -98,7 +99,8 @@ def place_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
         stage.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, visit.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
-    robot.place(place.x_in, place.y_in, place.steering_rad, place.turret_rad)
+    assert visit.robot_id is not None
+    stage.simulation.place(visit.robot_id, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
     return done()
 
 
@@ -120,9 +122,9 @@ def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     """What the sensors would read at another place of the map, ideal ones without noise; no robot goes there."""
     simulation, robot = stage.simulation, stage.robot_of(visit)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    seen = np.vstack((discs_of(others), (0.0, 0.0, 0.0)))
+    seen = Sighting(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, others=(seen, len(others))
+        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, lookout=seen, own=len(others)
     )
     slots, laser = with_laser(there, visit.terms, state_slots(there, stage.pace.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)

@@ -30,7 +30,7 @@ class Emulator(Stage):
         In lockstep the simulated time moves first, so that the answer shows where it led.
         """
         if self.pace.asked_s and call.name not in TIMELESS:
-            self.simulation.step(self.pace.asked_s)
+            self.pass_time(self.pace.asked_s)
         if visit.robot_id is not None:
             self.robot_of(visit).feed()
         if call.name not in QUESTIONS:
@@ -39,7 +39,7 @@ class Emulator(Stage):
         answer = handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
         if call.name in SHOWN and isinstance(answer, Reply):
             visit.keep(answer.slots)
-        return answer
+        return answer if isinstance(answer, Reply) else self.promise(visit, answer)
 
 
 QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",

@@ -34,6 +34,8 @@ def connect_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     robot_id = args[0]
     known = robot_id in stage.simulation.robots
     visit.robot_id = robot_id if known else visit.robot_id
+    if known:
+        stage.drivers.adopt(visit, robot_id, stage.simulation.robots[robot_id])
     return Reply("simple", values=(stage.port if known else 0,))
 
 
@@ -82,7 +84,7 @@ def sim_control(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
     if not stage.allowed.control or (verb == SPEED and pace.lockstep_s is not None):
         return error_reply(REFUSED)
     if verb == STEP and 0 <= value <= LONGEST_STEP_MS:
-        stage.simulation.step(value / 1000)
+        stage.pass_time(value / 1000)
     elif verb == SPEED and (value == 0 or SLOWEST <= value / 10 <= FASTEST):
         pace.factor = value / 10 or None
     elif verb in (PAUSE, RESUME):

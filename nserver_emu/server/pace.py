@@ -12,6 +12,8 @@ from typing import Final
 
 SLOWEST: Final = 0.1
 FASTEST: Final = 100.0
+LONGEST_LOCKSTEP_S: Final = 10.0
+"""The longest step in lockstep, simulated seconds."""
 AS_FAST_AS_IT_CAN: Final = 9999
 """What State[0] shows where the simulated time runs as fast as it can."""
 
@@ -23,6 +25,15 @@ class Pace:
     factor: float | None = 1.0
     paused: bool = False
     lockstep_s: float | None = None
+
+    def check(self) -> None:
+        """Raises ValueError where this is no pace: a value that came from outside may be anything."""
+        steps = (self.factor, SLOWEST, FASTEST), (self.lockstep_s, 0.0, LONGEST_LOCKSTEP_S)
+        for value, low, high in steps:
+            if value is not None and (isinstance(value, bool) or not low <= value <= high):
+                raise ValueError(f"a pace of {value}")
+        if not isinstance(self.paused, bool) or self.lockstep_s == 0.0:
+            raise ValueError("a pace that neither passes nor stands")
 
     @property
     def runs_alone(self) -> bool:

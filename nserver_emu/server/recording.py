@@ -28,18 +28,20 @@ DAEMON: Final = "nserver"
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """How a daemon's simulation begins. `restored`: the snapshot that it goes on from."""
+    """How a daemon's simulation begins. `restored`: the snapshot that it goes on from, at its pace or at this one."""
 
     setting: Setting
     pace: Pace
     allowed: Allowed
     restored: Path | None = None
+    keeps_pace: bool = False
 
     def emulator(self) -> Emulator:
         """That simulation, at its beginning. Raises what a daemon's start may raise."""
         emulator = Emulator(self.setting.simulation(), pace=replace(self.pace), allowed=self.allowed)
         if self.restored:
             snapshot.restore(emulator, self.restored)
+            emulator.pace = emulator.pace if self.keeps_pace else replace(self.pace)
         return emulator
 
 
@@ -59,7 +61,7 @@ def header(beginning: Beginning, started: str, **of_daemon: int) -> dict[str, An
     return {
         "package": version("nomad-nserver"), "started": started, "by": DAEMON, "time": "simulated",
         "setting": asdict(setting) | files, "pace": asdict(beginning.pace), "allowed": asdict(beginning.allowed),
-        "restored": _path_text(beginning.restored),
+        "restored": _path_text(beginning.restored), "keeps_pace": beginning.keeps_pace,
     } | of_daemon  # fmt: skip
 
 
@@ -74,7 +76,7 @@ def beginning_of(found: Mapping[str, Any], name: str) -> Beginning:
         _ = found["port"], found["requests_a_turn"]
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{name}, line 1: does not tell how the simulation began ({error!r})") from None
-    return Beginning(setting, pace, allowed, _path(found.get("restored")))
+    return Beginning(setting, pace, allowed, _path(found.get("restored")), bool(found.get("keeps_pace")))
 
 
 def _start(told: Mapping[str, float] | None) -> StartPose | None:

@@ -15,10 +15,11 @@ from nclient.errors import RecordingError
 from nclient.protocol.models import model_named
 from nclient.recording.follower import HELLO_FIRST, TCP
 from nclient.recording.log import IN, OUT, Entry, Recording
+from nserver_emu.server.acquaintances import FORGOTTEN_AFTER_S, Acquaintances
 from nserver_emu.server.in_process import SCHEME, InProcess, open_address
 from nserver_emu.server.line_session import LineSession
 from nserver_emu.server.recording import DAEMON, beginning_of
-from nserver_emu.server.session import Acquaintance, Conversation, Session
+from nserver_emu.server.session import Conversation, Session
 
 _SHOWN = 12
 
@@ -82,12 +83,15 @@ class _DaemonAgain:
         self._sessions: dict[str, Conversation[Any]] = {}
         self._greetings: dict[str, bytes] = {}
         self._line_clock_s = 0.0
-        self._acquaintances: dict[str, Acquaintance | None] = {}
+        self._acquaintances = Acquaintances()
+        self._leaving: list[tuple[float, str]] = []
 
     def follow(self, entry: Entry) -> bytes:
+        while self._leaving and self._leaving[0][0] <= entry.time_s:
+            self._acquaintances.leave(self._leaving.pop(0)[1])
         for dt_s, count in entry.more.get("steps", ()):
             for _ in range(count):
-                self._emulator.simulation.step(dt_s)
+                self._emulator.pass_time(dt_s)
         self._line_clock_s = entry.more.get("at", self._line_clock_s)
         if "pace" in entry.more:
             self._emulator.pace.factor, self._emulator.pace.paused = entry.more["pace"]
@@ -101,6 +105,10 @@ class _DaemonAgain:
                 return self._turn(entry)
             case "close":
                 session = self._sessions.pop(entry.connection)
+                if session.closing:
+                    self._acquaintances.leave(entry.connection, disconnected=True)
+                else:
+                    self._leaving.append((entry.time_s + FORGOTTEN_AFTER_S, entry.connection))
                 self._emulator.leave(session.visit)
         return b""
 
@@ -108,7 +116,8 @@ class _DaemonAgain:
         answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
         wire, model = entry.more["wire"], model_named(entry.more["model"])
         if wire == TCP:
-            self._sessions[name] = Session(answer, name, lambda: self._acquaintances.get(host))
+            self._acquaintances.arrive(name, host)
+            self._sessions[name] = Session(answer, name, lambda wide: self._acquaintances.find(name, host, wide))
             return
         line = LineSession(answer, entry.more["robot_id"], model, lambda: self._line_clock_s, name)
         self._sessions[name] = line
@@ -127,7 +136,7 @@ class _DaemonAgain:
         before = session.met
         said = session.answers(self._most)
         if session.met != before:
-            self._acquaintances[_host(name)] = session.met
+            self._acquaintances.note(name, _host(name), session.met)
         return said
 
 

@@ -1,4 +1,5 @@
-"""Infrareds, compass and laser: their questions and settings, a function a command. The N150 has but the compass.
+"""Infrareds, compass and laser: their questions and settings, a function a command. The N150 has but the compass,
+the Scout none of them.
 
 Rules: as in questions.py; bytes of a setting are taken as the line carries them, and what no robot has is ERROR 2.
 """
@@ -12,7 +13,7 @@ from nclient.protocol.units import heading_tenths
 from nserver_emu.server.laser_vector import is_on, laser_vector
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
 from nserver_emu.server.stage import Stage
-from nserver_emu.server.state_reply import compass_stamp, infrared_stamps, robot_clock_ms, stamp_now
+from nserver_emu.server.state_reply import compass_stamps, infrared_stamps, robot_clock_ms, stamp_now
 from nserver_emu.simulation.compass import CompassMode
 from nserver_emu.simulation.infrared import INFRAREDS
 from nserver_emu.simulation.laser import LineFit
@@ -51,25 +52,33 @@ def conf_cp(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     On the robot's own line the answer is the three scores of the calibration (decision of ours, for no source says
     what they mean: quality and surroundings 0..9, and how many there were, 0 or 1).
     """
+    robot = stage.robot_of(visit)
+    if robot.compass is None:
+        return error_reply(NOT_AVAILABLE)
     if args[0] not in list(CompassMode):
         return error_reply(BAD_VALUES)
-    compass = stage.robot_of(visit).compass
-    compass.configure(args[0])
+    robot.configure_compass(args[0])
     if visit.terms.line:
-        return Reply("compass", values=CALIBRATED if compass.calibrated else NOT_CALIBRATED)
+        return Reply("compass", values=CALIBRATED if robot.compass.calibrated else NOT_CALIBRATED)
     return stage.state(visit)
 
 
 def get_cp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     """The direction of the turret as the compass last told it."""
     robot, now_s = stage.robot_of(visit), stage.simulation.time_s
-    stamps = {"compass": compass_stamp(robot, now_s)} if visit.terms.mask.position & Position.COMPASS else {}
+    if robot.compass is None:
+        return error_reply(NOT_AVAILABLE)
+    stamps = compass_stamps(robot, now_s) if visit.terms.mask.position & Position.COMPASS else {}
     slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
     return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
 
 def conf_ls(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """How many columns of the laser count (0: all); the session has noted the mode, the rest has no effect."""
+    """How many columns of the laser count (0: all); the session has noted the mode.
+
+    Threshold, width and processing tell a camera's picture from its noise; there is no picture here, and no source
+    that tells their units: they have no effect.
+    """
     robot = stage.robot_of(visit)
     if not robot.model.sees:
         return error_reply(NOT_AVAILABLE)

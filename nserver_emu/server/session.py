@@ -6,7 +6,7 @@
     Conversation    that course of things, in whatever language        Session    over TCP, with a CONNECT
 
 An old client may go on over a second connection without another CONNECT: it is then taken for the one that
-`acquaintance` knows, robot and word width. Its first message tells: it is a CONNECT or it is not.
+`acquaintance` knows, robot and word width. Its first message tells: it is a CONNECT or it is not (first_bytes.py).
 
 Rules: one request, one reply, in order; a request behind one that is answered later waits its turn. Who answers is
 handed in, so the same conversation serves a simulation and a gateway. Nothing here knows a socket or a clock.
@@ -31,6 +31,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.state import STATE_SIZE
 from nclient.protocol.tcp_frame import Refused, TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.terms import Terms, tcp_terms
+from nserver_emu.server import first_bytes
 
 log = logging.getLogger(__name__)
 
@@ -38,14 +39,12 @@ BAD_VALUES, NOT_CONNECTED, NOT_AVAILABLE, REFUSED = 2, 3, 4, 5
 """Codes of ERROR replies."""
 CROWD = 100
 _CONNECTS = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
-_CONNECT_TYPES = frozenset(BY_NAME[name].tcp_type for name in _CONNECTS)
-_TYPE_BYTES = 2
 
 
 class Told(NamedTuple):
     """A state reply, and what it was made from: one look at the robot, on these terms."""
 
-    slots: list[int]
+    look: object
     mask: Mask
     laser_mode: int
     reply: Reply
@@ -87,10 +86,11 @@ class Host(Protocol):
 
 
 class Acquaintance(NamedTuple):
-    """What the last CONNECT from an address agreed: which robot, and whether the client is a 64-bit one."""
+    """What a CONNECT agreed: which robot, whether the client is a 64-bit one, and whether it said nothing since."""
 
     robot_id: int
     wide: bool
+    silent: bool = False
 
 
 def error_reply(code: int) -> Reply:
@@ -182,39 +182,44 @@ class Conversation(ABC, Generic[Request]):
 
 
 class Session(Conversation[TcpFrame | Refused]):
-    """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before."""
+    """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before, of
+    the word width that the first bytes show (None: they do not)."""
 
     def __init__(
-        self, answer: Answer, name: str = "client", acquaintance: Callable[[], Acquaintance | None] = lambda: None
+        self,
+        answer: Answer,
+        name: str = "client",
+        acquaintance: Callable[[bool | None], Acquaintance | None] = lambda _: None,
     ) -> None:
         super().__init__(answer, name, Visit())
         self._acquaintance = acquaintance
         self._head: bytes | None = b""
+        self._silent = False
         self._framer = TcpFramer(request_bounds, gives_up=True)
 
     @property
     def unfinished(self) -> int:
-        return self._framer.pending
+        return self._framer.pending + len(self._head or b"")
 
     @property
     def met(self) -> Acquaintance | None:
         """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
         robot_id = self.visit.robot_id
-        return None if robot_id is None else Acquaintance(robot_id, self.visit.terms.wide)
+        return None if robot_id is None else Acquaintance(robot_id, self.visit.terms.wide, self._silent)
 
     def receive(self, data: bytes) -> None:
         if self.closing:
             return
         if self._head is not None:
             data = self._head = self._head + data
-            if len(data) < _TYPE_BYTES:
+            if not first_bytes.enough(data):
                 return
             self._head = None
-            self._recognise(int.from_bytes(data[:_TYPE_BYTES], "big"))
+            self._recognise(data)
         self._queue.extend(self._framer.receive(data))
 
-    def _recognise(self, first_type: int) -> None:
-        known = self._acquaintance() if first_type not in _CONNECT_TYPES else None
+    def _recognise(self, head: bytes) -> None:
+        known = None if first_bytes.connects(head) else self._acquaintance(first_bytes.width(head))
         if known is not None:
             log.info("%s: goes on without CONNECT, as robot %d", self.name, known.robot_id)
             self.visit.robot_id = known.robot_id
@@ -236,6 +241,7 @@ class Session(Conversation[TcpFrame | Refused]):
         self.visit.terms.wide = bool(self._framer.wide)
         language.note(call, self.visit.terms)
         answer = self._answer(call, self.visit)
+        self._silent = call.name in _CONNECTS
         self.closing = not row.has_tcp_reply
         if self.closing:
             return b""

@@ -31,11 +31,11 @@ from nserver_emu.server.state_reply import state_slots
 from nserver_emu.simulation.simulation import Simulation
 
 FORMAT: Final = "nserver snapshot"
-KEPT: Final = ("simulation", "graphics", "transcript", "arms")
-"""What of an emulator is kept: all but connections, port, pace and permissions, which belong to a daemon's start."""
+KEPT: Final = ("simulation", "pace", "graphics", "transcript", "arms")
+"""What of an emulator is kept: all but connections, port and permissions, which belong to a daemon's start."""
 
 _ROOMS: Final = (
-    "nserver_emu.simulation.", "nserver_emu.server.arm", "nserver_emu.server.graphics",
+    "nserver_emu.simulation.", "nserver_emu.server.arm", "nserver_emu.server.graphics", "nserver_emu.server.pace",
     "nserver_emu.server.transcript", "worlds.",
 )  # fmt: skip
 _PLAIN: Final = (type(None), bool, int, float, str)
@@ -88,6 +88,7 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         for part in KEPT:
             if type(parts[part]) is not type(getattr(emulator, part)):
                 raise SnapshotError(f"its {part} is none")
+        parts["pace"].check()
         _try(tried["simulation"])
     except SnapshotError as error:
         raise SnapshotError(f"{name}: {error}") from None
@@ -96,6 +97,7 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
     for part in KEPT:
         setattr(emulator, part, parts[part])
     emulator.look_anew()
+    emulator.drivers.orphan(emulator.simulation.robots)
 
 
 def _try(simulation: Simulation) -> None:

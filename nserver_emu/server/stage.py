@@ -10,18 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 from nclient.protocol.replies import Reply
 from nserver_emu.server.arm import Arm
+from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Told, Visit
-from nserver_emu.server.state_reply import clock_ms, state_reply, state_slots
+from nserver_emu.server.promises import Promises
+from nserver_emu.server.session import Later, Told, Visit
+from nserver_emu.server.state_reply import Look, clock_ms, state_reply
 from nserver_emu.server.transcript import Transcript
+from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
 
-ALL_AXES = (0, 1, 2)
+PIECE_PS: Final = PS_PER_S // 10
+"""The longest time that passes before those who wait for it are asked, a tenth of a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +51,28 @@ class Stage:
         self.graphics = Graphics()
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
-        self._drivers: dict[int, list[Visit | None]] = {}
-        self._looked: dict[int, tuple[float, list[int]]] = {}
+        self.drivers = Drivers()
+        self._looked: dict[int, tuple[float, Look]] = {}
+        self._promises = Promises()
 
     def leave(self, visit: Visit) -> None:
-        """A connection is gone: a robot with an axis that obeys its last motion command stops."""
+        """A connection is gone: what moves by its commands stops."""
         self.look_anew()
-        for robot_id in [robot_id for robot_id, drivers in self._drivers.items() if visit in drivers]:
-            del self._drivers[robot_id]
-            self.simulation.robots[robot_id].stop()
+        self._promises.drop(visit)
+        self.drivers.leave(visit, self.simulation.robots)
+
+    def pass_time(self, seconds: float) -> None:
+        """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
+        left_ps = to_ps(seconds)
+        while left_ps:
+            piece_ps = min(left_ps, PIECE_PS)
+            self.simulation.step(to_s(piece_ps))
+            self._promises.ask()
+            left_ps -= piece_ps
+
+    def promise(self, visit: Visit, later: Later) -> Later:
+        """The same answer, made at the moment it is there even if nobody asks for it then."""
+        return self._promises.make(visit, later)
 
     def look_anew(self) -> None:
         """Something changed other than by time: no look at a robot is still good."""
@@ -68,9 +86,7 @@ class Stage:
     def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """The robot, these axes of it from now on obeying this connection."""
         assert visit.robot_id is not None
-        drivers = self._drivers.setdefault(visit.robot_id, [None] * len(ALL_AXES))
-        for axis in axes:
-            drivers[axis] = visit
+        self.drivers.take(visit, visit.robot_id, axes)
         return self.robot_of(visit)
 
     def arm_of(self, visit: Visit) -> Arm:
@@ -88,15 +104,15 @@ class Stage:
         """
         assert visit.robot_id is not None
         robot, now_s = self.simulation.robots[visit.robot_id], self.simulation.time_s
-        looked_s, slots = self._looked.get(visit.robot_id, (None, []))
-        if looked_s != now_s:
-            slots = state_slots(robot, self.pace.speed_tenths)
-            self._looked[visit.robot_id] = (now_s, slots)
+        looked_s, look = self._looked.get(visit.robot_id, (None, None))
+        if look is None or looked_s != now_s:
+            look = Look(robot, self.pace.speed_tenths)
+            self._looked[visit.robot_id] = (now_s, look)
         if not visit.terms.line:
-            return state_reply(robot, visit, now_s, slots)
+            return state_reply(robot, visit, now_s, look)
         told, mask, mode = visit.told, visit.terms.mask, visit.terms.laser_mode
-        if told is None or told.slots is not slots or told.mask is not mask or told.laser_mode != mode:
-            told = visit.told = Told(slots, mask, mode, state_reply(robot, visit, now_s, slots))
+        if told is None or told.look is not look or told.mask is not mask or told.laser_mode != mode:
+            told = visit.told = Told(look, mask, mode, state_reply(robot, visit, now_s, look))
         return told.reply
 
     @property

@@ -4,17 +4,21 @@
     41 motors | 42 laser mode | 43 compass | 44 error
 
 Rules: reads a robot, changes nothing but what the connection keeps. A slot that the mask leaves out keeps the value
-last sent on that connection; on the robot's own line it is not sent at all.
+last sent on that connection; on the robot's own line it is not sent at all. It costs nothing: no ray is cast for a
+reading that nobody is shown.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Final
 
-from nclient.protocol.mask import LASER_SLOT, Position
+from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, EVERYTHING, LASER_SLOT, Mask, Position
 from nclient.protocol.replies import Reply
 from nclient.protocol.stamps import INFRARED_KEYS, SONAR_KEYS, Stamp
+from nclient.protocol.state import STATE_SIZE
 from nclient.protocol.terms import Terms
 from nclient.protocol.units import (
     CPU_RANGE_V,
@@ -36,7 +40,8 @@ from nserver_emu.simulation.robot import SimulatedRobot
 INFRARED_NOTHING = 15
 CLOCK_WORD = 0xFFFFFFFF
 """After fifty days the clock begins anew, as a word of milliseconds does."""
-UNMASKED_SLOTS = (0, 41, 44)
+_MOTORS_SLOT = 41
+UNMASKED_SLOTS = (0, _MOTORS_SLOT, 44)
 
 
 def clock_ms(time_s: float, step_s: float = 0.0) -> int:
@@ -67,27 +72,51 @@ def velocity_tenths(robot: SimulatedRobot) -> tuple[int, int, int]:
     return axis_tenths(robot, robot.velocities)
 
 
+def _infrareds(robot: SimulatedRobot) -> Sequence[int]:
+    return robot.infrared.readings if robot.infrared is not None else (INFRARED_NOTHING,) * 16
+
+
+_PARTS: Final[tuple[tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]], ...]] = (
+    (1, 17, _infrareds),
+    (17, 33, lambda robot: robot.sonar.readings_in),
+    (BUMPER_SLOT, 34, lambda robot: (robot.bumpers,)),
+    (34, 38, pose_tenths),
+    (38, 41, velocity_tenths),
+    (COMPASS_SLOT, 44, lambda robot: (heading_tenths(robot.compass.direction_rad) if robot.compass else 0,)),
+)
+"""The parts of State that a mask can leave out: first slot, the one after the last, what they show."""
+
+
+class Look:
+    """What State shows of a robot at one moment, however many ask: each part is worked out when the first one is
+    shown it, and once. `speed` is State[0]."""
+
+    def __init__(self, robot: SimulatedRobot, speed: int) -> None:
+        self._robot = robot
+        moving = robot.moving
+        self._slots = [0] * STATE_SIZE
+        self._slots[0], self._slots[_MOTORS_SLOT] = speed, moving[0] | moving[1] << 1 | moving[2] << 2
+        self._missing = list(_PARTS)
+
+    def slots(self, mask: Mask = EVERYTHING) -> list[int]:
+        """State[0..44], right where the mask lets through; the caller leaves the list as it is."""
+        if self._missing:
+            shown = [part for part in self._missing if mask.whole or any(mask.smask[part[0] : part[1]])]
+            for first, end, values in shown:
+                self._slots[first:end] = values(self._robot)
+            self._missing = [part for part in self._missing if part not in shown]
+        return self._slots
+
+
 def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
     """State[0..44] as it is now, all sensors in."""
-    moving = robot.moving
-    return [
-        speed,
-        *(robot.infrared.readings if robot.infrared is not None else [INFRARED_NOTHING] * 16),
-        *robot.sonar.readings_in,
-        robot.bumpers,
-        *pose_tenths(robot),
-        *velocity_tenths(robot),
-        moving[0] | moving[1] << 1 | moving[2] << 2,
-        0,
-        heading_tenths(robot.compass.direction_rad),
-        0,
-    ]
+    return Look(robot, speed).slots()
 
 
-def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, slots: list[int]) -> Reply:
-    """The whole state of a robot, `slots` as of now, on the terms of this connection."""
+def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, look: Look) -> Reply:
+    """The whole state of a robot, `look` as of now, on the terms of this connection."""
     mask = visit.terms.mask
-    slots, laser = with_laser(robot, visit.terms, slots, wanted=mask.has(LASER_SLOT))
+    slots, laser = with_laser(robot, visit.terms, look.slots(mask), wanted=mask.has(LASER_SLOT))
     slots = as_sent(visit, slots)
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
     return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
@@ -124,7 +153,7 @@ def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str,
     if position & Position.LASER and robot.model.sees:
         stamps["laser"] = stamp_now(robot, time_s)
     if position & Position.COMPASS:
-        stamps["compass"] = compass_stamp(robot, time_s)
+        stamps |= compass_stamps(robot, time_s)
     return stamps
 
 
@@ -155,9 +184,12 @@ def stamp_now(robot: SimulatedRobot, time_s: float) -> Stamp:
     return Stamp(*pose_tenths(robot), *velocity_tenths(robot), now_ms, now_ms)
 
 
-def compass_stamp(robot: SimulatedRobot, time_s: float) -> Stamp:
-    """The pose of now, and when the compass was read: up to a tenth of a second ago."""
-    return stamp_now(robot, time_s)._replace(sensor_time=robot_clock_ms(robot, to_s(robot.compass.taken_ps)))
+def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
+    """The pose of now, and when the compass was read: up to a tenth of a second ago; none for a robot without."""
+    if robot.compass is None:
+        return {}
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.taken_ps))
+    return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 
 def _stamp(robot: SimulatedRobot, at: Moment) -> Stamp:

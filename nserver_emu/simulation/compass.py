@@ -4,6 +4,8 @@ A reading is the direction of the turret in the world, counter-clockwise as all 
 (decision of ours: worlds have no north). Time and directions are handed in; what is noise is in CompassNoise.
 
     mode 0 off: the last reading stays    1 on    2 calibrating: after a full turn of the turret it is done, mode 1
+
+A full turn is one that the motor makes from where calibrating began, one way or the other; wiggling is none.
 """
 
 from __future__ import annotations
@@ -20,6 +22,9 @@ from nserver_emu.simulation.instants import PS_PER_S
 
 INTERVAL_PS: Final = PS_PER_S // 10
 """Ten readings a second."""
+
+_FULL_TURN_RAD: Final = tau - 1e-9
+"""What a turn of 360 degrees is at least, its sums rounded."""
 
 
 class CompassMode(IntEnum):
@@ -44,46 +49,57 @@ TRUE_NEEDLE: Final = CompassNoise()
 
 
 class Compass:
-    """See the head of this file. `direction_rad` [0, 2 pi) is the last reading, taken at `taken_ps`."""
+    """See the head of this file. `direction_rad` [0, 2 pi) is the last reading, taken at `taken_ps`.
+
+    Angles that are handed in are the turret's, unwrapped.
+    """
 
     def __init__(self, noise: CompassNoise, direction_rad: float, now_ps: int, chance: np.random.Generator) -> None:
         self.noise = noise
         self.mode = CompassMode.ON
         self.calibrated = False
         self._chance = chance
-        self._turned_rad = 0.0
-        self._angle_rad = 0.0
+        self._least_rad = self._most_rad = 0.0
         self._count = now_ps // INTERVAL_PS
         self.taken_ps = self._count * INTERVAL_PS
         self.direction_rad = once_round(direction_rad + self._error(direction_rad, 1))
 
-    def configure(self, mode: int) -> None:
-        """Switch it; raises ValueError for no mode. Calibrating starts its turn anew."""
+    def configure(self, mode: int, angle_rad: float) -> None:
+        """Switch it; raises ValueError for no mode. Calibrating starts its turn anew, at this angle of the turret."""
         self.mode = CompassMode(mode)
-        self._turned_rad = 0.0
+        self._least_rad = self._most_rad = angle_rad
+
+    def carried(self, before_rad: float, after_rad: float) -> None:
+        """Hands, not the motor, turned the turret from one angle to another: no part of a turn."""
+        self._turn_to(before_rad)
+        self._least_rad += after_rad - before_rad
+        self._most_rad += after_rad - before_rad
 
     def due(self, until_ps: int) -> int | None:
         """The instant of the last reading up to then, if it is yet to be taken."""
-        last_ps = until_ps // INTERVAL_PS * INTERVAL_PS
-        return last_ps if last_ps > self.taken_ps else None
+        if until_ps < (self._count + 1) * INTERVAL_PS:
+            return None
+        return until_ps // INTERVAL_PS * INTERVAL_PS
 
     def take(self, instant_ps: int, direction_rad: float, angle_rad: float) -> None:
         """Read at a due instant; the readings skipped before it only spend their chance.
 
         direction_rad   where the turret points
-        angle_rad       how far it has turned, unwrapped
+        angle_rad       its angle
         """
         count, self._count = instant_ps // INTERVAL_PS - self._count, instant_ps // INTERVAL_PS
-        self.taken_ps = instant_ps
         error = self._error(direction_rad, count)
         if self.mode is CompassMode.OFF:
             return
-        if self.mode is CompassMode.CALIBRATING:
-            self._turned_rad += abs(angle_rad - self._angle_rad)
-            if self._turned_rad >= tau:
-                self.calibrated, self.mode = True, CompassMode.ON
-        self._angle_rad = angle_rad
+        self._turn_to(angle_rad)
+        if self.mode is CompassMode.CALIBRATING and self._most_rad - self._least_rad >= _FULL_TURN_RAD:
+            self.calibrated, self.mode = True, CompassMode.ON
+        self.taken_ps = instant_ps
         self.direction_rad = once_round(direction_rad + error)
+
+    def _turn_to(self, angle_rad: float) -> None:
+        self._least_rad = min(self._least_rad, angle_rad)
+        self._most_rad = max(self._most_rad, angle_rad)
 
     def _error(self, direction_rad: float, count: int) -> float:
         """What a reading is off, the last of `count` draws: each reading has its own, looked at or not."""

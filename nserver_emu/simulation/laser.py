@@ -50,8 +50,9 @@ def ranges(eye: Eye, walls: FloatArray, body: Body) -> FloatArray:
     out = body.radius_in
     start = eye.x_in + out * cos(eye.turret_rad), eye.y_in + out * sin(eye.turret_rad)
     met = cast_rays(start, ways, walls)[0]
-    if len(eye.discs) > 1:
-        met = np.minimum(met, cast_discs(start, ways, np.delete(eye.discs, eye.own, axis=0)))
+    others = eye.others
+    if len(others):
+        met = np.minimum(met, cast_discs(start, ways, others))
     return np.where((met >= NEAREST_IN) & (met <= FARTHEST_IN), met, inf)
 
 

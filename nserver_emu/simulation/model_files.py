@@ -4,6 +4,7 @@
     name, like                    its name, and the model it is made from: left out, the known one of that name
     radius, sonar_ring_radius     of the body; track: between the wheels of a differential drive
     bumpers                       how many around the body
+    compass                       true or false: whether it has one
     [model.translation]           an axis: top_speed, top_acceleration, speed, acceleration; so steering, turret;
                                   of a differential drive right and left
 
@@ -81,7 +82,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
     base = models[like]
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS
     table.allow(
-        ("name", "like", "bumpers", *axes),
+        ("name", "like", "bumpers", "compass", *axes),
         ("radius", "sonar_ring_radius", *(() if base.track_in is None else ("track",))),
     )
     limits = [_axis(table, axis, base.axes[number], base.rolls[number]) for number, axis in enumerate(axes)]
@@ -92,6 +93,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
         family=base.family,
         body=_body(table, name, base.body),
         axes=(first, second, third),
+        compass=table.flag("compass") if "compass" in table.values else base.compass,
         track_in=None if base.track_in is None else _length(table, "track", base.track_in),
     )
 

@@ -67,6 +67,7 @@ class RobotModel:
     track_in    distance between the wheels of a differential drive, inches; None: a synchro drive
     family      the model that it is to a client, which knows three: n150, n200, scout
     sees        whether it has infrareds and a laser
+    compass     whether it has a compass
     """
 
     name: str
@@ -75,6 +76,7 @@ class RobotModel:
     track_in: float | None = None
     family: str = ""
     sees: bool = False
+    compass: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "family", self.family or self.name)
@@ -93,7 +95,7 @@ class RobotModel:
 
 N150: Final = RobotModel("n150", N150_BODY, (ROLLING, TURNING, TURNING))
 N200: Final = RobotModel("n200", N200_BODY, (ROLLING, TURNING, TURNING), sees=True)
-SCOUT: Final = RobotModel("scout", SCOUT_BODY, (WHEEL, WHEEL, NO_AXIS), SCOUT_TRACK_IN)
+SCOUT: Final = RobotModel("scout", SCOUT_BODY, (WHEEL, WHEEL, NO_AXIS), SCOUT_TRACK_IN, compass=False)
 
 MODELS: Final[Mapping[str, RobotModel]] = MappingProxyType({model.name: model for model in (N150, N200, SCOUT)})
 """Every model that can be simulated by its name."""

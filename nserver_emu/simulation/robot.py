@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import copysign
+from typing import NamedTuple
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
@@ -17,16 +18,34 @@ from nserver_emu.simulation.compass import Compass
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
 from nserver_emu.simulation.infrared import InfraredRing
-from nserver_emu.simulation.instants import NEVER_PS, to_ps, to_s
+from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.laser import LineFit, ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import Identity, Purpose
+from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, SonarRing
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, Lookout, SonarRing
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
+
+
+class Leg(NamedTuple):
+    """A piece of a robot's track: from this instant and place along this stretch, for so long; then it stood."""
+
+    begin_ps: int
+    x_in: float
+    y_in: float
+    heading_rad: float
+    stretch: Stretch
+    free_s: float
+
+    def place(self, time_s: float) -> tuple[float, float]:
+        """(x, y) in inches, so long after its beginning."""
+        if time_s == 0.0:
+            return self.x_in, self.y_in
+        dx, dy = self.stretch.displacement(self.heading_rad, min(time_s, self.free_s))
+        return self.x_in + dx, self.y_in + dy
 
 
 class SimulatedRobot:
@@ -45,7 +64,10 @@ class SimulatedRobot:
         model: RobotModel = N150,
         setup: RobotSetup = IDEAL,
         now_ps: int = 0,
-        others: tuple[FloatArray, int] = NOBODY,
+        lookout: Lookout = NOBODY,
+        own: int = 0,
+        *,
+        awake: bool = True,
     ) -> None:
         self.identity = identity
         self.model = model
@@ -56,22 +78,33 @@ class SimulatedRobot:
         self._zeroing = False
         self._walls = walls
         self._beside_others = False
-        self._others = others
+        self._track: list[Leg] | None = None
+        self.join(lookout, own)
         self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
         self._chance = identity.stream(Purpose.MOTION)
+        self._exact = setup.motion == NO_NOISE and setup.odometry.turns_as_told
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
-        self.sonar.fire_all(self._eye(), self._stamp())
         self.infrared: InfraredRing | None = None
         if model.sees:
             light = identity.stream(Purpose.INFRARED)
             self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, light)
         self.line_fit = LineFit()
         self.laser_columns = 0
-        turret_rad = self.actual.turret_rad
-        self.compass = Compass(setup.compass, turret_rad, now_ps, identity.stream(Purpose.COMPASS))
+        self.compass: Compass | None = None
+        if model.compass:
+            needle = identity.stream(Purpose.COMPASS)
+            self.compass = Compass(setup.compass, self.actual.turret_rad, now_ps, needle)
+        self.awake = False
+        if awake:
+            self.wake()
+
+    def wake(self) -> None:
+        """Power on what looks around, once: all sonars have a reading, and the ring runs."""
+        self.awake = True
+        self.sonar.fire_all(self._eye(), self._stamp())
         self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
 
     # What can be seen
@@ -95,6 +128,20 @@ class SimulatedRobot:
     def disc(self) -> tuple[float, float, float]:
         """What the robot is to others: x, y, radius in inches."""
         return (*self._chassis.place, self.model.body.radius_in)
+
+    def disc_at(self, instant_ps: int) -> tuple[float, float, float]:
+        """The disc at an instant since `begin_track`."""
+        if not self._track:
+            return self.disc
+        for leg in reversed(self._track):
+            if leg.begin_ps <= instant_ps:
+                break
+        return (*leg.place(to_s(max(instant_ps - leg.begin_ps, 0))), self.model.body.radius_in)
+
+    def reach_in(self, span_s: float) -> float:
+        """No less than it goes within some seconds if no command comes, inches; noise may add to that."""
+        way_in = self._drive.fastest * span_s
+        return way_in if self._exact else way_in * max(map(abs, self.setup.odometry.scales[:2]))
 
     @property
     def velocities(self) -> Velocities:
@@ -213,7 +260,9 @@ class SimulatedRobot:
         """
         self.feed()
         self._zeroing = False
+        before_rad = self._drive.turret_rad
         self._drive.put(steering_rad, turret_rad)
+        self._carry_compass(before_rad)
         self._chassis.put(x_in, y_in)
         self._encoders = Encoders(x_in, y_in)
 
@@ -239,6 +288,12 @@ class SimulatedRobot:
             self.infrared.configure(history, order, self._time_ps)
             self._fire_due()
 
+    def configure_compass(self, mode: int) -> None:
+        """Switch the compass, where there is one; raises ValueError for no mode. C: conf_cp."""
+        self.feed()
+        if self.compass is not None:
+            self.compass.configure(mode, self._drive.turret_rad)
+
     def look_with_laser(self) -> FloatArray:
         """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing."""
         return thinned(ranges(self._eye(), self._walls, self.model.body), self.laser_columns)
@@ -251,10 +306,12 @@ class SimulatedRobot:
             until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
-            self._read_compass(until)
+            if self.compass is not None:
+                self._read_compass(self.compass, until)
             self._move(to_s(until - self._time_ps))
             self._time_ps = until
-            self._end_zero()
+            if self._zeroing:
+                self._end_zero()
             if until == self._deadline_ps:
                 self._expire()
             self._fire_due()
@@ -265,12 +322,14 @@ class SimulatedRobot:
             self._chassis.enter(Ground.of(self._walls, discs))
             self._beside_others = discs is not None
 
-    def see(self, discs: FloatArray, own: int) -> None:
-        """From now on sonars see these discs (n, 3), rows x y radius in inches, but for row `own`: that is this robot.
+    def join(self, lookout: Lookout, own: int) -> None:
+        """From now on sensors see the robots that this lookout tells of, but for row `own`: that is this one."""
+        self._lookout = lookout
+        self._own = own
 
-        The array is kept: it never changes.
-        """
-        self._others = (discs, own)
+    def begin_track(self) -> None:
+        """From now on the robot keeps where it comes along, for `disc_at`."""
+        self._track = []
 
     def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
         """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
@@ -299,9 +358,11 @@ class SimulatedRobot:
         self._stop_axes()
 
     def _end_zero(self) -> None:
-        if self._zeroing and not any(self.moving):
+        if not any(self.moving):
             self._zeroing = False
+            before_rad = self._drive.turret_rad
             self._drive.found_zero()
+            self._carry_compass(before_rad)
             for axis in self._drive.axes:
                 axis.count = 0.0
             self._chassis.found_zero()
@@ -314,66 +375,74 @@ class SimulatedRobot:
         while self.infrared is not None and self.infrared.due_ps <= self._time_ps:
             self.infrared.flash_due(self._eye(), self._stamp())
 
-    def _read_compass(self, until_ps: int) -> None:
+    def _read_compass(self, compass: Compass, until_ps: int) -> None:
         """Its last reading up to an instant that this piece of time reaches, before anything moves.
 
-        Time is not cut for it: a copy of the drive tells how far the turret will have turned by then.
+        Time is not cut for it: the drive tells how far the turret will have turned by then.
         """
-        due_ps = self.compass.due(until_ps)
-        if due_ps is None:
-            return
-        drive, left_s = self._drive, to_s(due_ps - self._time_ps)
-        if any(self.moving):
-            drive = drive.twin()
-        while drive is not self._drive and left_s > 0.0:
-            span_s = min(drive.stretch(left_s).duration_s, left_s)
-            drive.advance(span_s)
-            left_s -= span_s
-        direction = self._chassis.pose(drive.steering_rad, drive.turret_rad).turret_rad
-        self.compass.take(due_ps, direction, drive.turret_rad)
+        due_ps = compass.due(until_ps)
+        if due_ps is not None:
+            turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
+            direction = self._chassis.pose(0.0, turret_rad).turret_rad
+            compass.take(due_ps, direction, turret_rad)
+
+    def _carry_compass(self, before_rad: float) -> None:
+        """The turret's angle was set, and not by turning."""
+        if self.compass is not None:
+            self.compass.carried(before_rad, self._drive.turret_rad)
 
     def _eye(self) -> Eye:
         actual = self.actual
-        return Eye(actual.x_in, actual.y_in, actual.turret_rad, *self._others)
+        return Eye(actual.x_in, actual.y_in, actual.turret_rad, self._lookout.at(self._time_ps), self._own)
 
     def _stamp(self) -> Stamp:
-        return Stamp(self.encoder, self.velocities, self.time_s, self.time_s)
+        now_s = self.time_s
+        return Stamp(self.encoder, self.velocities, now_s, now_s)
 
     def _move(self, span_s: float) -> None:
         """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
-        while span_s > 0.0:
-            stretch = self._drive.stretch(span_s)
+        left_s = span_s
+        while left_s > 0.0:
+            stretch = self._drive.stretch(left_s)
             if stretch.at_rest:
-                self._turn_turret(self._drive.advance(span_s))
+                self._drift(0.0, self._drive.advance(left_s))
                 return
-            span_s -= self._glide(stretch)
+            left_s -= self._glide(stretch, span_s - left_s)
 
-    def _glide(self, stretch: Stretch) -> float:
-        """Follow a stretch to its end or to where the robot is stopped; returns the seconds that took.
+    def _glide(self, stretch: Stretch, begin_s: float) -> float:
+        """Follow a stretch that begins so long after now to its end or to where the robot is stopped; returns the
+        seconds that took.
 
         Only the commanded motion stops the wheels. Where noise or a turn on the spot that goes astray pushes a robot
         into a wall it is held there for the stretch, wheels turning.
         """
         drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
-        odometry, told_in = self.setup.odometry, stretch.distance_at(duration)
-        steady = odometry.driven(stretch, drive)
-        driven = self.setup.motion.disturbed(steady, self._chance)
-        contact = chassis.first_contact(driven, drive.steering_rad)
+        steering_rad, told_in = drive.steering_rad, stretch.distance_at(duration)
+        steady = driven = stretch
+        if not self._exact:
+            steady = self.setup.odometry.driven(stretch, drive)
+            driven = self.setup.motion.disturbed(steady, self._chance)
+        contact = chassis.first_contact(driven, steering_rad)
         blocked = False
         free_s = duration
         if contact is not None:
             free_s = contact.time_s
-            heading = chassis.heading(drive.steering_rad) + driven.turn_at(free_s)
+            heading = chassis.heading(steering_rad) + driven.turn_at(free_s)
             blocked = told_in != 0.0 and (driven is steady or contact.pressed_by(heading, told_in))
         taken_s = free_s if blocked else duration
-        chassis.follow(driven, free_s, drive.steering_rad)
-        self._encoders.follow(stretch, taken_s, drive.steering_rad)
-        chassis.turn(driven.turn_at(taken_s) - stretch.turn_at(taken_s))
-        self._turn_turret(drive.advance(taken_s))
+        if self._track is not None:
+            begin_ps = self._time_ps + round(begin_s * PS_PER_S)
+            self._track.append(Leg(begin_ps, *chassis.place, chassis.heading(steering_rad), driven, free_s))
+        chassis.follow(driven, free_s, steering_rad)
+        self._encoders.follow(stretch, taken_s, steering_rad)
+        self._drift(driven.turn_at(taken_s) - stretch.turn_at(taken_s), drive.advance(taken_s))
         if blocked:
-            self._encoders.slip(copysign(odometry.slip_in, told_in), drive.steering_rad)
+            self._encoders.slip(copysign(self.setup.odometry.slip_in, told_in), drive.steering_rad)
             drive.block()
         return taken_s
 
-    def _turn_turret(self, counted_rad: float) -> None:
-        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)
+    def _drift(self, body_rad: float, counted_rad: float) -> None:
+        """What no encoder counts: a turn of the body, and of the turret where its gears err."""
+        if not self._exact:
+            self._chassis.turn(body_rad)
+            self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)

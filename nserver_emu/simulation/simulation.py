@@ -10,10 +10,8 @@ from dataclasses import fields
 from math import hypot
 from typing import Any
 
-import numpy as np
-
 from nclient.errors import StartError
-from nserver_emu.simulation.company import TICK_PS, discs_of, look_around, run_together
+from nserver_emu.simulation.company import Company, touch
 from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity
@@ -31,6 +29,7 @@ class Simulation:
         self.robots: dict[int, SimulatedRobot] = {}
         self._world = world
         self._time_ps = 0
+        self._company = Company()
 
     @property
     def world(self) -> World:
@@ -43,9 +42,15 @@ class Simulation:
         return to_s(self._time_ps)
 
     def add_robot(
-        self, robot_id: int, start: StartPose | None = None, model: RobotModel = N150, setup: RobotSetup = IDEAL
+        self,
+        robot_id: int,
+        start: StartPose | None = None,
+        model: RobotModel = N150,
+        setup: RobotSetup = IDEAL,
+        *,
+        awake: bool = True,
     ) -> SimulatedRobot:
-        """Put a robot into the world, at its first start if none is given.
+        """Put a robot into the world, at its first start if none is given; not `awake` it looks around from `wake` on.
 
         Raises StartError where it does not fit beside walls and other robots, ValueError if the id is taken.
         """
@@ -54,12 +59,19 @@ class Simulation:
         place = self._world.starts[0] if start is None else start
         self.require_free(place.x_in, place.y_in, model.body.radius_in)
         identity = Identity(robot_id, self.seed)
-        seen = (np.vstack((discs_of(self.robots), (0.0, 0.0, 0.0))), len(self.robots))
-        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, seen)
+        robot = SimulatedRobot(identity, place, self._world.walls, model, setup, self._time_ps, awake=False)
         self.robots = dict(sorted((self.robots | {robot_id: robot}).items()))
         if len(self.robots) > 1:
-            look_around(self.robots)
+            self._company.look_around(self.robots, self._time_ps)
+        if awake:
+            robot.wake()
         return robot
+
+    def wake(self) -> None:
+        """Power on all robots that came asleep, at the same instant: each sees all others, whoever came first."""
+        for robot in self.robots.values():
+            if not robot.awake:
+                robot.wake()
 
     def require_free(self, x_in: float, y_in: float, radius_in: float, robot_id: int | None = None) -> None:
         """Refuse a place where a robot of this radius, number `robot_id` if it is here already, touches anything.
@@ -76,26 +88,30 @@ class Simulation:
                     f"{radius_in + radius:g} in from there there is room"
                 )
 
+    def place(self, robot_id: int, x_in: float, y_in: float, steering_rad: float, turret_rad: float) -> None:
+        """Set a robot down somewhere, as `SimulatedRobot.place` does; the others see and feel it there at once."""
+        self.robots[robot_id].place(x_in, y_in, steering_rad, turret_rad)
+        if len(self.robots) > 1:
+            self._company.look_around(self.robots, self._time_ps)
+            touch(list(self.robots.values()))
+
     def change_world(self, world: World) -> None:
         """Change what stands here, now; what was seen before was seen before."""
         self._world = world
         for robot in self.robots.values():
             robot.enter(world.walls)
+        if len(self.robots) > 1:
+            touch(list(self.robots.values()))
 
     def step(self, dt_s: float) -> None:
         """Let dt_s >= 0 seconds pass; raises ValueError for other numbers. How time is cut changes no result
         without noise (with it another draw of the same spread), but for
         where robots meet that both move: there by what they drive within a tick."""
-        end_ps = self._time_ps + to_ps(dt_s)
-        while len(self.robots) > 1 and self._time_ps < end_ps:
-            tick, into_ps = divmod(self._time_ps, TICK_PS)
-            if not into_ps:
-                look_around(self.robots)
-            self._time_ps = min(end_ps, (tick + 1) * TICK_PS)
-            run_together(self.robots, self._time_ps, tick)
-        self._time_ps = end_ps
+        begin_ps, self._time_ps = self._time_ps, self._time_ps + to_ps(dt_s)
+        if len(self.robots) > 1:
+            self._company.run(self.robots, begin_ps, self._time_ps)
         for robot in self.robots.values():
-            robot.advance_to(end_ps)
+            robot.advance_to(self._time_ps)
 
     def __getstate__(self) -> dict[str, Any]:
         """The world as what it is built from: its read-only views can neither be pickled nor copied."""

@@ -9,19 +9,28 @@ is an echo model's: SonarNoise, one exact ray with noise, or Polaroid (polaroid.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import cos, floor, inf, sin
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
+from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
-from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
+from nserver_emu.simulation.polaroid import NO_ROBOTS, Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_discs, cast_rays
+from worlds.raycast import IndexArray, cast_ray, ray_to_disc
+
+FARTHEST_IN: Final = 500.0
+"""No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""
+
+GRAZING_IN: Final = 1e-6
+"""So much farther from a line than its rim a robot still counts as met, until its range is worked out: rounding."""
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -64,12 +73,16 @@ class SonarNoise:
         """The chance of one cry: one number, or none where there is no noise."""
         return (chance.standard_normal(),) if self.least_std_in or self.std_share else (0.0,)
 
-    def heard_in(self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body) -> float:
-        """The range from the ring along the ray, with its noise, inches; inf for nothing."""
+    def heard_in(
+        self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body, others: FloatArray = NO_ROBOTS
+    ) -> float:
+        """The range from the ring along the ray, to a wall or a robot, with its noise, inches; inf for nothing."""
         del earlier
-        way = cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis, _ = cast_rays((cry.x_in, cry.y_in), way, scene.walls)
-        range_in = float(from_axis) - body.sonar_ring_radius_in
+        x, y, dx, dy = cry.x_in, cry.y_in, cos(cry.direction_rad), sin(cry.direction_rad)
+        from_axis, _ = cast_ray(x, y, dx, dy, scene.walls)
+        for disc in others.tolist():
+            from_axis = min(from_axis, ray_to_disc(x, y, dx, dy, disc))
+        range_in = from_axis - body.sonar_ring_radius_in
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
 
 
@@ -80,22 +93,94 @@ DEAD_IN: Final = 0
 """What a dead sonar reads, always."""
 
 
-NOBODY: Final[tuple[FloatArray, int]] = (np.zeros((1, 3)), 0)
-"""A robot alone: the only disc is its own."""
+class Sighting:
+    """Where all robots stood at one moment: discs (n, 3), rows x y radius in inches; none until that is known."""
+
+    def __init__(self, discs: FloatArray = NO_ROBOTS) -> None:
+        self.discs = discs
+
+    def at(self, instant_ps: int) -> Sighting:
+        """Whatever the instant: nobody moves."""
+        del instant_ps
+        return self
+
+    def near(self, x_in: float) -> IndexArray:
+        """Rows of the robots (k,) whose x is no farther than FARTHEST_IN from this one."""
+        return self._order[self._slice(x_in)]
+
+    def on_line(self, x_in: float, y_in: float, direction_rad: float) -> list[int]:
+        """Rows of those near that a line through this point in this direction meets, and perhaps of some it grazes.
+
+        A centre is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
+        """
+        near = self._slice(x_in)
+        centres = self._centres[near].view(np.complex128)[:, 0]
+        turned = (centres - complex(x_in, y_in)) * complex(cos(direction_rad), -sin(direction_rad))
+        met = (np.abs(turned.imag) <= self._reach[near]).nonzero()[0]
+        rows: list[int] = self._order[near].take(met).tolist()
+        return rows
+
+    def _slice(self, x_in: float) -> slice:
+        return slice(bisect_left(self._xs, x_in - FARTHEST_IN), bisect_right(self._xs, x_in + FARTHEST_IN))
+
+    @cached_property
+    def _order(self) -> IndexArray:
+        return self.discs[:, 0].argsort(kind="stable")
+
+    @cached_property
+    def _centres(self) -> FloatArray:
+        return np.ascontiguousarray(self.discs[self._order, :2])
+
+    @cached_property
+    def _reach(self) -> FloatArray:
+        reach: FloatArray = self.discs[self._order, 2] + GRAZING_IN
+        return reach
+
+    @cached_property
+    def _xs(self) -> list[float]:
+        xs: list[float] = self.discs[self._order, 0].tolist()
+        return xs
+
+
+class Lookout(Protocol):
+    """Who tells where the robots stood at an instant."""
+
+    def at(self, instant_ps: int) -> Sighting: ...
+
+
+NOBODY: Final = Sighting()
+"""What a robot sees that is alone."""
 
 
 class Eye(NamedTuple):
     """From where the ring looks, and whom it may see.
 
     x_in, y_in, turret_rad    the robot's true place in inches and its turret's true direction in radians
-    discs, own                all robots (n, 3), rows x y radius in inches; row `own` is this one
+    seen, own                 all robots; row `own` is this one
     """
 
     x_in: float
     y_in: float
     turret_rad: float
-    discs: FloatArray = NOBODY[0]
-    own: int = NOBODY[1]
+    seen: Sighting = NOBODY
+    own: int = 0
+
+    @property
+    def others(self) -> FloatArray:
+        """The robots (k, 3) without this one and without those beyond FARTHEST_IN."""
+        if len(self.seen.discs) < 2:
+            return NO_ROBOTS
+        rows = np.sort(self.seen.near(self.x_in))
+        discs = self.seen.discs.take(rows[rows != self.own], axis=0)
+        others: FloatArray = discs[np.abs(discs[:, 1] - self.y_in) <= FARTHEST_IN]
+        return others
+
+    def others_on_line(self, direction_rad: float) -> FloatArray:
+        """The robots (k, 3) that a ray from here in this direction can meet, or one the other way."""
+        if len(self.seen.discs) < 2:
+            return NO_ROBOTS
+        rows = [row for row in self.seen.on_line(self.x_in, self.y_in, direction_rad) if row != self.own]
+        return self.seen.discs.take(rows, axis=0) if rows else NO_ROBOTS
 
 
 class Firing(NamedTuple):
@@ -119,7 +204,9 @@ class SonarRing:
         self._unheard: dict[int, Firing] = {}
         self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
-        self._interval_ps = self._start_ps = self._count = 0
+        self._interval_ps = self._count = 0
+        self.due_ps = NEVER_PS
+        """When the next sonar fires; NEVER_PS if the ring is off."""
 
     @property
     def readings_in(self) -> tuple[int, ...]:
@@ -133,11 +220,6 @@ class SonarRing:
         """The moment of each of those readings."""
         return tuple(self._stamps)
 
-    @property
-    def due_ps(self) -> int:
-        """When the next sonar fires; NEVER_PS if the ring is off."""
-        return self._start_ps + self._count * self._interval_ps if self._order else NEVER_PS
-
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
         """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
 
@@ -148,8 +230,8 @@ class SonarRing:
         end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
         self._order = tuple(order[:end])
         self._interval_ps = min(max(rate, 1), SLOWEST_RATE) * TICK_PS
-        self._start_ps = now_ps
         self._count = 0
+        self.due_ps = now_ps if self._order else NEVER_PS
 
     def fire_due(self, eye: Eye, stamp: Stamp) -> None:
         """The sonar that is due fires here and now."""
@@ -158,6 +240,7 @@ class SonarRing:
         cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
         self._recent = (*self._recent, cry) if life_ps else ()
         self._count += 1
+        self.due_ps += self._interval_ps
 
     def fire_all(self, eye: Eye, stamp: Stamp) -> None:
         """All sixteen as at power-on, each as if it were alone."""
@@ -181,20 +264,11 @@ class SonarRing:
         another size would round another way, so that looking more often could change a reading."""
         for sonar, (cry, earlier, eye) in self._unheard.items():
             if sonar not in self.model.dead:
-                of_walls = self.model.heard_in(cry, earlier, self._scene, self.body)
-                self._readings[sonar] = _reading(min(of_walls, self._heard_of_robots(cry, eye)))
+                ray = isinstance(self.model, SonarNoise)
+                others = eye.others_on_line(cry.direction_rad) if ray else eye.others
+                heard_in = self.model.heard_in(cry, earlier, self._scene, self.body, others)
+                self._readings[sonar] = _reading(heard_in)
         self._unheard.clear()
-
-    def _heard_of_robots(self, cry: Cry, eye: Eye) -> float:
-        """The range to another robot along the axis of the beam, with the noise of this cry; inf for none."""
-        if len(eye.discs) == 1:
-            return inf
-        way = cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis = float(cast_discs((eye.x_in, eye.y_in), way, np.delete(eye.discs, eye.own, axis=0)))
-        if from_axis == inf:
-            return inf
-        range_in = from_axis - self.body.sonar_ring_radius_in
-        return range_in + cry.chances[0] * max(self.model.std_share * range_in, self.model.least_std_in)
 
 
 def _reading(heard_in: float) -> int:

@@ -213,6 +213,32 @@ def test_an_address_in_this_process_is_a_machine_too() -> None:
         open_machine("sim:thesis_room", 7019, Wanted(robot_id=2))
 
 
+@pytest.mark.parametrize(
+    ("name", "host", "port"),
+    [
+        ("lab:7654", "lab", 7654),
+        ("10.0.0.7:7000", "10.0.0.7", 7000),
+        ("[::1]:7000", "::1", 7000),
+        ("::1", "::1", 7019),
+        ("nserver://lab:7654/3", "lab", 7654),
+        ("nserver://lab", "lab", 7019),
+    ],
+)
+def test_a_machines_name_may_bring_its_port_or_be_an_address(
+    dialled: list[tuple[str, int]], name: str, host: str, port: int
+) -> None:
+    open_machine(name, 7019, Wanted(robot_id=2))
+    assert is_listening(name, 7019)
+    assert dialled == [(host, port)] * 2
+    assert servers[0].calls[0].args[0] == 2
+
+
+def test_a_machines_address_that_is_none_is_refused_and_nobody_listens_there() -> None:
+    assert not is_listening("nserver:lab", 7019)
+    with pytest.raises(AddressError, match="nserver://host"):
+        open_machine("nserver:lab", 7019, Wanted())
+
+
 # for asyncio
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
-from math import cos, hypot, inf, pi, sin
+from math import cos, hypot, inf, pi, sin, tau
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from worlds import raycast
 from worlds.geometry import polygon_segments
-from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_discs, cast_rays
+from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_discs, cast_rays, ray_to_disc
 
 Pair = tuple[float, float]
 Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]
@@ -333,3 +333,14 @@ def test_discs_behind_around_and_none() -> None:
     assert float(cast_discs((0, 0), EAST, [])) == inf
     many = cast_discs([(0, 0), (0, 10)], [EAST, NORTH], [(20, 0, 5), (0, 40, 10)])
     assert many.tolist() == [15.0, 20.0]
+
+
+def test_one_ray_and_one_disc_in_numbers_are_the_same_to_the_bit() -> None:
+    chance = np.random.default_rng(12)
+    discs = np.column_stack((chance.uniform(-50.0, 50.0, (200, 2)), chance.uniform(1.0, 20.0, 200)))
+    for angle in chance.uniform(0.0, tau, 20).tolist():
+        ways = cos(angle), sin(angle)
+        met = [ray_to_disc(3.0, -2.0, *ways, disc) for disc in discs.tolist()]
+        assert met == [float(cast_discs((3.0, -2.0), ways, disc)) for disc in discs]
+        assert inf in met
+        assert 0.0 in met

@@ -1,6 +1,6 @@
 """A long conversation in lockstep with noise on, as a program: prints a hash of all the replies' bytes.
 
-    python lockstep_run.py SEED REPLIES
+    python lockstep_run.py SEED REPLIES [OPTIONS]            options of the address, noisy=1 where left out
 
 Every kind of request is among them; what is asked follows from its number alone.
 """
@@ -40,9 +40,9 @@ def request(number: int) -> Call:
     return Call(("gs", "get_sn", "get_rc", "get_rv", "sim_truth", "get_bp", "get_ra")[number % 7])
 
 
-def run(seed: int, replies: int) -> str:
+def run(seed: int, replies: int, options: str = "noisy=1") -> str:
     """The hash of so many replies."""
-    end = open_address(f"sim:thesis_room?noisy=1&seed={seed}&start=20,20,30,0&step_s=0.05")
+    end = open_address(f"sim:thesis_room?{options}&seed={seed}&start=20,20,30,0&step_s=0.05")
     whole = hashlib.sha256()
     end.send(language.tcp_request(Call("connect_robot", (1, 1))))
     for number in range(replies):
@@ -54,4 +54,4 @@ def run(seed: int, replies: int) -> str:
 
 
 if __name__ == "__main__":
-    print(run(int(sys.argv[1]), int(sys.argv[2])))
+    print(run(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:]))

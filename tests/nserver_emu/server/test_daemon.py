@@ -21,12 +21,12 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.daemon import MOST_ACQUAINTANCES, Daemon, stop_on_signals
+from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Acquaintance
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
+from worlds.world import StartPose
 
 GS = language.tcp_request(Call("gs"))
 
@@ -352,11 +352,21 @@ def test_a_client_that_may_ends_the_server_and_still_has_its_answer() -> None:
     asyncio.run(evening())
 
 
-def test_only_so_many_addresses_are_remembered() -> None:
-    daemon = Daemon(Emulator(simulation()))
-    for number in range(MOST_ACQUAINTANCES + 5):
-        daemon.remember(str(number), Acquaintance(1, wide=False))
-    assert len(daemon.acquaintances) == MOST_ACQUAINTANCES
-    daemon.remember("7", None)
-    assert "0" not in daemon.acquaintances
-    assert "7" not in daemon.acquaintances
+def test_second_connections_find_their_own_robots_and_the_gone_are_forgotten() -> None:
+    async def visit(house: House) -> None:
+        house.daemon.emulator.simulation.add_robot(2, StartPose(60.0, 0.0))
+        first = [await house.knock() for _ in range(2)]
+        for number, client in enumerate(first, start=1):
+            assert (await client.ask("connect_robot", number, 1)).values == (house.port,)
+        second = [await house.knock() for _ in range(2)]
+        assert [(await client.ask("sim_truth")).values[-1] for client in second] == [1, 2]
+        for client in first:
+            client.writer.close()
+        second[0].writer.write(language.tcp_request(Call("disconnect_robot", (1, 1))))
+        second[1].writer.close()
+        while house.daemon.connections or len(house.daemon.acquaintances):
+            await asyncio.sleep(0.005)
+        stranger = await house.knock()
+        assert (await stranger.ask("gs")).values == (3,)
+
+    with_daemon(visit)

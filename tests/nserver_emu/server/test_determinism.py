@@ -6,15 +6,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from lockstep_run import run
 
 REPLIES = 10_000
 SCRIPT = Path(__file__).with_name("lockstep_run.py")
 
 
-def test_ten_thousand_replies_are_the_same_in_two_processes() -> None:
+ALL_SENSES = "robot=n200&robot=scout&robots=2&setup=measured"
+
+
+@pytest.mark.parametrize(("replies", "options"), [(REPLIES, "noisy=1"), (120, ALL_SENSES)])
+def test_replies_are_the_same_in_two_processes(replies: int, options: str) -> None:
     def start(hash_seed: str) -> subprocess.Popen[str]:
-        command = [sys.executable, str(SCRIPT), "11", str(REPLIES)]
+        command = [sys.executable, str(SCRIPT), "11", str(replies), options]
         return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={"PYTHONHASHSEED": hash_seed})
 
     with start("1") as one, start("2") as other:

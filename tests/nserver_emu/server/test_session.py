@@ -164,7 +164,7 @@ def test_any_bytes_get_errors_or_nothing(data: bytes) -> None:
 
 
 def second_connection(wide: bool = False) -> Session:
-    return Session(answer, acquaintance=lambda: Acquaintance(3, wide))
+    return Session(answer, acquaintance=lambda _: Acquaintance(3, wide))
 
 
 @pytest.mark.parametrize("wide", [False, True])
@@ -182,3 +182,21 @@ def test_a_second_connection_that_connects_is_taken_for_what_it_says() -> None:
     session.receive(CONNECT + GS)
     assert types(session.answers(most=5)) == [82, 80]
     assert session.met == Acquaintance(1, wide=False)
+
+
+def test_who_says_nothing_after_connect_is_silent_until_it_does() -> None:
+    session = connected()
+    assert session.met == Acquaintance(1, wide=False, silent=True)
+    session.receive(GS)
+    session.answers(most=1)
+    assert session.met == Acquaintance(1, wide=False)
+
+
+@pytest.mark.parametrize(("pid", "seen"), [(b"\0\0\0\xff", False), (b"\0\0\0\0", True)])
+def test_the_width_that_the_first_words_show_is_asked_for(pid: bytes, seen: bool) -> None:
+    asked: list[bool | None] = []
+    session = Session(answer, acquaintance=asked.append)
+    for byte in b"\0\x10\0\x07" + pid + b"\0\0\0\xff" + bytes(20):
+        assert session.unfinished <= 31
+        session.receive(bytes([byte]))
+    assert asked == [seen]

@@ -41,3 +41,14 @@ def test_models_of_a_file(tmp_path: Path) -> None:
     assert (robot.model.name, robot.model.family, robot.model.body.radius_in) == ("small", "n200", 6.0)
     with pytest.raises(AddressError, match="'small'; there are n150, n200, scout"):
         Setting(robot="small").simulation()
+
+
+def test_sonars_see_at_power_on_robots_with_higher_numbers_too() -> None:
+    places = (StartPose(0.0, 0.0), StartPose(40.0, 0.0))
+    one, other = (
+        Setting(start=places[first], others=(("n150", places[1 - first]),)).simulation().robots for first in (0, 1)
+    )
+    assert one[1].sonar.readings_in == other[2].sonar.readings_in
+    assert one[2].sonar.readings_in == other[1].sonar.readings_in
+    gap_in = 40.0 - one[1].disc[2] - one[1].model.body.sonar_ring_radius_in
+    assert one[1].sonar.readings_in[0] == one[2].sonar.readings_in[8] == round(gap_in)

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from nclient.errors import StartError
-from nserver_emu.simulation.company import NEAR_IN, neighbours
-from nserver_emu.simulation.models import N150, N200, SCOUT
+from nserver_emu.simulation.company import STRAY_IN, TICK_PS, discs_of, near, neighbours
+from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
 from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from worlds.world import StartPose, World
+from worlds.world import Polygon, StartPose, World
 
 TOUCHING = 2.0 * N150.body.radius_in
+TOUCHING_N200 = N150.body.radius_in + N200.body.radius_in
 
 
 def two(room: World, gap_in: float, setup: RobotSetup = IDEAL) -> Simulation:
@@ -131,8 +132,65 @@ def test_starts_keep_clear_of_other_robots(room: World) -> None:
 
 
 def test_neighbours_by_their_gaps() -> None:
-    discs = np.array([[0.0, 0.0, 9.0], [18.0 + NEAR_IN - 0.1, 0.0, 9.0], [0.0, 17.0 + NEAR_IN + 0.1, 8.0]])
-    assert neighbours(discs) == {0: [1], 1: [0]}
+    discs = np.array([[0.0, 0.0, 9.0], [18.0 + 1.9, 0.0, 9.0], [0.0, 17.0 + 2.1, 8.0]])
+    assert neighbours(discs, 2.0) == {0: [1], 1: [0]}
+    assert neighbours(discs[:1], 2.0) == neighbours(discs[:0], 2.0) == {}
+
+
+@pytest.mark.parametrize("count", [2, 7, 60])
+def test_neighbours_are_those_that_a_look_at_all_pairs_finds(count: int) -> None:
+    chance = np.random.default_rng(count)
+    discs = np.column_stack((chance.uniform(-100.0, 100.0, (count, 2)), chance.uniform(5.0, 9.0, count)))
+    found: dict[int, list[int]] = {}
+    for row, (x, y, radius) in enumerate(discs):
+        rest = [other for other, (u, v, s) in enumerate(discs) if hypot(x - u, y - v) - radius - s < 6.0]
+        found |= {row: [other for other in rest if other != row]} if len(rest) > 1 else {}
+    assert neighbours(discs, 6.0) == found
+
+
+@pytest.mark.parametrize("model", [N150, SCOUT])
+def test_who_may_meet_depends_on_how_fast_they_go(room: World, model: RobotModel) -> None:
+    simulation = Simulation(room)
+    crew = [simulation.add_robot(number, StartPose(35.0 * number, 0.0), model) for number in (0, 1)]
+    gap = 35.0 - 2.0 * model.body.radius_in
+    second = 100 * TICK_PS
+    assert near(crew, second) == {}
+    crew[0].set_velocities(15.0, 15.0, 0.0)
+    assert near(crew, round(second * (gap - STRAY_IN - 0.1) / 15.0)) == {}
+    assert near(crew, round(second * (gap - STRAY_IN + 0.1) / 15.0)) == {0: [1], 1: [0]}
+
+
+@pytest.mark.parametrize("setup", [IDEAL, RobotSetup("ramps", True, IDEAL.motion, IDEAL.sonar)])
+def test_where_a_robot_was_a_while_ago(room: World, setup: RobotSetup) -> None:
+    def crew() -> Simulation:
+        simulation = two(room, 60.0, setup)
+        simulation.step(0.0037)
+        simulation.robots[1].set_velocities(20.0, 2.0, 0.0)
+        simulation.robots[2].move_relative(0.4, 0.0, 0.0)
+        return simulation
+
+    whole = list(crew().robots.values())
+    for robot in whole:
+        robot.begin_track()
+        robot.advance_to(12 * TICK_PS)
+    for tick in range(1, 13):
+        again = crew()
+        for robot in again.robots.values():
+            robot.advance_to(tick * TICK_PS)
+        np.testing.assert_allclose(discs_of(whole, tick * TICK_PS), discs_of(again.robots.values()), atol=1e-12)
+
+
+def test_a_robot_far_from_the_others_runs_as_if_alone(room: World) -> None:
+    alone, together = Simulation(room, 3), Simulation(room, 3)
+    for simulation in (alone, together):
+        simulation.add_robot(2, StartPose(50.0, 50.0), setup=NOISY)
+    together.add_robot(1, StartPose(-50.0, -50.0), setup=NOISY)
+    for simulation in (alone, together):
+        simulation.robots[2].set_velocities(5.0, 0.3, 0.2)
+        for _ in range(20):
+            simulation.step(0.1)
+    assert alone.robots[2].actual == together.robots[2].actual
+    assert alone.robots[2].actual != alone.robots[2].encoder
 
 
 def test_a_copy_of_a_crowd_goes_on_bit_for_bit(room: World) -> None:
@@ -155,3 +213,61 @@ def test_a_change_of_the_world_keeps_the_company(room: World) -> None:
     simulation.robots[1].set_velocities(20.0, 0.0, 0.0)
     simulation.step(0.5)
     assert apart(simulation) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_bumpers_go_on_feeling_a_robot_when_the_world_changes_elsewhere(room: World) -> None:
+    simulation = two(room, 10.0)
+    first, second = simulation.robots.values()
+    first.set_velocities(20.0, 0.0, 0.0)
+    simulation.step(1.0)
+    felt = (1 << 0, 1 << 10)
+    assert (first.bumpers, second.bumpers) == felt
+    block = Polygon(((80.0, 80.0), (90.0, 80.0), (90.0, 90.0)))
+    simulation.change_world(simulation.world.with_obstacles((block,)))
+    assert (first.bumpers, second.bumpers) == felt
+    simulation.step(0.0)
+    assert (first.bumpers, second.bumpers) == felt
+    simulation.change_world(simulation.world.with_obstacles(()))
+    first.set_velocities(5.0, 0.0, 0.0)
+    simulation.step(0.001)
+    assert not first.moving[0]
+
+
+@pytest.mark.parametrize("before_s", [0.0, 0.013, 0.02])
+def test_a_robot_put_elsewhere_is_seen_and_felt_there_at_the_same_instant(room: World, before_s: float) -> None:
+    simulation = Simulation(room)
+    watcher = simulation.add_robot(1, StartPose(0.0, 0.0), N200)
+    other = simulation.add_robot(2, StartPose(50.0, 0.0))
+    simulation.step(before_s)
+    clear = watcher.look_with_laser().min()
+    simulation.place(2, 0.0, 40.0, 0.0, 0.0)
+    watcher.configure_sonars(15, (4,))
+    assert watcher.sonar.readings_in[4] == round(40.0 - N150.body.radius_in - N200.body.sonar_ring_radius_in)
+    assert watcher.look_with_laser().min() > clear + 10.0
+    simulation.place(2, TOUCHING_N200, 0.0, 0.0, 0.0)
+    assert watcher.bumpers == 1 << 0
+    assert other.bumpers == 1 << 10
+    simulation.place(2, 50.0, 50.0, 0.0, 0.0)
+    assert (watcher.bumpers, other.bumpers) == (0, 0)
+    watcher.configure_sonars(15, (4,))
+    assert watcher.sonar.readings_in[4] == round(100.0 - N200.body.sonar_ring_radius_in)
+
+
+def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World) -> None:
+    def wakes(order: tuple[int, ...]) -> list[tuple[int, ...]]:
+        simulation = Simulation(room)
+        for number in order:
+            simulation.add_robot(number, StartPose(40.0 * number, 0.0, 0.0, 0.0), N200, NOISY, awake=False)
+        assert not any(robot.awake for robot in simulation.robots.values())
+        simulation.wake()
+        simulation.wake()
+        return [
+            (*robot.sonar.readings_in, *robot.infrared.readings)
+            for robot in simulation.robots.values()
+            if robot.infrared is not None
+        ]
+
+    first, *others = (wakes(order) for order in ((0, 1, 2), (2, 1, 0), (1, 2, 0)))
+    assert others == [first] * 2
+    assert first[0][0] == pytest.approx(40.0 - N200.body.radius_in - N200.body.sonar_ring_radius_in, abs=2.0)
+    assert first[1][8] == pytest.approx(first[0][0], abs=2.0)

@@ -19,6 +19,11 @@ Lone = Callable[..., tuple[Simulation, SimulatedRobot]]
 IRON = CompassNoise(deviation_rad=radians(6.0))
 
 
+def needle_of(robot: SimulatedRobot) -> Compass:
+    assert robot.compass is not None
+    return robot.compass
+
+
 def compass(noise: CompassNoise = TRUE_NEEDLE) -> Compass:
     return Compass(noise, 0.0, 0, np.random.default_rng(2))
 
@@ -39,20 +44,20 @@ def test_it_shows_where_the_turret_pointed_at_the_last_tenth_however_time_is_cut
     for _ in range(round(3.0 / step_s)):
         simulation.step(step_s)
     simulation.step(3.05 - simulation.time_s)
-    assert robot.compass.direction_rad == pytest.approx(0.7 * 3.0)
+    assert needle_of(robot).direction_rad == pytest.approx(0.7 * 3.0)
     assert robot.actual.turret_rad == pytest.approx(0.7 * 3.05)
 
 
 def test_it_follows_a_turn_that_ends_in_between_and_a_robot_put_elsewhere(lone: Lone) -> None:
     simulation, robot = lone(StartPose(0.0, 0.0, 0.0, 0.5), RobotSetup("r", True, IDEAL.motion, IDEAL.sonar))
-    assert robot.compass.direction_rad == 0.5
+    assert needle_of(robot).direction_rad == 0.5
     robot.configure_sonars(15, ())
     robot.move_relative(0.0, 0.0, 0.3)
     simulation.step(20.0)
-    assert robot.compass.direction_rad == pytest.approx(0.8)
+    assert needle_of(robot).direction_rad == pytest.approx(0.8)
     robot.place(0.0, 0.0, 0.0, 2.0)
     simulation.step(0.1)
-    assert robot.compass.direction_rad == pytest.approx(2.0)
+    assert needle_of(robot).direction_rad == pytest.approx(2.0)
 
 
 def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() -> None:
@@ -66,7 +71,7 @@ def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() ->
     turn(10)
     assert needle.direction_rad == pytest.approx(1.0 + radians(6.0) * sin(1.0 + IRON.phase_rad))
     turn(70)
-    needle.configure(2)
+    needle.configure(2, 8.0)
     turn(62)
     assert (needle.calibrated, needle.mode) == (False, CompassMode.CALIBRATING)
     turn(2)
@@ -78,11 +83,15 @@ def test_the_iron_of_the_robot_bends_it_until_a_full_turn_while_calibrating() ->
 def test_switched_off_it_keeps_its_reading_and_no_mode_is_refused() -> None:
     needle = compass()
     needle.take(INTERVAL_PS, 1.0, 1.0)
-    needle.configure(0)
+    needle.configure(0, 1.0)
     needle.take(2 * INTERVAL_PS, 2.0, 2.0)
-    assert needle.direction_rad == 1.0
+    assert (needle.direction_rad, needle.taken_ps) == (1.0, INTERVAL_PS)
+    assert needle.due(3 * INTERVAL_PS - 1) is None
+    needle.configure(1, 2.0)
+    needle.take(3 * INTERVAL_PS, 2.0, 2.0)
+    assert (needle.direction_rad, needle.taken_ps) == (2.0, 3 * INTERVAL_PS)
     with pytest.raises(ValueError, match="7"):
-        needle.configure(7)
+        needle.configure(7, 0.0)
 
 
 def test_noise_has_its_spread_and_each_reading_its_own_whether_looked_at_or_not() -> None:
@@ -96,3 +105,57 @@ def test_noise_has_its_spread_and_each_reading_its_own_whether_looked_at_or_not(
     assert last.direction_rad == each.direction_rad
     assert np.mean(read) == pytest.approx(pi, abs=0.001)
     assert np.std(read) == pytest.approx(0.01, rel=0.08)
+
+
+def turned(simulation: Simulation, robot: SimulatedRobot, way_rad: float) -> bool:
+    """Turn the turret, wait for it, and tell whether the compass is calibrated by then."""
+    robot.move_relative(0.0, 0.0, way_rad)
+    simulation.step(abs(way_rad) / radians(45.0) + 0.2)
+    return needle_of(robot).calibrated
+
+
+def test_a_turn_of_exactly_360_degrees_calibrates_and_a_degree_less_does_not(lone: Lone) -> None:
+    for way_rad, done in ((tau, True), (-tau, True), (radians(359.0), False), (radians(-359.0), False)):
+        simulation, robot = lone(StartPose(0.0, 0.0, 0.0, radians(359.0)))
+        simulation.step(0.05)
+        robot.configure_compass(2)
+        assert turned(simulation, robot, way_rad) is done
+
+
+def test_what_was_turned_before_and_while_off_counts_for_nothing(lone: Lone) -> None:
+    simulation, robot = lone()
+    turned(simulation, robot, 2.0)
+    robot.configure_compass(0)
+    turned(simulation, robot, 7.0)
+    robot.configure_compass(2)
+    assert not turned(simulation, robot, radians(350.0))
+    assert turned(simulation, robot, radians(10.0))
+
+
+def test_wiggling_is_no_turn(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.configure_compass(2)
+    assert not any(turned(simulation, robot, way) for way in (0.2, -0.2) * 40)
+
+
+def test_a_robot_that_is_put_elsewhere_has_not_turned(lone: Lone) -> None:
+    simulation, robot = lone()
+    robot.configure_compass(2)
+    for angle in (radians(359.0), 0.0, 3.0, 12.0, -9.0):
+        robot.place(0.0, 0.0, 0.0, angle)
+        simulation.step(0.3)
+        assert not needle_of(robot).calibrated
+    assert not turned(simulation, robot, radians(200.0))
+    robot.place(0.0, 0.0, 0.0, 1.0)
+    assert not turned(simulation, robot, radians(159.0))
+    assert turned(simulation, robot, radians(1.0))
+
+
+def test_a_zero_that_is_found_after_whole_turns_has_not_turned_them_back(lone: Lone) -> None:
+    simulation, robot = lone()
+    turned(simulation, robot, 2 * tau)
+    robot.configure_compass(2)
+    robot.zero()
+    simulation.step(0.3)
+    assert not robot.zeroing
+    assert not turned(simulation, robot, radians(300.0))

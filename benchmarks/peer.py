@@ -1,0 +1,72 @@
+"""ir-sim doing the benchmark's scene: one round robot that drives in a circle between 50 walls and sees along 16 rays.
+
+What the two share: room, walls, radius of the robot, velocities, steps of 0.1 s, 16 ranges looked at after each step,
+a test for collisions, one process without a window. What they do not: ir-sim casts all 16 rays in each step and steps
+its robot's pose by Euler's rule; ours fires its sonars one after another, each at its own instant and pose, follows
+the arc exactly and stops where it touches. So ours is timed twice: at the ring's usual rate, 1.7 rays a step, and at
+its fastest, 25 rays a step.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from nserver_emu.simulation.models import N150
+from worlds.world import World
+
+M_PER_IN: Final = 0.0254
+INSTALL: Final = "ir-sim is not installed: pip install 'nomad-nserver[bench]'"
+SPEED_IN_S, TURN_RAD_S = 10.0, 0.75
+"""A circle of 13 in radius about a place with 40 in around it."""
+
+
+def peer(world: World) -> Callable[[int], None] | None:
+    """What makes ir-sim take so many steps of 0.1 s; None where it is not installed."""
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            import irsim
+        except ImportError:
+            return None
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "scene.yaml")
+            path.write_text(_yaml(world), encoding="utf-8")
+            env: Any = irsim.make(str(path), display=False, save_ani=False, log_level="ERROR")
+    action = np.array([[SPEED_IN_S * M_PER_IN], [TURN_RAD_S]])
+
+    def run(steps: int) -> None:
+        for _ in range(steps):
+            env.step(action)
+            assert len(env.get_lidar_scan()["ranges"]) == 16
+        assert not env.robot.collision
+
+    return run
+
+
+def _yaml(world: World) -> str:
+    """The scene in ir-sim's words, metres and radians."""
+    size = M_PER_IN * float(np.abs(world.walls).max()) * 2.0 + 1.0
+    walls = "\n".join(
+        f"  - {{shape: {{name: linestring, vertices: [[{x1:.9f}, {y1:.9f}], [{x2:.9f}, {y2:.9f}]]}}, state: [0, 0, 0]}}"
+        for x1, y1, x2, y2 in (M_PER_IN * world.walls).tolist()
+    )
+    return f"""
+world: {{width: {size}, height: {size}, offset: [{-size / 2}, {-size / 2}], step_time: 0.1, sample_time: 0.1}}
+robot:
+  - kinematics: {{name: diff}}
+    shape: {{name: circle, radius: {N150.body.radius_in * M_PER_IN}}}
+    state: [0, 0, 0]
+    vel_max: [1.0, 1.6]
+    sensors:
+      - {{type: lidar2d, range_min: 0, range_max: {255 * M_PER_IN}, angle_range: 6.283185307, number: 16}}
+obstacle:
+{walls}
+"""

@@ -1,0 +1,53 @@
+"""Who drives which axis of which robot, so that an axis stops when the one who set it going leaves.
+
+Rules: a driver counts as long as the axis still moves by his command; who comes later takes the axis over. Nobody's
+leaving touches what others have set going. Connections are told apart by what they are, not by number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from nserver_emu.server.session import Visit
+from nserver_emu.simulation.axis import Command
+from nserver_emu.simulation.robot import SimulatedRobot
+
+ALL_AXES: Final = (0, 1, 2)
+
+
+class Drivers:
+    """See the head of this file."""
+
+    def __init__(self) -> None:
+        self._drivers: dict[int, list[Visit | None]] = {}
+        self._orphans: set[int] = set()
+
+    def take(self, visit: Visit, robot_id: int, axes: Iterable[int]) -> None:
+        """These axes of a robot obey this connection from now on."""
+        drivers = self._drivers.setdefault(robot_id, [None] * len(ALL_AXES))
+        for axis in axes:
+            drivers[axis] = visit
+
+    def orphan(self, robot_ids: Iterable[int]) -> None:
+        """These robots come from elsewhere, and whoever set them going is not here: nobody drives them."""
+        self._drivers.clear()
+        self._orphans = set(robot_ids)
+
+    def adopt(self, visit: Visit, robot_id: int, robot: SimulatedRobot) -> None:
+        """The first to connect to such a robot answers for what still moves on its own."""
+        if robot_id not in self._orphans:
+            return
+        self._orphans.discard(robot_id)
+        drivers = self._drivers.get(robot_id, [None] * len(ALL_AXES))
+        self.take(visit, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
+
+    def leave(self, visit: Visit, robots: Mapping[int, SimulatedRobot]) -> None:
+        """This connection is gone: what still moves because of it brakes and holds."""
+        for robot_id, drivers in self._drivers.items():
+            robot = robots[robot_id]
+            for axis in ALL_AXES:
+                if drivers[axis] is visit:
+                    drivers[axis] = None
+                    if robot.moving[axis]:
+                        robot.command_axis(axis, Command.VELOCITY, 0.0)

@@ -1,0 +1,63 @@
+"""Whose leaving stops which axis."""
+
+from __future__ import annotations
+
+import pytest
+from wire_client import WireClient, meet, simulation
+
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.session import Session
+
+
+@pytest.fixture
+def emulator() -> Emulator:
+    return Emulator(simulation())
+
+
+def pair(emulator: Emulator) -> tuple[WireClient, Session, WireClient]:
+    """Two clients of one robot, the first with its session."""
+    return *meet(emulator), meet(emulator)[0]
+
+
+def test_who_has_finished_stops_nobody(emulator: Emulator) -> None:
+    first, session, second = pair(emulator)
+    session.receive(b"\x00\x14\x00\x00")  # zr
+    session.answers(most=1)
+    emulator.pass_time(1.0)
+    assert not session.waiting or session.tick()
+    second.ask("mv", 0, 0, 0, 0, 1, 50)
+    emulator.leave(session.visit)
+    assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 50}
+    del first
+
+
+def test_one_axis_done_and_another_taken_over_leave_the_rest_alone(emulator: Emulator) -> None:
+    first, session, second = pair(emulator)
+    first.ask("pr", 100, 0, 900)
+    emulator.pass_time(1.0)
+    second.ask("mv", 0, 0, 1, 60, 0, 0)
+    assert first.ask("get_rv").slots == {38: 0, 39: 60, 40: 450}
+    emulator.leave(session.visit)
+    assert second.ask("get_rv").slots == {38: 0, 39: 60, 40: 0}
+
+
+def test_who_drives_robots_one_after_another_stops_them_all(emulator: Emulator) -> None:
+    first, session, _ = pair(emulator)
+    first.ask("create_robot", 2, 1)
+    first.ask("vm", 0, 0, 100)
+    first.ask("connect_robot", 1, 1)
+    first.ask("vm", 0, 0, 100)
+    assert [robot.moving[2] for robot in emulator.simulation.robots.values()] == [True, True]
+    emulator.leave(session.visit)
+    assert [robot.moving[2] for robot in emulator.simulation.robots.values()] == [False, False]
+    emulator.leave(session.visit)
+
+
+def test_a_search_for_zero_ends_with_who_asked_for_it(emulator: Emulator) -> None:
+    first, session, second = pair(emulator)
+    first.ask("place_robot", 0, 0, 900, 900)
+    session.receive(b"\x00\x14\x00\x00")  # zr
+    assert session.answers(most=1) == b""
+    emulator.leave(session.visit)
+    assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
+    assert not emulator.simulation.robots[1].zeroing

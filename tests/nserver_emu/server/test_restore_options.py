@@ -1,0 +1,150 @@
+"""What may stand beside --restore, and at whose pace a restored simulation goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from wire_client import meet, simulation
+
+from nclient.errors import SnapshotError
+from nserver_emu import cli
+from nserver_emu.server import snapshot
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.pace import Pace
+
+SAVED_PACE = Pace(factor=3.0, lockstep_s=0.25)
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    path = tmp_path / "saved.json"
+    snapshot.save(Emulator(simulation(seed=4), pace=SAVED_PACE), path)
+    return path
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[Emulator]:
+    """The emulators that daemons were made for; none of them opens a door."""
+    emulators: list[Emulator] = []
+
+    class Doorless:
+        def __init__(self, emulator: Emulator, speed: float | None) -> None:
+            emulator.pace.factor = speed
+            emulators.append(emulator)
+
+        async def listen(self, host: str, port: int) -> int:
+            return port + len(host)
+
+        async def serve(self, *_: object) -> None:
+            """Nobody comes."""
+
+    monkeypatch.setattr(cli, "Daemon", Doorless)
+    return emulators
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--seed", "0"], "--seed"),
+        (["--robot", "n150"], "--robot"),
+        (["--robots", "1"], "--robots"),
+        (["--start", "0,0,0,0", "--setup", "ideal"], "--start, --setup"),
+        (["-noisy"], "--noisy"),
+        (["--model-file", "mine.toml"], "--model-file"),
+        (["thesis_room"], "the world thesis_room"),
+    ],
+)
+def test_what_the_snapshot_decides_is_refused(
+    words: list[str], named: str, saved: Path, started: list[Emulator], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        cli.main([*words, "--restore", str(saved)])
+    assert stop.value.code == 2
+    assert f"of its own: leave out {named}\n" in capsys.readouterr().err
+    assert not started
+
+
+def test_a_robot_of_a_setup_file_is_refused_and_its_port_is_not(
+    saved: Path, started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, world = tmp_path / "robot.setup", tmp_path / "world.setup"
+    robot.write_text("[robot]\ntype = n200\n", encoding="utf-8")
+    world.write_text("[server]\nport = 7100\n", encoding="utf-8")
+    with pytest.raises(SystemExit):
+        cli.main([str(robot), "--restore", str(saved)])
+    assert "the robot of a setup file" in capsys.readouterr().err
+    assert cli.main([str(world), "--restore", str(saved)]) == 0
+    assert len(started) == 1
+    assert cli.main(["nothing.setup", "--restore", str(saved)]) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "pace"),
+    [
+        ([], SAVED_PACE),
+        (["--speed", "7"], Pace(7.0)),
+        (["--speed", "max"], Pace(None)),
+        (["--paused"], Pace(paused=True)),
+        (["--lockstep", "0.5"], Pace(lockstep_s=0.5)),
+        (["--port", "0", "--allow-control"], SAVED_PACE),
+    ],
+)
+def test_it_goes_on_at_its_own_pace_unless_told_another(
+    words: list[str], pace: Pace, saved: Path, started: list[Emulator]
+) -> None:
+    assert cli.main([*words, "--restore", str(saved)]) == 0
+    assert started[0].pace == pace
+    assert started[0].simulation.seed == 4
+
+
+@pytest.mark.parametrize(
+    "pace",
+    [
+        Pace(factor=-1.0),
+        Pace(factor=1e9),
+        Pace(factor=True),
+        Pace(factor="1"),  # type: ignore[arg-type]
+        Pace(lockstep_s=0.0),
+        Pace(lockstep_s=11.0),
+        Pace(paused=1),  # type: ignore[arg-type]
+    ],
+)
+def test_a_strangers_pace_is_refused(pace: Pace) -> None:
+    text = snapshot.dumps(Emulator(simulation(), pace=pace))
+    emulator = Emulator(simulation())
+    with pytest.raises(SnapshotError, match="is damaged"):
+        snapshot.loads(emulator, text)
+    assert emulator.pace == Pace()
+
+
+def test_the_first_to_connect_to_a_restored_robot_in_motion_answers_for_it() -> None:
+    emulator = Emulator(simulation())
+    meet(emulator)[0].ask("vm", 50, 0, 100)
+    emulator.pass_time(1.0)
+    restored = Emulator(simulation())
+    snapshot.loads(restored, snapshot.dumps(emulator))
+    robot = restored.simulation.robots[1]
+    first, first_session = meet(restored)
+    second, second_session = meet(restored)
+    second.ask("mv", 0, 0, 0, 0, 1, 70)
+    restored.leave(first_session.visit)
+    assert robot.moving == (False, False, True)
+    _, third_session = meet(restored)
+    restored.leave(third_session.visit)
+    assert robot.moving == (False, False, True)
+    restored.leave(second_session.visit)
+    assert robot.moving == (False, False, False)
+    del first
+
+
+def test_what_another_robots_client_already_drives_is_not_adopted() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    client.ask("create_robot", 2, 1)
+    client.ask("vm", 0, 0, 100)
+    restored = Emulator(simulation())
+    snapshot.loads(restored, snapshot.dumps(emulator))
+    _, session = meet(restored)
+    restored.leave(session.visit)
+    assert restored.simulation.robots[2].moving[2]
