@@ -127,7 +127,7 @@ def test_a_port_that_cannot_be_read_is_gone(pty: Pty, monkeypatch: pytest.Monkey
     stream = SerialStream(pty.name)
     os.write(pty.far, b"x")
     monkeypatch.setattr(os, "read", fail)
-    with pytest.raises(ConnectionLost, match="is gone .*Input/output error"):
+    with pytest.raises(ConnectionLost, match=r"is gone .*Input/output error"):
         stream.receive(Deadline.after(5))
     stream.close()
 
