@@ -99,7 +99,7 @@ class AsyncRobot:
 
     @property
     def link(self) -> LinkStatistics | None:
-        """What a robot's own line has been through; None over TCP."""
+        """What the link has been through; None of an Nserver, but with reconnect=."""
         return self._robot.link
 
     drive = _awaitable(Robot.drive)

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 from nclient.backends.backend import Backend
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
+from nclient.backends.statistics import LinkStatistics
 from nclient.errors import AddressError
 from nclient.opening import Opening, Wanted
 from nclient.protocol.models import N150, Model
@@ -29,11 +30,15 @@ DEFAULT_LINE_PORT = 65001
 _MAX_ID = 0x7FFFFFFF
 
 
-def open_nserver(stream: ByteStream, wanted: Wanted, model: Model = N150) -> NserverBackend:
+def open_nserver(
+    stream: ByteStream, wanted: Wanted, model: Model = N150, link: LinkStatistics | None = None
+) -> NserverBackend:
     """The conversation with an Nserver at the other end of a stream."""
     robot_id = 1 if wanted.robot_id is None else wanted.robot_id
     timeout_s = DEFAULT_TIMEOUT_S if wanted.timeout_s is None else wanted.timeout_s
-    return NserverBackend(stream, robot_id=robot_id, model=model, timeout_s=timeout_s, create=wanted.create)
+    return NserverBackend(
+        stream, robot_id=robot_id, model=model, timeout_s=timeout_s, create=wanted.create, link=link
+    )
 
 
 def open_tcp(host: str, port: int, timeout_s: float | None) -> TcpStream:
@@ -50,8 +55,9 @@ def nserver_stream(opening: Opening) -> ByteStream:
 
 
 def nserver_talk(stream: ByteStream, opening: Opening) -> Backend:
+    """Counted only where it may be opened anew, which is to be counted."""
     wanted = Wanted(opening.timeout_s, _robot_id(opening), opening.wanted.create)
-    return open_nserver(stream, wanted, opening.model)
+    return open_nserver(stream, wanted, opening.model, opening.link if opening.values.get("reconnect") else None)
 
 
 def _robot_id(opening: Opening) -> int:

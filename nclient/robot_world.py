@@ -101,7 +101,7 @@ class RobotLink:
 
     @property
     def link(self) -> LinkStatistics | None:
-        """What a robot's own line has been through (print it for a summary); None over TCP, which loses nothing."""
+        """What the link has been through (print it for a summary); None of an Nserver, but with reconnect=."""
         return self._backend.link
 
     @property

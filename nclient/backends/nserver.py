@@ -11,6 +11,7 @@ before the next one's, so that a program can still stop its robot.
 from __future__ import annotations
 
 import os
+import time
 from functools import lru_cache
 
 from nclient.backends.statistics import LinkStatistics
@@ -43,6 +44,7 @@ class NserverBackend:
 
     `timeout_s`: how long it may take to answer (zr 120 s, ws its own time-out more, special packets 30 s). Raises
     ConnectionLost, ReplyTimeout, or RobotRefused where there is no robot of that number; the stream is then closed.
+    `link`: to count in, which is for those who ask for it: nearly nothing goes wrong over TCP.
     """
 
     def __init__(
@@ -96,7 +98,7 @@ class NserverBackend:
 
     @property
     def link(self) -> LinkStatistics | None:
-        """Counts of what a wrapper does, where one is told to count; TCP itself loses nothing."""
+        """Exchanges, their latencies and what wrappers add, where one was given to count in."""
         return self._link
 
     def execute(self, call: Call) -> Reply:
@@ -110,7 +112,8 @@ class NserverBackend:
         language.note(call, self._terms)
         if not row.has_tcp_reply:
             return self._leave(request)
-        reply = self._answer_of(row, self._exchange(call, request, self._patience_s(row, call)))
+        exchange = self._exchange if self._link is None else self._counted
+        reply = self._answer_of(row, exchange(call, request, self._patience_s(row, call)))
         self._judge(call, reply)
         return reply
 
@@ -142,6 +145,19 @@ class NserverBackend:
         finally:
             if not sent:
                 self._finish(f"{call.name} was cut off while it was sent")
+
+    def _counted(self, call: Call, request: bytes, patience_s: float) -> TcpFrame:
+        assert self._link is not None
+        self._link.exchanges += 1
+        asked_s = time.monotonic()
+        try:
+            frame = self._exchange(call, request, patience_s)
+        except ReplyTimeout:
+            self._link.timeouts += 1
+            raise
+        self._link.frames += 1
+        self._link.took(time.monotonic() - asked_s)
+        return frame
 
     def _next_answer(self, deadline: Deadline) -> TcpFrame:
         """The last of the answers that are owed. Raises WireError when what comes is none, or too much."""

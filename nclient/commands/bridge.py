@@ -117,7 +117,8 @@ class _Shown:
     def to_robot(self, data: bytes) -> None:
         self._show(OUT, data, self._follower.to_robot(data))
 
-    def to_host(self, data: bytes) -> None:
+    def to_host(self, data: bytes, by_time: bool = False) -> None:
+        del by_time
         self._show(IN, data, self._follower.to_host(data))
 
     def close(self) -> None:

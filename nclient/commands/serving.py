@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -43,10 +42,7 @@ def open_door(options: argparse.Namespace, name: str) -> Iterator[Door]:
 
 @contextlib.contextmanager
 def _ended_by_sigterm() -> Iterator[None]:
-    """SIGTERM is as Ctrl-C, where this is the thread that gets signals."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+    """SIGTERM is as Ctrl-C; a command runs on the main thread, which gets the signals."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

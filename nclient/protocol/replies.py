@@ -17,19 +17,15 @@ from typing import Any
 from construct import ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
-from nclient.protocol.fields import (
+from nclient.protocol.fields import UNSIGNED_WORD, WordLaser, Words, WordSlots, WordStamps
+from nclient.protocol.line_fields import (
     LINE_CLOCK,
-    UNSIGNED_WORD,
     BumperBytes,
     LineLaser,
     LineNibbles,
     LineRun,
     LineSlots,
     LineStamps,
-    WordLaser,
-    Words,
-    WordSlots,
-    WordStamps,
 )
 from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Position
 from nclient.protocol.runs import BYTES, SHORTS, SIGNED_SHORTS

@@ -33,7 +33,8 @@ from construct import (
     this,
 )
 
-from nclient.protocol.fields import LINE_BYTE, LINE_UNSIGNED, WORD, Words
+from nclient.protocol.fields import WORD, Words
+from nclient.protocol.line_fields import LINE_BYTE, LINE_UNSIGNED
 from nclient.protocol.mask import Mask, mask_from_line, mask_from_tcp
 
 MAX_OBSTACLE_VERTICES = 10

@@ -9,7 +9,6 @@ being open; what is at the link's place and is no link stays. POSIX only, where 
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
 import socket
@@ -146,8 +145,6 @@ class _TerminalPeer:
         try:
             return os.read(self._fd, _CHUNK)
         except OSError as error:
-            if error.errno != errno.EIO:
-                raise
             raise self._left() from error
 
     def close(self) -> None:

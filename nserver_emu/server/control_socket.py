@@ -62,10 +62,11 @@ class ControlSocket:
         """Stop listening; the socket is gone, unless somebody else's is in its place."""
         for talk in self._talks:
             talk.cancel()
-        if self._server is not None:
-            self._server.close()
-            if self._identity is not None and _identity(self.path) == self._identity:
-                self.path.unlink(missing_ok=True)
+        if self._server is None:
+            return
+        self._server.close()
+        if self._identity is not None and _identity(self.path) == self._identity:
+            self.path.unlink(missing_ok=True)
 
     async def _meet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         talk = asyncio.current_task()

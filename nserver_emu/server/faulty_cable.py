@@ -73,7 +73,7 @@ class FaultyCable:
 
 
 class Wireless:
-    """A cable that takes no time."""
+    """A cable that takes no time. What comes through together comes out together, as it does from a socket."""
 
     full = False
 
@@ -87,13 +87,20 @@ class Wireless:
 
     def to_robot(self, data: bytes, now_s: float) -> None:
         """As Cable says."""
-        self._through.append(Arrival(now_s, data, to_robot=True))
+        self._put(Arrival(now_s, data, to_robot=True))
 
     def to_host(self, data: bytes, now_s: float) -> None:
         """As Cable says."""
-        self._through.append(Arrival(now_s, data, to_robot=False))
+        self._put(Arrival(now_s, data, to_robot=False))
 
     def arrived(self, now_s: float) -> Arrival | None:
         """As Cable says."""
         del now_s
         return self._through.popleft() if self._through else None
+
+    def _put(self, arrival: Arrival) -> None:
+        last = self._through[-1] if self._through else None
+        if last is not None and (last.at_s, last.to_robot) == (arrival.at_s, arrival.to_robot):
+            self._through[-1] = last._replace(data=last.data + arrival.data)
+        else:
+            self._through.append(arrival)

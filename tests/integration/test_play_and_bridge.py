@@ -75,7 +75,7 @@ def program(*words: str, ends: int = 0, by_signal: bool = True) -> Iterator[tupl
             except subprocess.TimeoutExpired:
                 process.kill()
                 raise
-        assert code == ends, told.rest()
+        assert code == ends, "".join(told.rest())
 
 
 def drive(robot: Robot) -> list[tuple[int, ...]]:
@@ -142,7 +142,10 @@ def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
     ) as (near, process):
         for _ in range(2):
             drive(connect(f"nserver://{near}/1"))
-        assert "> connect_robot 1" in process.out()
+        shown = [process.out()]
+        while sum("> disconnect_robot" in line for line in shown) < 2:
+            shown.append(process.out())
+        assert "> connect_robot 1" in shown[0]
     recording = read_recording(path)
     assert recording.connections() == ("1", "2")
     calls = [found["call"] for entry in recording.entries if entry.kind == "out" for found in entry.decoded]
@@ -167,6 +170,23 @@ def test_a_bridge_whose_far_end_goes_away_and_comes_back(tmp_path: Path) -> None
                 assert "is gone: it closed the connection" in process.err()
                 os.close(fd)
                 time.sleep(0.3)  # what is written while the bridge lets the old far end go is lost with it
+
+
+def test_a_bridge_that_nobody_crosses_and_one_whose_far_end_is_gone() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as far:
+        address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
+        with program(*NOMAD, "bridge", address, "--listen", "0"):
+            pass
+        with program(*NOMAD, "bridge", address, "--listen", "0") as (near, process):
+            host, _, port = near.rpartition(":")
+            with socket.create_connection((host, int(port))):
+                pass
+            assert "has left" in process.err()
+            far.close()
+            with socket.create_connection((host, int(port))) as visitor:
+                visitor.settimeout(10)
+                assert visitor.recv(10) == b""
+            assert "nobody answers at 127.0.0.1" in process.err()
 
 
 @pytest.mark.parametrize(("words", "told"), [

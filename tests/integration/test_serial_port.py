@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
@@ -62,7 +63,7 @@ def test_a_deadline_that_is_past_gives_what_has_come(pty: Pty) -> None:
     with pytest.raises(ReplyTimeout, match=f"{pty.name} was silent"):
         stream.receive(Deadline.after(0))
     os.write(pty.far, b"x")
-    assert select.select([stream._port.fileno()], [], [], 5)[0]
+    assert select.select([stream._file], [], [], 5)[0]
     assert stream.receive(Deadline.after(0)) == b"x"
     with pytest.raises(ReplyTimeout):
         stream.receive(Deadline.after(0.03))
@@ -89,6 +90,46 @@ def test_closing_on_another_thread_ends_the_wait(pty: Pty) -> None:
     for use in (lambda: stream.send(b"x"), lambda: stream.receive(Deadline.after(1))):
         with pytest.raises(ConnectionLost, match="this end has closed"):
             use()
+
+
+def test_more_than_the_port_takes_at_once_goes_out_in_parts(pty: Pty) -> None:
+    stream = SerialStream(pty.name)
+    much = bytes(range(256)) * 400
+    got = bytearray()
+
+    def drain() -> None:
+        while len(got) < len(much):
+            got.extend(os.read(pty.far, 4096))
+
+    draining = threading.Timer(0.1, drain)
+    draining.start()
+    stream.send(much)
+    draining.join()
+    assert got == much
+    stream.close()
+
+
+def test_a_port_that_takes_nothing_is_gone(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_port, "WRITE_TIMEOUT_S", 0.1)
+    stream = SerialStream(pty.name)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(stream._file, bytes(4096))
+    with pytest.raises(ConnectionLost, match=r"is gone \(Write timeout\)"):
+        stream.send(b"x")
+    stream.close()
+
+
+def test_a_port_that_cannot_be_read_is_gone(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> bytes:
+        raise OSError(errno.EIO, "Input/output error")
+
+    stream = SerialStream(pty.name)
+    os.write(pty.far, b"x")
+    monkeypatch.setattr(os, "read", fail)
+    with pytest.raises(ConnectionLost, match=r"is gone .*Input/output error"):
+        stream.receive(Deadline.after(5))
+    stream.close()
 
 
 def test_a_cable_that_is_pulled(pty: Pty) -> None:

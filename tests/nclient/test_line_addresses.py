@@ -239,3 +239,21 @@ def test_a_recording_of_a_line_plays_as_one(bench: Bench, tmp_path: Path) -> Non
     with connect(f"replay:{path}") as played:
         assert played.model is N150
         assert played.refresh().raw == seen
+
+
+def test_an_nserver_is_counted_where_it_may_be_opened_anew(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    streams: list[MemoryStream] = []
+
+    def dial(*_: Any) -> MemoryStream:
+        streams.append(MemoryStream(ScriptedServer()))
+        return streams[-1]
+
+    monkeypatch.setattr("nclient.openers.TcpStream", dial)
+    assert bench.connect("nserver://lab/1?tm_s=0").link is None
+    robot = bench.connect("nserver://lab/1?reconnect=0.01&feed=0")
+    streams[-1].close()
+    with pytest.raises(ConnectionLost):
+        robot.refresh()
+    assert robot.refresh().speed_factor == 1.0
+    assert robot.link is not None
+    assert (robot.link.losses, robot.link.reconnects, robot.link.answers) == (1, 1, 7)

@@ -8,6 +8,7 @@ import pytest
 from answering import ScriptedServer, by_script, error, on_socket, simple
 
 from nclient.backends.nserver import NserverBackend
+from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import language
 from nclient.protocol.commands import Call
@@ -332,3 +333,17 @@ def test_an_error_over_a_socket_leaves_it_usable() -> None:
 def _swallow(connection: socket.socket) -> None:
     while connection.recv(1024):
         pass
+
+
+def test_exchanges_are_counted_where_there_is_something_to_count_in() -> None:
+    link = LinkStatistics()
+    server = ScriptedServer()
+    backend = NserverBackend(MemoryStream(server), link=link)
+    assert backend.link is link
+    assert NserverBackend(MemoryStream(ScriptedServer())).link is None
+    backend.execute(GS)
+    assert (link.exchanges, link.answers, link.frames) == (3, 3, 3)
+    server.answers["gs"] = None
+    with pytest.raises(ReplyTimeout):
+        backend.execute(GS)
+    assert (link.exchanges, link.answers, link.timeouts) == (4, 3, 1)

@@ -15,7 +15,7 @@ from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.terms import line_terms
-from nclient.recording.log import Entry
+from nclient.recording.log import Entry, LogWriter
 from nclient.recording.readable import lines_of, told
 
 Dump = Callable[..., tuple[int, list[str], str]]
@@ -72,6 +72,14 @@ def test_objects(dump: Dump, path: Path) -> None:
     assert {"t": 0.1, "connection": "1", "to": "robot", "call": "vm", "args": [50, 0, 0]} in found
     code, _, err = dump(str(path), "--connection", "9")
     assert (code, "no connection '9'; there are 1" in err) == (1, True)
+
+
+def test_one_of_two_connections(dump: Dump, tmp_path: Path) -> None:
+    writer = LogWriter(tmp_path / "two.log", {})
+    for name in "ab":
+        writer.write(Entry(0.0, "open", name, more={"wire": "tcp", "model": "scout"}))
+    writer.close()
+    assert dump(str(tmp_path / "two.log"), "--connection", "b")[1] == ["     0.000  b -- open tcp scout"]
 
 
 def test_a_cut_recording_is_shown_and_told(dump: Dump, path: Path) -> None:

@@ -10,6 +10,12 @@ from hypothesis import given, settings
 from strategies import masks, signed16, word
 
 from nclient.protocol.fields import (
+    WordLaser,
+    Words,
+    WordSlots,
+    WordStamps,
+)
+from nclient.protocol.line_fields import (
     LINE_LONG,
     LINE_SIGNED,
     BumperBytes,
@@ -17,10 +23,6 @@ from nclient.protocol.fields import (
     LineNibbles,
     LineSlots,
     LineStamps,
-    WordLaser,
-    Words,
-    WordSlots,
-    WordStamps,
 )
 from nclient.protocol.mask import EVERYTHING, LASER_SLOT, Mask, Position
 from nclient.protocol.models import N150, N200, SCOUT, Model

@@ -187,8 +187,10 @@ def test_a_time_out_on_a_robots_line_too() -> None:
     entries = [Entry(0, "out", "", LINE_GS, line=2), Entry(0, "in", "", LINE_STATE[:8]),
                Entry(1, "out", "", LINE_GS), Entry(1, "in", "", b"\x55" + LINE_STATE)]
     assert Player(script_of(recording(*entries, **line))).answers(conf_tm) == [Piece(0.0, told)]
-    with pytest.raises(RecordingError):
-        Player(script_of(recording(*entries[:2], **line))).answers(conf_tm)
+    sonars = Entry(0, "out", "", language.line_request(Call("get_sn"), line_terms(N150)), line=2)
+    for nothing in ((*entries[:2],), (sonars, Entry(0, "in", "", LINE_STATE))):
+        with pytest.raises(RecordingError):
+            Player(script_of(recording(*nothing, **line))).answers(conf_tm)
 
 
 def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() -> None:

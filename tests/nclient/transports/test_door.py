@@ -96,6 +96,18 @@ def test_a_peer_that_does_not_read_loses_what_is_too_much(tmp_path: Path, monkey
         door.close()
 
 
+def test_a_door_that_is_closed_behind_its_peer(tmp_path: Path) -> None:
+    door = TerminalDoor(tmp_path / "robot")
+    fd = opened(tmp_path / "robot")
+    peer = door.peer()
+    door.close()
+    os.close(fd)
+    with pytest.raises(ConnectionLost, match="has left"):
+        peer.send(b"late")
+    with pytest.raises(ConnectionLost, match="has left"):
+        peer.receive(Deadline.after(5))
+
+
 def test_what_is_there_stays(tmp_path: Path) -> None:
     taken = tmp_path / "file"
     taken.write_text("mine")

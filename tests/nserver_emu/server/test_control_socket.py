@@ -134,6 +134,7 @@ def test_what_is_no_socket_is_never_touched(folder: Path) -> None:
 def test_a_place_where_none_can_be(folder: Path) -> None:
     with pytest.raises(ConnectionLost, match=r"cannot be controlled at .*nowhere.*: No such file"):
         served(folder / "nowhere" / "s", lambda _: asyncio.sleep(0))
+    ControlSocket(folder / "never opened", backwards).close()
     with pytest.raises(ConnectionLost, match="path too long"):
         served(folder / ("x" * 200), lambda _: asyncio.sleep(0))
 

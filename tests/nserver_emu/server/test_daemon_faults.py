@@ -74,15 +74,15 @@ def with_daemon(plan: Plan | None, visit: Callable[[Daemon, Knock], Awaitable[No
 
 
 def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> None:
-    late = Plan((Rule("late", (Delay(0.05, 0.05),), commands=("gs", "get_rc")),))
+    late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
 
     async def visit(daemon: Daemon, knock: Knock) -> None:
         flooding, other = await knock(), await knock()
-        flooding.send(*[Call("gs"), Call("get_rc")] * 400)
+        flooding.send(*[Call("gs"), Call("get_rc")] * count)
         other.send(Call("st"))
         assert await other.types(1) == [80]
-        assert await flooding.types(800) == [80, 88] * 400
-        assert daemon.faults.counts()["nserver"]["late"] == {"seen": 800, "delay": 800}
+        assert await flooding.types(2 * count) == [80, 88] * count
+        assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
 
     with_daemon(late, visit)
 
