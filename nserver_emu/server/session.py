@@ -39,11 +39,17 @@ _CONNECTS = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
 
 @dataclass(slots=True, eq=False)
 class Visit:
-    """What the server knows of one connection: whose robot, on what terms, and the State values last sent."""
+    """What the server knows of one connection: whose robot, on what terms, and the State values last sent.
+
+    laser_columns    how many columns of the laser count, 0: all; segments: threshold and gap in tenths of an inch and
+                     fewest points of a laser line, in the order of conf_sg; None: as at power-on
+    """
 
     terms: Terms = field(default_factory=lambda: tcp_terms(N150))
     robot_id: int | None = None
     kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
+    laser_columns: int = 0
+    segments: tuple[int, int, int] | None = None
 
     def keep(self, slots: Mapping[int, int]) -> None:
         """These were sent, too; the list itself may be another connection's as well, so it is not changed."""
