@@ -155,6 +155,13 @@ class Session:
         self._later = None
         return self._encode(name, reply)
 
+    def break_promise(self, code: int) -> bytes:
+        """The ERROR reply to a request whose answer cannot come; the conversation goes on."""
+        if self._later is None:
+            return b""
+        name, self._later = self._later[0], None
+        return self._encode(name, error_reply(code))
+
     def _recognise(self, head: bytes) -> None:
         known = None if first_bytes.connects(head) else self._acquaintance(first_bytes.width(head))
         if known is not None:

@@ -60,6 +60,8 @@ class Stage:
         self.look_anew()
         self._promises.drop(visit)
         self.drivers.leave(visit, self.simulation.robots)
+        for robot_id in self.drivers.leave_arms(visit):
+            self.stop_arm(robot_id)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
@@ -67,12 +69,18 @@ class Stage:
         while left_ps:
             piece_ps = min(left_ps, PIECE_PS)
             self.simulation.step(to_s(piece_ps))
+            for robot_id in self.arms:
+                self._arm(robot_id)
             self._promises.ask()
             left_ps -= piece_ps
 
     def promise(self, visit: Visit, later: Later) -> Later:
         """The same answer, made at the moment it is there even if nobody asks for it then."""
         return self._promises.make(visit, later)
+
+    def break_promises(self, visit: Visit) -> None:
+        """This connection is told no more of what it waited for."""
+        self._promises.drop(visit)
 
     def look_anew(self) -> None:
         """Something changed other than by time: no look at a robot is still good."""
@@ -92,7 +100,20 @@ class Stage:
     def arm_of(self, visit: Visit) -> Arm:
         """The arm of the connection's robot, as it is now."""
         assert visit.robot_id is not None
-        arm = self.arms.setdefault(visit.robot_id, Arm())
+        self.arms.setdefault(visit.robot_id, Arm())
+        return self._arm(visit.robot_id)
+
+    def stop_arm(self, robot_id: int) -> None:
+        """An arm stops, where that robot has one that was ever moved."""
+        if robot_id in self.arms:
+            self._arm(robot_id).stop()
+
+    def _arm(self, robot_id: int) -> Arm:
+        """An arm as it is now; the robot's time-out has stopped it when it struck."""
+        arm, struck_s = self.arms[robot_id], self.simulation.robots[robot_id].timed_out_s
+        if struck_s is not None and arm.time_s < struck_s:
+            arm.advance_to(struck_s)
+            arm.stop()
         arm.advance_to(self.simulation.time_s)
         return arm
 

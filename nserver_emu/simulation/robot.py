@@ -75,6 +75,8 @@ class SimulatedRobot:
         self._time_ps = now_ps
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS
+        self.timed_out_s: float | None = None
+        """When the time-out last struck, simulated time."""
         self._zeroing = False
         self._walls = walls
         self._beside_others = False
@@ -356,6 +358,7 @@ class SimulatedRobot:
             self.feed()
             return
         self._deadline_ps = NEVER_PS
+        self.timed_out_s = self.time_s
         self._stop_axes()
 
     def _end_zero(self) -> None:
