@@ -1,6 +1,6 @@
 """What the commands act upon: the simulation with all that a server adds to it. No wire units, no command by name.
 
-    Stage    simulation | pace | graphics | transcript | arms | who drives which robot | what the setup allows
+    Stage    simulation | pace | graphics | traces | transcript | arms | who drives which robot | what the setup allows
 
 Rules: handlers change it, the daemon and the viewer read it. Connections come and go; everything else is what a
 snapshot keeps.
@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from nclient.protocol.replies import Reply
 from nserver_emu.server.arm import Arm
 from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
+from nserver_emu.server.layers import layers
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
 from nserver_emu.server.session import Later, Visit
 from nserver_emu.server.state_reply import Look, clock_ms, state_reply
+from nserver_emu.server.traces import Traces
 from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -49,6 +51,8 @@ class Stage:
         self.allowed = allowed or Allowed()
         self.quitting = False
         self.graphics = Graphics()
+        self.traces = Traces()
+        self.traces.note(simulation)
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
@@ -69,6 +73,7 @@ class Stage:
         while left_ps:
             piece_ps = min(left_ps, PIECE_PS)
             self.simulation.step(to_s(piece_ps))
+            self.traces.note(self.simulation)
             for robot_id in self.arms:
                 self._arm(robot_id)
             self._promises.ask()
@@ -129,6 +134,10 @@ class Stage:
             look = Look(robot, self.pace.speed_tenths)
             self._looked[visit.robot_id] = (now_s, look)
         return state_reply(robot, visit, now_s, look)
+
+    def layers(self, robot_id: int) -> dict[str, Any]:
+        """What the window of a robot shows now, as plain data (layers.py). Raises KeyError for no robot."""
+        return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)
 
     @property
     def clock_ms(self) -> int:
