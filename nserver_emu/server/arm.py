@@ -44,6 +44,10 @@ class Slide:
         """Go down to 0, at the speed set, or at the top speed where that is 0."""
         self._axis.move_by(-self.position_in, self._axis.speed or self._axis.limits.top_speed)
 
+    def stop(self) -> None:
+        """Brake and hold."""
+        self._axis.stop()
+
     def advance(self, dt_s: float) -> None:
         """Let dt_s seconds pass; at an end the motion is over."""
         reached = self.position_in + self._axis.advance(dt_s)
@@ -65,6 +69,16 @@ class Arm:
         for slide in (self.lift, self.grip):
             slide.advance(time_s - self._time_s)
         self._time_s = time_s
+
+    @property
+    def time_s(self) -> float:
+        """The instant that it has come to."""
+        return self._time_s
+
+    def stop(self) -> None:
+        """Both axes brake and hold."""
+        self.lift.stop()
+        self.grip.stop()
 
     def zero(self) -> None:
         """Send both axes to 0."""

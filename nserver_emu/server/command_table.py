@@ -19,6 +19,7 @@ from nclient.protocol.terms import tcp_terms
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, Visit
 from nserver_emu.server.stage import Allowed
+from nserver_emu.server.window import REFRESHERS
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.setup import IDEAL
 from nserver_emu.simulation.simulation import Simulation
@@ -48,8 +49,9 @@ What `nserver` answers to each command over TCP, by model of the robot. Made by 
 the emulator; a test asks it again, row by row.
 
 - **yes** answered, with its effect
-- **no effect** answered and without effect, as the original documents: accelerations in the `ideal` setup, where axes
-  jump to their speed (they ramp in the others)
+- **no effect** answered and without effect: accelerations in the `ideal` setup, as the original documents, where axes
+  jump to their speed (they ramp in the others); having something redrawn, for what there is to see is always as of now
+  and nothing is erased (the server counts how often each layer was asked for)
 - **error 4** refused: this model does not have it, or nothing stands behind it
 - **if allowed** refused with error 5 unless the server was started to allow it (`--allow-control`, `--allow-quit`)
 - **—** does not exist over TCP
@@ -88,7 +90,8 @@ def support(row: Command, model: str, emulator: Emulator | None = None) -> Suppo
     visit = Visit(tcp_terms(model_named(model)), robot_id=1)
     answer = asked.answer(Call(row.name, examples(row)), visit)
     if not isinstance(answer, Reply) or answer.kind != "error":
-        return Support.NO_EFFECT if row.name == "ac" and not _ramps(asked) else Support.SUPPORTED
+        idle = row.name in REFRESHERS or (row.name == "ac" and not _ramps(asked))
+        return Support.NO_EFFECT if idle else Support.SUPPORTED
     if answer.values[0] == REFUSED and emulator is None:
         allowed = support(row, model, _emulator(model, Allowed(quit=True, control=True)))
         return Support.IF_ALLOWED if allowed is Support.SUPPORTED else Support.UNEXPECTED

@@ -21,6 +21,7 @@ class Drivers:
 
     def __init__(self) -> None:
         self._drivers: dict[int, list[Visit | None]] = {}
+        self._of_arm: dict[int, Visit] = {}
         self._orphans: set[int] = set()
 
     def take(self, visit: Visit, robot_id: int, axes: Iterable[int]) -> None:
@@ -29,9 +30,21 @@ class Drivers:
         for axis in axes:
             drivers[axis] = visit
 
+    def take_arm(self, visit: Visit, robot_id: int) -> None:
+        """The arm of a robot obeys this connection from now on."""
+        self._of_arm[robot_id] = visit
+
+    def leave_arms(self, visit: Visit) -> list[int]:
+        """This connection is gone: the robots whose arms obeyed it."""
+        robot_ids = [robot_id for robot_id, driver in self._of_arm.items() if driver is visit]
+        for robot_id in robot_ids:
+            del self._of_arm[robot_id]
+        return robot_ids
+
     def orphan(self, robot_ids: Iterable[int]) -> None:
         """These robots come from elsewhere, and whoever set them going is not here: nobody drives them."""
         self._drivers.clear()
+        self._of_arm.clear()
         self._orphans = set(robot_ids)
 
     def adopt(self, visit: Visit, robot_id: int, robot: SimulatedRobot) -> None:
@@ -39,6 +52,7 @@ class Drivers:
         if robot_id not in self._orphans:
             return
         self._orphans.discard(robot_id)
+        self._of_arm.setdefault(robot_id, visit)
         drivers = self._drivers.get(robot_id, [None] * len(ALL_AXES))
         self.take(visit, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
 

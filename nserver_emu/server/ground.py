@@ -126,7 +126,7 @@ def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     there = SimulatedRobot(
         robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, lookout=seen, own=len(others)
     )
-    slots, laser = with_laser(there, visit.terms, state_slots(there, stage.pace.speed_tenths))
+    slots, laser = with_laser(there, visit, state_slots(there, stage.pace.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)
 
 

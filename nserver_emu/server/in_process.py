@@ -3,7 +3,8 @@
     send(bytes) ──> session ──> simulated time advances by `step_s` ──> answers, read with receive()
 
 Rules: no socket, no clock; simulated time passes in lockstep, with each exchange and at no other moment, so that a run
-repeats to the bit. Connecting and asking for the truth take no time. The client may control the time: it is its own.
+repeats to the bit. Connecting and asking for the truth take no time. The client may control the time: it is its own;
+to wait while it is paused is ERROR 5, for nobody else could let it pass.
 nclient finds this by entry point and does not import it.
 """
 
@@ -16,7 +17,7 @@ from urllib.parse import parse_qs
 
 from nclient.errors import AddressError
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.session import REFUSED, Session
 from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, Setting, placed
 from nserver_emu.server.stage import Allowed
 
@@ -45,6 +46,9 @@ class InProcess:
                 self.emulator.pass_time(self.emulator.pace.asked_s)
                 self._outgoing += self._session.tick()
             self._outgoing += self._session.answers(most=1)
+            if self._session.waiting and not self.emulator.pace.asked_s:
+                self.emulator.break_promises(self._session.visit)
+                self._outgoing += self._session.break_promise(REFUSED)
 
     def receive(self) -> bytes:
         """What has been answered; empty when no more will come before something is sent."""

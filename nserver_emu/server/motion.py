@@ -80,8 +80,10 @@ def ac(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
 
 
 def st(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
-    """Stop and hold."""
+    """Stop and hold, the arm as well."""
     stage.drive(visit).stop()
+    assert visit.robot_id is not None
+    stage.stop_arm(visit.robot_id)
     return stage.state(visit)
 
 

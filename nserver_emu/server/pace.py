@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 SLOWEST: Final = 0.1
-FASTEST: Final = 100.0
+FASTEST: Final = 999.0
 LONGEST_LOCKSTEP_S: Final = 10.0
 """The longest step in lockstep, simulated seconds."""
 AS_FAST_AS_IT_CAN: Final = 9999

@@ -21,6 +21,7 @@ from nserver_emu.simulation.axis import Command
 
 ARM_MODELS = frozenset({"n200"})
 ZERO_PACKET, WAIT_PACKET, MOVE_PACKET = 40, 41, 42
+_MOTIONS = frozenset({Command.VELOCITY, Command.RELATIVE, Command.LIMP})
 _UNITS_AN_INCH = 100.0
 _FAILED, _SUCCEEDED = 0, 1
 
@@ -46,6 +47,9 @@ def arm_mv(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     arm = stage.arm_of(visit)
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
         slide.command(Command(mode), value / _UNITS_AN_INCH)
+    assert visit.robot_id is not None
+    if not _MOTIONS.isdisjoint(modes):
+        stage.drivers.take_arm(visit, visit.robot_id)
     return _packet(MOVE_PACKET, _SUCCEEDED)
 
 
@@ -54,7 +58,9 @@ def arm_zr(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply | Later:
     if not _has_arm(stage, visit):
         return error_reply(NOT_AVAILABLE)
     stage.arm_of(visit).zero()
-    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _arm(stage, visit).still() else None
+    assert visit.robot_id is not None
+    stage.drivers.take_arm(visit, visit.robot_id)
+    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _waited_arm(stage, visit).still() else None
 
 
 def arm_ws(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply | Later:
@@ -66,7 +72,7 @@ def arm_ws(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply | Later:
 
     def waited() -> Reply | None:
         left_ms = round(1000 * (end_s - stage.simulation.time_s))
-        if _arm(stage, visit).still(bool(lift), bool(grip)):
+        if _waited_arm(stage, visit).still(bool(lift), bool(grip)):
             return _packet(WAIT_PACKET, _SUCCEEDED, max(left_ms, 0))
         return None if left_ms > 0 else _packet(WAIT_PACKET, _FAILED, 0)
 
@@ -77,7 +83,9 @@ def _has_arm(stage: Stage, visit: Visit) -> bool:
     return stage.robot_of(visit).model.family in ARM_MODELS
 
 
-def _arm(stage: Stage, visit: Visit) -> Arm:
+def _waited_arm(stage: Stage, visit: Visit) -> Arm:
+    """The arm as it is now; who waits for it feeds the time-out, as with the robot's own motion."""
+    stage.robot_of(visit).feed()
     return stage.arm_of(visit)
 
 

@@ -11,7 +11,7 @@ from nclient.protocol.mask import BUMPER_SLOT, Position
 from nclient.protocol.replies import Reply
 from nclient.protocol.units import clamped_word, wrapped_word
 from nserver_emu.server.axis_units import axis_tenths
-from nserver_emu.server.session import BAD_VALUES, Visit, error_reply
+from nserver_emu.server.session import Visit
 from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import (
     pose_tenths,
@@ -25,10 +25,8 @@ _INT32_MAX = 0x7FFFFFFF
 
 
 def conf_sn(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """The sonars' firing rate and order; the ring starts anew."""
+    """The sonars' firing rate, clamped, and order, which ends at the first that is no sonar; the ring starts anew."""
     rate, *order = args
-    if not 0 <= rate <= 255 or not all(0 <= number < 16 or number == 255 for number in _until_end(order)):
-        return error_reply(BAD_VALUES)
     stage.robot_of(visit).configure_sonars(rate, tuple(order))
     return stage.state(visit)
 
@@ -95,7 +93,3 @@ def sim_truth(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
         visit.robot_id or 0,
     )
     return Reply("truth", values=values)
-
-
-def _until_end(order: list[int]) -> list[int]:
-    return order[: order.index(255)] if 255 in order else order

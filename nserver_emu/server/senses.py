@@ -16,7 +16,6 @@ from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import compass_stamps, infrared_stamps, robot_clock_ms, stamp_now
 from nserver_emu.simulation.compass import CompassMode
 from nserver_emu.simulation.infrared import INFRAREDS
-from nserver_emu.simulation.laser import LineFit
 
 _END_OF_ORDER = 255
 _HIGHEST_BYTE = 255
@@ -25,7 +24,7 @@ CALIBRATED, NOT_CALIBRATED = (9, 9, 1), (0, 0, 0)
 
 
 def conf_ir(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """The infrareds' history in tenths, more than 10 taken as 10, and which of them look."""
+    """The infrareds' history in tenths, more than 9 taken as 9, and which of them look."""
     robot, (history, *order) = stage.robot_of(visit), args
     if robot.infrared is None:
         return error_reply(NOT_AVAILABLE)
@@ -74,15 +73,14 @@ def get_cp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 
 def conf_ls(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """How many columns of the laser count (0: all); the session has noted the mode.
+    """How many columns of the laser count (0: all) on this connection; the session has noted the mode.
 
     Threshold, width and processing tell a camera's picture from its noise; there is no picture here, and no source
     that tells their units: they have no effect.
     """
-    robot = stage.robot_of(visit)
-    if not robot.model.sees:
+    if not stage.robot_of(visit).model.sees:
         return error_reply(NOT_AVAILABLE)
-    robot.laser_columns = max(0, args[3])
+    visit.laser_columns = max(0, args[3])
     return stage.state(visit)
 
 
@@ -92,13 +90,13 @@ def get_ls(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 
 def conf_sg(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """How laser points become lines: threshold and gap in tenths of an inch, fewest points."""
-    robot, (threshold, min_points, gap) = stage.robot_of(visit), args
-    if not robot.model.sees:
+    """How laser points become lines on this connection: threshold and gap in tenths of an inch, fewest points."""
+    if not stage.robot_of(visit).model.sees:
         return error_reply(NOT_AVAILABLE)
     if not all(0 <= number <= _HIGHEST_BYTE for number in args):
         return error_reply(BAD_VALUES)
-    robot.line_fit = LineFit(threshold / 10, min_points, gap / 10)
+    threshold, min_points, gap = args
+    visit.segments = (threshold, min_points, gap)
     return stage.state(visit)
 
 
@@ -111,6 +109,6 @@ def _laser(stage: Stage, visit: Visit, width: int) -> Reply:
     robot, now_s = stage.robot_of(visit), stage.simulation.time_s
     if not robot.model.sees:
         return error_reply(NOT_AVAILABLE)
-    seen = laser_vector(robot, width) if is_on(visit.terms.laser_mode) else (0,)
+    seen = laser_vector(robot, visit, width) if is_on(visit.terms.laser_mode) else (0,)
     stamps = {"laser": stamp_now(robot, now_s)} if visit.terms.mask.position & Position.LASER else {}
     return Reply("laser", laser=seen, stamps=stamps, clock=robot_clock_ms(robot, now_s))

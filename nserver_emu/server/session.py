@@ -54,13 +54,17 @@ class Told(NamedTuple):
 class Visit:
     """What the server knows of one connection: whose robot, on what terms, and the State values last sent.
 
-    `told`: the state last told on a robot's own line, where nothing else decides what a packet says.
+    told             the state last told on a robot's own line, where nothing else decides what a packet says
+    laser_columns    how many columns of the laser count, 0: all; segments: threshold and gap in tenths of an inch and
+                     fewest points of a laser line, in the order of conf_sg; None: as at power-on
     """
 
     terms: Terms = field(default_factory=lambda: tcp_terms(N150))
     robot_id: int | None = None
     kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
     told: Told | None = None
+    laser_columns: int = 0
+    segments: tuple[int, int, int] | None = None
 
     def keep(self, slots: Mapping[int, int]) -> None:
         """These were sent, too; the list itself may be another connection's as well, so it is not changed."""
@@ -161,6 +165,13 @@ class Conversation(ABC, Generic[Request]):
             return b""
         self._later = None
         return self._encode(name, reply)
+
+    def break_promise(self, code: int) -> bytes:
+        """The ERROR reply to a request whose answer cannot come; the conversation goes on."""
+        if self._later is None:
+            return b""
+        name, self._later = self._later[0], None
+        return self._encode(name, error_reply(code))
 
     def _say(self, name: str, answer: Reply | Later) -> bytes:
         """An answer to a command: now, or when it is there."""

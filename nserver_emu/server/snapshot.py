@@ -31,12 +31,12 @@ from nserver_emu.server.state_reply import state_slots
 from nserver_emu.simulation.simulation import Simulation
 
 FORMAT: Final = "nserver snapshot"
-KEPT: Final = ("simulation", "pace", "graphics", "transcript", "arms")
+KEPT: Final = ("simulation", "pace", "graphics", "traces", "transcript", "arms")
 """What of an emulator is kept: all but connections, port and permissions, which belong to a daemon's start."""
 
 _ROOMS: Final = (
     "nserver_emu.simulation.", "nserver_emu.server.arm", "nserver_emu.server.graphics", "nserver_emu.server.pace",
-    "nserver_emu.server.transcript", "worlds.",
+    "nserver_emu.server.traces", "nserver_emu.server.transcript", "worlds.",
 )  # fmt: skip
 _PLAIN: Final = (type(None), bool, int, float, str)
 _NUMBERS: Final = "biuf"

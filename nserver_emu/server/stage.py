@@ -1,6 +1,6 @@
 """What the commands act upon: the simulation with all that a server adds to it. No wire units, no command by name.
 
-    Stage    simulation | pace | graphics | transcript | arms | who drives which robot | what the setup allows
+    Stage    simulation | pace | graphics | traces | transcript | arms | who drives which robot | what the setup allows
 
 Rules: handlers change it, the daemon and the viewer read it. Connections come and go; everything else is what a
 snapshot keeps.
@@ -10,16 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from nclient.protocol.replies import Reply
 from nserver_emu.server.arm import Arm
 from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
+from nserver_emu.server.layers import layers
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
 from nserver_emu.server.session import Later, Told, Visit
 from nserver_emu.server.state_reply import Look, clock_ms, state_reply
+from nserver_emu.server.traces import Traces
 from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -49,6 +51,8 @@ class Stage:
         self.allowed = allowed or Allowed()
         self.quitting = False
         self.graphics = Graphics()
+        self.traces = Traces()
+        self.traces.note(simulation)
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
@@ -60,6 +64,8 @@ class Stage:
         self.look_anew()
         self._promises.drop(visit)
         self.drivers.leave(visit, self.simulation.robots)
+        for robot_id in self.drivers.leave_arms(visit):
+            self.stop_arm(robot_id)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
@@ -67,12 +73,19 @@ class Stage:
         while left_ps:
             piece_ps = min(left_ps, PIECE_PS)
             self.simulation.step(to_s(piece_ps))
+            self.traces.note(self.simulation)
+            for robot_id in self.arms:
+                self._arm(robot_id)
             self._promises.ask()
             left_ps -= piece_ps
 
     def promise(self, visit: Visit, later: Later) -> Later:
         """The same answer, made at the moment it is there even if nobody asks for it then."""
         return self._promises.make(visit, later)
+
+    def break_promises(self, visit: Visit) -> None:
+        """This connection is told no more of what it waited for."""
+        self._promises.drop(visit)
 
     def look_anew(self) -> None:
         """Something changed other than by time: no look at a robot is still good."""
@@ -92,7 +105,20 @@ class Stage:
     def arm_of(self, visit: Visit) -> Arm:
         """The arm of the connection's robot, as it is now."""
         assert visit.robot_id is not None
-        arm = self.arms.setdefault(visit.robot_id, Arm())
+        self.arms.setdefault(visit.robot_id, Arm())
+        return self._arm(visit.robot_id)
+
+    def stop_arm(self, robot_id: int) -> None:
+        """An arm stops, where that robot has one that was ever moved."""
+        if robot_id in self.arms:
+            self._arm(robot_id).stop()
+
+    def _arm(self, robot_id: int) -> Arm:
+        """An arm as it is now; the robot's time-out has stopped it when it struck."""
+        arm, struck_s = self.arms[robot_id], self.simulation.robots[robot_id].timed_out_s
+        if struck_s is not None and arm.time_s < struck_s:
+            arm.advance_to(struck_s)
+            arm.stop()
         arm.advance_to(self.simulation.time_s)
         return arm
 
@@ -114,6 +140,10 @@ class Stage:
         if told is None or told.look is not look or told.mask is not mask or told.laser_mode != mode:
             told = visit.told = Told(look, mask, mode, state_reply(robot, visit, now_s, look))
         return told.reply
+
+    def layers(self, robot_id: int) -> dict[str, Any]:
+        """What the window of a robot shows now, as plain data (layers.py). Raises KeyError for no robot."""
+        return layers(robot_id, self.simulation.robots[robot_id], self.traces, self.graphics)
 
     @property
     def clock_ms(self) -> int:

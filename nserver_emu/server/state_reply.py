@@ -19,7 +19,6 @@ from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, EVERYTHING, LASER_S
 from nclient.protocol.replies import Reply
 from nclient.protocol.stamps import INFRARED_KEYS, SONAR_KEYS, Stamp
 from nclient.protocol.state import STATE_SIZE
-from nclient.protocol.terms import Terms
 from nclient.protocol.units import (
     CPU_RANGE_V,
     MOTOR_RANGE_V,
@@ -116,7 +115,7 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
 def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, look: Look) -> Reply:
     """The whole state of a robot, `look` as of now, on the terms of this connection."""
     mask = visit.terms.mask
-    slots, laser = with_laser(robot, visit.terms, look.slots(mask), wanted=mask.has(LASER_SLOT))
+    slots, laser = with_laser(robot, visit, look.slots(mask), wanted=mask.has(LASER_SLOT))
     slots = as_sent(visit, slots)
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
     return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
@@ -134,13 +133,14 @@ def as_sent(visit: Visit, slots: list[int]) -> list[int]:
 
 
 def with_laser(
-    robot: SimulatedRobot, terms: Terms, slots: list[int], *, wanted: bool = True
+    robot: SimulatedRobot, visit: Visit, slots: list[int], *, wanted: bool = True
 ) -> tuple[list[int], tuple[int, ...] | None]:
     """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
     if not robot.model.sees:
         return slots, None
+    terms = visit.terms
     told = [*slots[:LASER_SLOT], terms.laser_mode, *slots[LASER_SLOT + 1 :]]
-    return told, laser_vector(robot, terms.laser_width) if wanted and is_on(terms.laser_mode) else None
+    return told, laser_vector(robot, visit, terms.laser_width) if wanted and is_on(terms.laser_mode) else None
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:

@@ -1,7 +1,7 @@
 """The infrared ring of the N200: nearness in sixteen steps. Rays are the world's; poses and time are handed in.
 
     reading = whole inches from the body, 0..15; 15 is nothing, and nothing is farther than 24 in in any case
-    history h = 0..10: a reading is h tenths the one before it and the rest the new one
+    history h = 0..9: a reading is h tenths the one before it and the rest the new one; more counts as 9
 
 The whole ring flashes at once, every 60 ms (decisions of ours, as is the history's arithmetic: no source gives them).
 As with the sonars a flash notes where it happened; rays are cast when somebody looks, and looking changes no reading.
@@ -28,7 +28,9 @@ NOTHING: Final = 15
 """What a sensor reads that sees nothing."""
 REACH_IN: Final = 24.0
 """Nothing is seen beyond, whatever the calibration makes of it."""
-FULL_HISTORY: Final = 10
+TENTHS: Final = 10
+MOST_HISTORY: Final = 9
+"""With ten tenths of what was before, nothing new would ever be seen."""
 INTERVAL_PS: Final = 60 * PS_PER_S // 1000
 MOST_UNSEEN: Final = 64
 """Flashes that are kept while nobody looks, where the history needs them all."""
@@ -88,14 +90,14 @@ class InfraredRing:
         return tuple(self._stamps)
 
     def configure(self, history: int, order: Sequence[int], now_ps: int) -> None:
-        """Take a new history (clamped to 0..10) and new sensors, those before the first number that is none.
+        """Take a new history (clamped to 0..9) and new sensors, those before the first number that is none.
 
         The others keep their readings; no sensor at all: the ring is off. It flashes now, and every 60 ms.
         """
         self._look()
         end = next((at for at, number in enumerate(order) if not 0 <= number < INFRAREDS), len(order))
         self._order = tuple(order[:end])
-        self._history = min(max(history, 0), FULL_HISTORY)
+        self._history = min(max(history, 0), MOST_HISTORY)
         self.due_ps = now_ps if self._order else NEVER_PS
 
     def flash_due(self, eye: Eye, stamp: Stamp) -> None:
@@ -115,7 +117,7 @@ class InfraredRing:
         self._walls = walls
 
     def _look(self) -> None:
-        kept = self._history / FULL_HISTORY
+        kept = self._history / TENTHS
         for flash in self._unseen:
             ranges = self._ranges(flash)
             for number in self._order:

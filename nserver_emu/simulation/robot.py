@@ -19,7 +19,7 @@ from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
-from nserver_emu.simulation.laser import LineFit, ranges, thinned
+from nserver_emu.simulation.laser import ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
@@ -75,6 +75,8 @@ class SimulatedRobot:
         self._time_ps = now_ps
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS
+        self.timed_out_s: float | None = None
+        """When the time-out last struck, simulated time."""
         self._zeroing = False
         self._walls = walls
         self._beside_others = False
@@ -91,8 +93,6 @@ class SimulatedRobot:
         if model.sees:
             light = identity.stream(Purpose.INFRARED)
             self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, light)
-        self.line_fit = LineFit()
-        self.laser_columns = 0
         self.compass: Compass | None = None
         if model.compass:
             needle = identity.stream(Purpose.COMPASS)
@@ -294,9 +294,12 @@ class SimulatedRobot:
         if self.compass is not None:
             self.compass.configure(mode, self._drive.turret_rad)
 
-    def look_with_laser(self) -> FloatArray:
-        """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing."""
-        return thinned(ranges(self._eye(), self._walls, self.model.body), self.laser_columns)
+    def look_with_laser(self, columns: int = 0) -> FloatArray:
+        """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing.
+
+        columns    how many of them count, 0: all
+        """
+        return thinned(ranges(self._eye(), self._walls, self.model.body), columns)
 
     # Time and surroundings
 
@@ -355,6 +358,7 @@ class SimulatedRobot:
             self.feed()
             return
         self._deadline_ps = NEVER_PS
+        self.timed_out_s = self.time_s
         self._stop_axes()
 
     def _end_zero(self) -> None:

@@ -76,7 +76,7 @@ def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: sig
 
 
 def test_usage_errors_say_what_is_wanted(capsys: pytest.CaptureFixture[str]) -> None:
-    wanted = ((["--speed", "MAX"], "a speed is 0.1 to 100, or max, not 'MAX'"), (["--port", "x"], "a port is 0 to"),
+    wanted = ((["--speed", "MAX"], "a speed is 0.1 to 999, or max, not 'MAX'"), (["--port", "x"], "a port is 0 to"),
               (["--setup", "mesured"], "files that end in .toml; did you mean measured?"))  # fmt: skip
     for argv, words in wanted:
         with pytest.raises(SystemExit):

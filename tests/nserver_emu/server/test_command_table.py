@@ -42,7 +42,7 @@ def test_what_has_to_be_allowed(name: str) -> None:
     [
         (ARM, {"n200"}),
         (("real_robot", "special_request"), set()),
-        (("vm", "pr", "pa", "mv", "gs", "get_sn", "get_bp", "add_obstacle", "draw_arc", "refresh_all", "zr"),
+        (("vm", "pr", "pa", "mv", "gs", "get_sn", "get_bp", "add_obstacle", "draw_arc", "zr"),
          {"n150", "n200", "scout"}),
     ],
 )  # fmt: skip
@@ -53,5 +53,6 @@ def test_who_has_what(names: tuple[str, ...], models: set[str]) -> None:
 
 def test_accelerations_have_no_effect_where_the_original_has_none_and_conf_ser_is_not_over_tcp() -> None:
     assert set(cells("ac").values()) == {"no effect"}
+    assert {said for name in WRITTEN if name.startswith("refresh_") for said in cells(name).values()} == {"no effect"}
     assert set(cells("conf_ser").values()) == {"—"}
     assert BY_NAME["conf_ser"].tcp_type is None

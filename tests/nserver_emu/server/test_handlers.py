@@ -255,9 +255,30 @@ def test_sonars_fire_in_the_order_and_at_the_rate_of_conf_sn(emulator: Emulator,
     assert {slot for slot in before if twice[slot] != before[slot]} == {17 + 3, 17 + 5}
 
 
-@pytest.mark.parametrize("args", [(15, 16, *[255] * 15), (256, 0, *[255] * 15), (-1, *[0] * 16)])
-def test_conf_sn_refuses_what_no_ring_has(client: WireClient, args: tuple[int, ...]) -> None:
-    assert client.ask("conf_sn", *args).values == (2,)
+@pytest.mark.parametrize(
+    ("args", "like"),
+    [
+        ((15, 3, 16, *[0] * 14), (15, 3, *[255] * 15)),
+        ((15, 3, -1, *[0] * 14), (15, 3, *[255] * 15)),
+        ((0, *range(16)), (1, *range(16))),
+        ((-7, *range(16)), (1, *range(16))),
+        ((100_000, *range(16)), (255, *range(16))),
+    ],
+)
+def test_conf_sn_takes_of_what_no_ring_has_what_it_can(args: tuple[int, ...], like: tuple[int, ...]) -> None:
+    def heard(numbers: tuple[int, ...]) -> list[Reply]:
+        emulator = Emulator(simulation())
+        client, _ = meet(emulator)
+        client.ask("ct", *EVERYTHING.with_position(Position.SONAR).smask)
+        client.ask("vm", 100, 0, 100)
+        replies = [client.ask("conf_sn", *numbers)]
+        for _ in range(30):
+            emulator.pass_time(0.11)
+            replies.append(client.ask("gs"))
+        return replies
+
+    assert heard(args) == heard(like)
+    assert heard(args)[0].kind == "state"
 
 
 def test_a_masked_sensor_keeps_the_value_last_sent_on_its_connection(emulator: Emulator, client: WireClient) -> None:

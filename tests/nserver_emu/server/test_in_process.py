@@ -8,8 +8,7 @@ import pytest
 from wire_client import WireClient
 
 from nclient.errors import AddressError, StartError, WorldFileError
-from nclient.protocol import language, models
-from nclient.protocol.commands import Call
+from nclient.protocol import models
 from nserver_emu.server.in_process import InProcess, open_address
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.instants import PS_PER_S
@@ -112,13 +111,13 @@ def test_a_world_file_of_ones_own(tmp_path: Path) -> None:
     assert client.ask("gs").slots[17] == round(2 / 0.0254 - 9.06)
 
 
-def test_the_client_controls_the_time_and_a_paused_simulation_answers_no_wait() -> None:
-    client, end = connected("sim:")
+def test_the_client_controls_the_time() -> None:
+    client, _ = connected("sim:")
     client.ask("vm", 10, 0, 0)
     assert client.ask("sim_control", 1, 0).values == (1, 100, 0, 1)
     assert client.ask("gs").clock == 100
-    end.send(language.tcp_request(Call("ws", (1, 1, 1, 1))))
-    assert end.receive() == b""
+    assert client.ask("sim_control", 4, 50).values == (1, 150, 0, 1)
+    assert client.ask("gs").clock == 150
 
 
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
@@ -164,3 +163,15 @@ def test_models_and_models_of_a_file_for_each(tmp_path: Path) -> None:
 def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
     assert (sonar.DEFAULT_ORDER, sonar.DEFAULT_RATE) == (models.DEFAULT_SONAR_ORDER, models.DEFAULT_SONAR_RATE)
     assert pytest.approx(models.SONAR_RATE_STEP_S) == sonar.TICK_PS / PS_PER_S
+
+
+@pytest.mark.parametrize(("name", "args"), [("ws", (1, 1, 1, 5)), ("zr", ())])
+def test_to_wait_while_time_stands_is_refused_and_the_conversation_goes_on(name: str, args: tuple[int, ...]) -> None:
+    client, _ = connected("sim:")
+    client.ask("place_robot", 0, 0, 900, 900)
+    client.ask("vm", 0, 100, 0)
+    client.ask("sim_control", 1, 0)
+    assert client.ask(name, *args).values == (5,)
+    assert client.ask("gs").kind == "state"
+    client.ask("sim_control", 2, 0)
+    assert client.ask("ws", 1, 1, 1, 1).kind == "state"

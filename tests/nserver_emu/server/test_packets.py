@@ -10,6 +10,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Session
+from nserver_emu.server.snapshot import dumps, loads
 from nserver_emu.server.transcript import KEPT, Transcript, Utterance
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.setup import IDEAL
@@ -115,3 +116,74 @@ def test_a_robot_without_an_arm_refuses(name: str, args: tuple[int, ...]) -> Non
 
 def test_a_user_packet_nobody_wrote_a_program_for_is_refused(met: tuple[WireClient, Session]) -> None:
     assert met[0].ask("special_request", 99, 1, 2, 3).values == (4,)
+
+
+def running(emulator: Emulator) -> tuple[WireClient, Session]:
+    """A client whose arm's lift runs up at 1 in/s."""
+    client, session = meet(emulator)
+    client.ask("arm_mv", 1, 100, 0, 0)
+    emulator.pass_time(1.0)
+    assert emulator.arms[1].lift.moving
+    return client, session
+
+
+def settled_in(emulator: Emulator) -> float:
+    """How high the lift is when it stands; it has a minute for that."""
+    emulator.pass_time(60.0)
+    assert emulator.arms[1].still()
+    return emulator.arms[1].lift.position_in
+
+
+def test_st_stops_the_arm_too(emulator: Emulator) -> None:
+    client, _ = running(emulator)
+    client.ask("st")
+    assert 0.9 < settled_in(emulator) < 1.1
+
+
+def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
+    _, session = running(emulator)
+    other, other_session = meet(emulator)
+    other.ask("arm_mv", 5, 100, 4, 100)
+    emulator.leave(other_session.visit)
+    assert emulator.arms[1].lift.moving
+    emulator.leave(session.visit)
+    assert 0.9 < settled_in(emulator) < 1.1
+
+
+def test_a_client_that_takes_the_arm_over_goes_on_when_the_first_leaves(emulator: Emulator) -> None:
+    _, session = running(emulator)
+    other, _ = meet(emulator)
+    other.ask("arm_mv", 2, 1000, 2, 100)
+    emulator.leave(session.visit)
+    assert settled_in(emulator) == pytest.approx(11.0, abs=0.1)
+
+
+@pytest.mark.parametrize("step_s", [0.1, 5.0])
+def test_the_time_out_stops_the_arm_when_it_strikes(emulator: Emulator, step_s: float) -> None:
+    client, _ = running(emulator)
+    client.ask("conf_tm", 2)
+    for _ in range(round(5.0 / step_s)):
+        emulator.simulation.step(step_s)
+    client.ask("gs")
+    assert settled_in(emulator) == pytest.approx(3.0, abs=0.1)
+
+
+def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
+    client, session = meet(emulator)
+    client.ask("conf_tm", 1)
+    client.ask("arm_mv", 5, 100, 0, 0)
+    client.ask("arm_mv", 2, 500, 0, 0)
+    session.receive(language.tcp_request(Call("arm_ws", (1, 1, 30_000))))
+    assert session.answers(most=1) == b""
+    assert settled_in(emulator) == pytest.approx(5.0)
+    (reply,) = client.read("arm_ws", session.tick())
+    assert answer(reply)[:2] == (41, 1)
+
+
+def test_the_arm_of_a_restored_robot_stops_with_who_finds_it(emulator: Emulator) -> None:
+    running(emulator)
+    restored = Emulator(simulation())
+    loads(restored, dumps(emulator))
+    _, session = meet(restored)
+    restored.leave(session.visit)
+    assert 0.9 < settled_in(restored) < 1.1

@@ -77,10 +77,13 @@ def test_infrareds_show_how_near_a_wall_is_in_state_and_answer(emulator: Emulato
 def test_conf_ir_sets_history_and_sensors(emulator: Emulator, client: WireClient) -> None:
     client.ask("conf_ir", 12, *range(16))
     emulator.simulation.robots[1].place(50.0, 50.0, 0.0, 0.0)
+    emulator.simulation.step(0.06)
+    assert client.ask("get_ir").slots[9] == 4
     emulator.simulation.step(1.0)
-    assert client.ask("get_ir").slots[9] == 3
+    assert client.ask("get_ir").slots[9] == 13
+    before = client.ask("get_ir").slots[13]
     assert client.ask("conf_ir", 0, 8, 255, *[99] * 14).slots[9] == 15
-    assert client.ask("get_ir").slots[13] == 3
+    assert client.ask("get_ir").slots[13] == before
     for args in ((-1, *range(16)), (0, 16, *range(15))):
         assert client.ask("conf_ir", *args).values == (2,)
 
@@ -178,6 +181,19 @@ def test_conf_ls_takes_the_number_of_columns_and_conf_sg_what_a_line_is() -> Non
     assert line is not None
     assert line[0] == 1
     assert client.ask("conf_sg", 256, 0, 0).values == (2,)
+
+
+def test_columns_and_lines_are_each_connections_own() -> None:
+    emulator = n200(BEFORE_A_WALL)
+    (client, _), (other, _) = meet(emulator), meet(emulator)
+    whole, line = other.ask("get_ls").laser, other.ask("get_sg").laser
+    other.ask("conf_ls", 51, 0, 0, 0, 0)
+    client.ask("conf_ls", 51, 0, 0, 20, 0)
+    client.ask("conf_sg", 10, 21, 60)
+    assert client.ask("get_sg").laser == (0,)
+    assert other.ask("get_ls").laser == whole
+    assert other.ask("get_sg").laser == line
+    assert client.ask("get_ls").laser != whole
 
 
 @pytest.mark.parametrize("mode", [3, 33, 51])

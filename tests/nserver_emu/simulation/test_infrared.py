@@ -63,7 +63,7 @@ def test_sensors_that_are_not_in_the_order_keep_their_readings() -> None:
 def test_history_is_the_share_of_the_reading_before(history: int) -> None:
     sensors = ring(wall(5.0))
     sensors.configure(history, ALL, 0)
-    share = min(history, 10) / 10
+    share = min(history, 9) / 10
     for flashes in range(1, 8):
         sensors.flash_due(HERE, stamp())
         level = 5.0 + (15.0 - 5.0) * share**flashes

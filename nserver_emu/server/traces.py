@@ -1,0 +1,61 @@
+"""Where the robots have been: the track of each actual robot, and of where its encoders believed it was.
+
+Rules: a point is kept where the last one is POINT_IN away or more, as time passes; the oldest of
+MOST_POINTS is forgotten for a new one. Inches. Who drives and who looks is not known here.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import floor, hypot
+from typing import Final
+
+from nserver_emu.simulation.simulation import Simulation
+
+POINT_IN: Final = 0.5
+"""Nearer points look like one."""
+
+INTERVAL_S: Final = 0.025
+"""Nobody goes farther than that in less time at 20 in/s: it is not looked more often."""
+
+MOST_POINTS: Final = 4000
+"""At least 2000 inches of way; some days of clients fill no memory."""
+
+
+class Trace:
+    """A track as points; coordinates one after another, which a snapshot keeps in little room."""
+
+    def __init__(self) -> None:
+        self._flat: deque[float] = deque(maxlen=2 * MOST_POINTS)
+
+    @property
+    def points(self) -> list[tuple[float, float]]:
+        """(x, y) in inches, the oldest first."""
+        flat = iter(self._flat)
+        return list(zip(flat, flat, strict=True))
+
+    def go(self, x_in: float, y_in: float) -> None:
+        """The robot is here."""
+        if not self._flat or hypot(x_in - self._flat[-2], y_in - self._flat[-1]) >= POINT_IN:
+            self._flat.extend((x_in, y_in))
+
+
+class Traces:
+    """The two tracks of each robot by its number: `actual` and `encoder`."""
+
+    def __init__(self) -> None:
+        self.actual: dict[int, Trace] = {}
+        self.encoder: dict[int, Trace] = {}
+        self._noted = -1
+
+    def note(self, simulation: Simulation) -> None:
+        """This is where all are now; of several moments within INTERVAL_S the first counts."""
+        interval = floor(simulation.time_s / INTERVAL_S)
+        if interval == self._noted:
+            return
+        self._noted = interval
+        for robot_id, robot in simulation.robots.items():
+            x, y, _ = robot.disc
+            believed = robot.encoder
+            self.actual.setdefault(robot_id, Trace()).go(x, y)
+            self.encoder.setdefault(robot_id, Trace()).go(believed.x_in, believed.y_in)
