@@ -5,7 +5,7 @@
 Rules: one exchange at a time: calls and the feeder share a lock, and a feeder that finds it taken has nothing to do.
 What the feeder meets (the link lost, a bumper hit) is raised by the next call. A program that sends conf_tm itself
 takes the time-out over: it is fed no more. It feeds only where time runs by itself. ws, during which nothing can be
-said, is asked in pieces shorter than the time-out.
+said, is asked in pieces shorter than the time-out. A robot that was switched off and on is given its time-out again.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ SHORTEST_TIMEOUT_S = 2
 _SHARE = 3
 _SPEED_SLOT, _REAL_TIME = 0, 10
 _SHORTEST_INTERVAL_S = 0.005
+_WS_ARGUMENTS = 4
 _GS = Call("gs")
 
 
@@ -49,6 +50,7 @@ class Feeding(Wrapper):
         self._over = threading.Event()
         self._met: NomadError | None = None
         self._factor = 1.0
+        self._robot_ms = 0
         self._greeting = inner.greeting
         self._said_s = clock()
         self._ours = self._set(inner)
@@ -67,10 +69,10 @@ class Feeding(Wrapper):
             if self._met is not None:
                 met, self._met = self._met, None
                 raise met
+            if call.name == "ws" and self._ours and len(call.args) == _WS_ARGUMENTS:
+                return self._wait_in_pieces(call)
             if call.name == "conf_tm":
                 self._ours = False
-            if call.name == "ws" and self._ours and len(call.args) == len(("t", "s", "r", "timeout")):
-                return self._wait_in_pieces(call)
             return self._say(call)
 
     def close(self) -> None:
@@ -116,12 +118,21 @@ class Feeding(Wrapper):
         return True
 
     def _say(self, call: Call) -> Reply:
-        try:
-            reply = self._inner.execute(call)
-        finally:
-            self._said_s = self._clock()
+        reply = self._inner.execute(call)
+        self._said_s = self._clock()
         self._note(reply)
+        if reply.clock is not None:
+            self._watch(reply.clock)
         return reply
+
+    def _watch(self, robot_ms: int) -> None:
+        """A clock that began anew is a robot that was switched off and on, and has forgotten its time-out."""
+        if robot_ms < self._robot_ms and self._ours:
+            try:
+                self._inner.execute(Call("conf_tm", (self._timeout_s,)))
+            except (ReplyTimeout, RobotRefused):
+                return  # the next answer tells it again
+        self._robot_ms = robot_ms
 
     def _note(self, reply: Reply) -> None:
         speed = reply.slots.get(_SPEED_SLOT)

@@ -195,3 +195,24 @@ def test_faults_on_the_line_to_a_real_robot_and_on_its_own(folder: Path, capsys:
             assert counts == {"real:1": {"rule 1": {"seen": 1, "nak": 1}}}
             assert answered(tcp, move, 1) == [True]
             assert robot.ctl("status", capsys=capsys)["robots"][0]["moving"]
+
+
+def test_the_users_own_place_is_the_default(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    (folder / "nserver.sock").write_text("no socket")
+    assert cli.main(["--port", "0", "--control"]) == 1
+    assert f"cannot be controlled at {folder / 'nserver.sock'}: something that is no socket" in capsys.readouterr().err
+
+
+def test_without_control_a_plan_may_be_in_force(folder: Path) -> None:
+    (folder / "plan.toml").write_text("[[rule]]\ndo = 'nak'\ncommand = 'vm'\ndirection = 'request'")
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--faults", str(folder / "plan.toml")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        port = int(daemon.stdout.readline().rpartition(":")[2])
+        with closing(NserverBackend(TcpStream("127.0.0.1", port))) as tcp:
+            assert answered(tcp, Call("vm", (100, 0, 0)), 2) == [False, False]
+        daemon.terminate()
+        assert daemon.wait(20) == 0

@@ -27,6 +27,7 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.terms import line_terms
 from nclient.recording.log import read_recording
+from nserver_emu import cli as nserver_cli
 
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
 NSERVER = [sys.executable, "-m", "nserver_emu", "--port", "0", "--lockstep", "0.1"]
@@ -205,3 +206,15 @@ def test_what_cannot_be(words: tuple[str, ...], told: str) -> None:
 def test_what_makes_no_sense(words: tuple[str, ...]) -> None:
     done = subprocess.run([*NOMAD, *words], capture_output=True, text=True, timeout=30, check=False)
     assert done.returncode == 2
+
+
+def test_robots_lines_are_recorded_by_both_ends_and_played_again(tmp_path: Path) -> None:
+    link, whole = tmp_path / "robot", tmp_path / "daemon.log"
+    words = ("--robot", "n200", "--robotd", "0", "--serial-link", str(link), "--record", str(whole))
+    with program(*NSERVER, *words) as (_, process):
+        robotd = process.out().split()[2]
+        for number, address in enumerate((f"robotd://{robotd}?model=n200", f"serial://{link}?model=n200")):
+            path = tmp_path / f"{number}.log"
+            seen = drive(connect(f"{address}&record={path}"))
+            assert drive(connect(f"replay:{path}")) == seen
+    assert nserver_cli.main(["--replay", str(whole)]) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import select
@@ -110,13 +109,30 @@ def test_more_than_the_port_takes_at_once_goes_out_in_parts(pty: Pty) -> None:
 
 
 def test_a_port_that_takes_nothing_is_gone(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    def send_for_ever() -> None:
+        while True:
+            stream.send(bytes(65536))
+
     monkeypatch.setattr(serial_port, "WRITE_TIMEOUT_S", 0.1)
     stream = SerialStream(pty.name)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(stream._file, bytes(4096))
     with pytest.raises(ConnectionLost, match=r"is gone \(Write timeout\)"):
-        stream.send(b"x")
+        send_for_ever()
+    stream.close()
+
+
+def test_a_port_that_is_full_for_a_moment_is_waited_for(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    write, full = os.write, [True]
+
+    def refuse_once(file: int, data: bytes) -> int:
+        if full:
+            full.clear()
+            raise BlockingIOError
+        return write(file, data)
+
+    stream = SerialStream(pty.name)
+    monkeypatch.setattr(os, "write", refuse_once)
+    stream.send(b"hello")
+    assert os.read(pty.far, 10) == b"hello"
     stream.close()
 
 

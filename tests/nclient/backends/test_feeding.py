@@ -13,6 +13,7 @@ from robot_line import ScriptedLine, direct_on, spoiled
 from nclient.backends.bumper_stop import BumperStop
 from nclient.backends.feeding import Feeding
 from nclient.backends.nserver import NserverBackend
+from nclient.backends.retrying import Retrying
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.models import N200
@@ -118,6 +119,27 @@ def test_while_somebody_talks_there_is_nothing_to_do() -> None:
     with backend._lock:
         backend.beat()
     assert robot.names() == ["conf_tm"]
+
+
+def test_a_robot_that_was_switched_off_and_on_is_given_its_time_out_again() -> None:
+    robot = ScriptedLine()
+    robot.clock = 500_000
+    inner = direct_on(robot)
+    backend = Feeding(Retrying(inner, 2), feeds=False, clock=Clock())
+    backend.execute(GS)
+    robot.clock = 100
+    robot.answers["conf_tm"] = [None, None, None]
+    robot.calls.clear()
+    backend.execute(GS)
+    backend.execute(VM)
+    backend.execute(GS)
+    told = [name for name in robot.names() if name not in ("get_ra", "get_rv", "get_rc")]
+    assert told == [*["gs"] * 3, *["conf_tm"] * 3, "vm", "conf_tm", "gs"]
+    backend.execute(Call("conf_tm", (0,)))
+    robot.clock = 0
+    robot.calls.clear()
+    backend.execute(GS)
+    assert set(robot.names()) == {"gs"}
 
 
 # what the feeder meets

@@ -1,0 +1,95 @@
+"""A faulty line in simulated time: what is believed is what the robot said, and the counts are the plan's.
+
+The whole run, 100,000 exchanges a plan, is `python benchmarks/faulty_exchanges.py`; here are its first ones.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from faulty_exchanges import ONE_BYTE, PACKET, exchange, noise, one_byte, read_packet
+
+from nclient.faults.kinds import Corrupt, DropByte, Fault, Noise, Stray
+from nclient.faults.plan import Direction, Plan, Rule
+from nclient.protocol.serial_frame import build_frame
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "faulty_exchanges.py"
+SLICE = 2000
+TENTHS = range(10, SLICE + 1, 10)
+
+
+def test_a_clean_line_loses_nothing() -> None:
+    outcome = exchange(Plan(), 300)
+    assert (outcome.right, outcome.wrong, outcome.lost) == (300, 0, [])
+    assert (outcome.link["exchanges"], outcome.link["answers"], outcome.link["skipped_bytes"]) == (300, 300, 0)
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_one_faulty_byte_in_every_tenth_exchange(direction: Direction) -> None:
+    outcome = exchange(one_byte(ONE_BYTE, direction, seed=5), SLICE)
+    assert outcome.wrong == 0
+    assert set(outcome.lost) <= set(TENTHS)
+    assert outcome.right == SLICE - len(outcome.lost)
+    assert sum(outcome.struck.values()) == len(TENTHS)
+    assert set(outcome.struck) == {"corrupt", "drop_byte", "stray"}
+    assert outcome.link["timeouts"] + outcome.link["naks"] == len(outcome.lost)
+    assert outcome.struck["corrupt"] + outcome.struck["drop_byte"] <= len(outcome.lost) <= len(TENTHS)
+
+
+@pytest.mark.parametrize("fault", [Corrupt(), Corrupt(change="bit"), DropByte(), Stray(place=20)])
+def test_each_kind_alone_costs_the_answers_that_it_struck(fault: Fault) -> None:
+    outcome = exchange(one_byte((fault,), Direction.REPLY, seed=1), 300)
+    assert outcome.struck == {fault.kind: 30}
+    assert outcome.lost == list(range(10, 301, 10))
+    assert (outcome.right, outcome.wrong) == (270, 0)
+
+
+@pytest.mark.parametrize("place", [0, 48])
+def test_a_stray_byte_beside_an_answer_costs_nothing(place: int) -> None:
+    outcome = exchange(one_byte((Stray(place=place),), Direction.REPLY, seed=1), 300)
+    assert outcome.struck == {"stray": 30}
+    assert (outcome.right, outcome.lost) == (300, [])
+    assert outcome.link["skipped_bytes"] == 30
+
+
+@pytest.mark.parametrize("checks", [False, True])
+def test_noise_on_every_byte(checks: bool) -> None:
+    """The bound of the whole run, 30 in 100,000, is that of 1,500 exchanges rounded up."""
+    outcome = exchange(noise(seed=2), 1500, checks=checks)
+    assert outcome.wrong <= 1
+    assert outcome.right + outcome.wrong + len(outcome.lost) == 1500
+    frame = 0.98 ** (6 + 48)
+    assert outcome.right / 1500 == pytest.approx(frame, abs=5 * (frame * (1 - frame) / 1500) ** 0.5)
+    assert outcome.struck["corrupted_bytes"] == pytest.approx(outcome.struck["dropped_bytes"], rel=0.2)
+
+
+def test_what_passes_the_checksum_is_seen_to_be_wrong() -> None:
+    """Two corrupted bytes or more in most answers: one in 256 of those has a good checksum all the same."""
+    noisy = Plan((Rule("noise", (Noise(corrupt_percent=4.0),)),), seed=8)
+    bare, checked = (exchange(noisy, 600, checks=checks) for checks in (False, True))
+    assert 1 <= bare.wrong <= 8
+    assert checked.wrong < bare.wrong
+    assert checked.link["implausible"] >= 1
+
+
+def test_a_packet_is_read_by_its_layout_alone() -> None:
+    packet = PACKET.pack(bytes(range(16)), bytes((0xF0, 1, 2)), 10, 0x8000 | 20, *range(6), 7, 1 << 31, 200, 201)
+    read = read_packet(build_frame(7, packet))
+    assert read[:18] == (*range(16), 0xF00102, 10)
+    assert read[18:20] == (-20, 0)
+    assert read[-4:] == (7, 1 << 31, 200, 201)
+    assert read_packet(build_frame(7, packet[1:])) == read_packet(build_frame(9, packet)) == ()
+
+
+def test_the_script_prints_a_table_and_json() -> None:
+    command = [sys.executable, str(SCRIPT), "--exchanges", "30"]
+    table = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert table[0].startswith("| faults | struck | right | lost | wrong |")
+    assert len(table) == 6
+    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    results = json.loads(done.stdout)
+    assert [result["exchanges"] for result in results.values()] == [30] * 4
