@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from lockstep_run import run
+
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.mask import EVERYTHING
 
 REPLIES = 10_000
 SCRIPT = Path(__file__).with_name("lockstep_run.py")
@@ -31,3 +37,53 @@ def test_replies_are_the_same_in_two_processes(replies: int, options: str) -> No
 def test_another_seed_says_something_else() -> None:
     assert run(1, 200) == run(1, 200)
     assert run(1, 200) != run(2, 200)
+
+
+CROWD = ("--robot", "n150", "--robot", "n200", "--robot", "scout", "--start", "20,20,30,0", "--start", "70,70,200,10",
+         "--start", "75,25,120,0")  # fmt: skip
+
+
+@pytest.mark.parametrize("setup", ["noisy", "measured", "worn"])
+def test_a_daemon_in_lockstep_says_the_same_bytes_to_three_clients_of_three_models(setup: str) -> None:
+    words = ["--port", "0", "--lockstep", "0.1", "--seed", "5", "--setup", setup, *CROWD]
+    command = [sys.executable, "-m", "nserver_emu", *words]
+    with contextlib.ExitStack() as stack:
+        daemons = [
+            stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE, text=True)) for _ in range(2)
+        ]
+        try:
+            said = [talk(int(daemon.stdout.readline().rpartition(":")[2])) for daemon in daemons if daemon.stdout]
+        finally:
+            for daemon in daemons:
+                daemon.terminate()
+    assert said[0] == said[1]
+
+
+def talk(port: int) -> bytes:
+    """What three clients hear who ask in turn, everything that their robots have."""
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=20)) for _ in range(3)]
+        heard = b""
+        for number in range(60):
+            for robot_id, client in enumerate(clients, start=1):
+                call = Call("connect_robot", (robot_id, 1)) if number == 0 else question(number)
+                client.sendall(language.tcp_request(call))
+                answer = whole_reply(client)
+                heard += b"" if number == 0 else answer
+    assert len(heard) > 10_000
+    return heard
+
+
+def question(number: int) -> Call:
+    """A motion, settings of the sensors, then questions and waits."""
+    first = {1: Call("vm", (60, 40, -50)), 2: Call("ct", EVERYTHING.with_position(31).smask), 3: Call("conf_cp", (2,)),
+             4: Call("conf_sn", (5, *range(16))), 5: Call("conf_ir", (5, *range(16))), 6: Call("get_ls"),
+             30: Call("pr", (-60, 900, 300)), 31: Call("ws", (1, 1, 1, 2)), 40: Call("arm_mv", (2, 500, 1, 100)),
+             41: Call("arm_ws", (1, 0, 500))}  # fmt: skip
+    return first.get(number, Call(("gs", "get_cp", "get_ir", "get_sg", "get_rpx", "sim_truth")[number % 6]))
+
+
+def whole_reply(client: socket.socket) -> bytes:
+    """One reply with its head."""
+    head = client.recv(4, socket.MSG_WAITALL)
+    return head + client.recv(4 * int.from_bytes(head[2:], "big"), socket.MSG_WAITALL)

@@ -11,8 +11,11 @@ from wire_client import WireClient, meet, simulation
 from nclient.errors import SnapshotError
 from nclient.protocol import language
 from nclient.protocol.commands import Call
+from nclient.protocol.mask import EVERYTHING
 from nserver_emu.server import snapshot
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.setting import Setting
+from worlds.world import StartPose
 
 BOX = (4, 400, -100, 600, -100, 600, 100, 400, 100)
 
@@ -62,6 +65,52 @@ def test_a_restored_simulation_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert future(restored, again) == future(emulator, client)
     assert again.ask("delete_obstacle", *BOX).kind == "simple"
     assert [path.name for path in tmp_path.iterdir()] == ["saved.json"]
+
+
+@pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "worn"])
+def test_three_models_with_all_their_senses_and_an_arm_go_on_bit_for_bit(setup: str) -> None:
+    others = (("n200", StartPose(70.0, 70.0, 1.0)), ("scout", StartPose(75.0, 25.0, 2.0)))
+    setting = Setting(start=StartPose(20.0, 20.0, 0.5), seed=6, setup=setup, others=others)
+
+    def clients(emulator: Emulator) -> list[WireClient]:
+        met = [meet(emulator)[0] for _ in range(3)]
+        for robot_id, client in enumerate(met, start=1):
+            client.ask("connect_robot", robot_id, 1)
+        return met
+
+    def heard(emulator: Emulator, clients: list[WireClient]) -> list[object]:
+        replies: list[object] = []
+        for number in range(12):
+            emulator.pass_time(0.23)
+            for robot_id, client in enumerate(clients, start=1):
+                names = ("gs", "get_cp", "get_ir", "get_sn", "get_ls", "get_bp", "sim_truth")
+                replies += [client.ask(name) for name in names] + [emulator.layers(robot_id)]
+            if number == 6:
+                clients[2].ask("vm", -80, 50, 0)
+            arm = emulator.arms[2]
+            replies += [arm.lift.position_in, arm.grip.position_in, arm.still()]
+        return replies
+
+    emulator = Emulator(setting.simulation())
+    first = clients(emulator)
+    for client in first:
+        client.ask("ct", *EVERYTHING.with_position(31).smask)
+        client.ask("vm", 70, 60, 50)
+        client.ask("conf_sn", 2, *range(16))
+        client.ask("conf_ir", 4, *range(16))
+        client.ask("conf_tm", 2)
+    first[1].ask("conf_cp", 2)
+    first[1].ask("arm_mv", 2, 1000, 1, 50)
+    emulator.pass_time(1.37)
+    restored = Emulator(Setting().simulation())
+    snapshot.loads(restored, snapshot.dumps(emulator))
+    again = clients(restored)
+    for client in again:
+        client.ask("ct", *EVERYTHING.with_position(31).smask)
+    for client in first:
+        client.ask("gs")
+    assert heard(restored, again) == heard(emulator, first)
+    assert snapshot.dumps(restored) == snapshot.dumps(emulator)
 
 
 def test_saving_changes_nothing() -> None:

@@ -271,3 +271,27 @@ def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World
     assert others == [first] * 2
     assert first[0][0] == pytest.approx(40.0 - N200.body.radius_in - N200.body.sonar_ring_radius_in, abs=2.0)
     assert first[1][8] == pytest.approx(first[0][0], abs=2.0)
+
+
+def strayed(room: World, seed: int, others: tuple[StartPose, ...]) -> tuple[float, float]:
+    """How far a noisy robot ends from where it was sent, beside such others: along its way and across it."""
+    simulation = Simulation(room, seed)
+    robot = simulation.add_robot(1, StartPose(-60.0, 0.0), setup=NOISY)
+    for number, start in enumerate(others, start=2):
+        simulation.add_robot(number, start, setup=NOISY)
+    robot.move_relative(50.0, 0.0, 0.0)
+    simulation.step(4.0)
+    return robot.actual.x_in + 10.0, robot.actual.y_in
+
+
+def test_who_is_far_does_not_change_a_robots_chance(room: World) -> None:
+    assert strayed(room, 3, ()) == strayed(room, 3, (StartPose(60.0, 60.0), StartPose(60.0, -60.0)))
+
+
+def test_who_is_near_changes_the_numbers_drawn_and_not_their_spread(room: World) -> None:
+    beside = (StartPose(-35.0, TOUCHING + 3.0),)
+    assert strayed(room, 3, ()) != strayed(room, 3, beside)
+    alone, near_another = (np.array([strayed(room, seed, others) for seed in range(120)]) for others in ((), beside))
+    spread = alone.std(axis=0)
+    assert np.abs(near_another.mean(axis=0) - alone.mean(axis=0)).max() < 4.0 * spread.max() * (2.0 / 60) ** 0.5
+    assert near_another.std(axis=0) / spread == pytest.approx(1.0, abs=4.0 / 60**0.5)
