@@ -262,7 +262,6 @@ def test_the_compass_of_an_n150_shows_in_its_state_and_is_not_to_be_asked_for_on
         build_frame(128, b"\x04\x00\x00\xc8"),
         build_frame(128, b"\x09\x00\x00\xc8"),
         build_frame(43, bytes((7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0))),
-        build_frame(15, bytes((15, 16, *[0] * 15))),
     ],
 )
 def test_unknown_types_wrong_data_and_values_that_cannot_be_get_a_nak_and_nothing_else(request_bytes: bytes) -> None:

@@ -10,6 +10,7 @@ from wire_client import meet, simulation
 from nclient.errors import SnapshotError
 from nserver_emu import cli
 from nserver_emu.server import snapshot
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import Pace
 
@@ -28,12 +29,9 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[Emulator]:
     """The emulators that daemons were made for; none of them opens a door."""
     emulators: list[Emulator] = []
 
-    class Doorless:
-        def __init__(self, emulator: Emulator, speed: float | None) -> None:
-            emulator.pace.factor = speed
-            emulators.append(emulator)
-
+    class Doorless(Daemon):
         async def listen(self, host: str, port: int) -> int:
+            emulators.append(self.emulator)
             return port + len(host)
 
         async def serve(self, *_: object) -> None:
