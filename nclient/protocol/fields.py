@@ -10,13 +10,14 @@ Terms from the context (`terms=` given to parse and build). Too few bytes is con
 from __future__ import annotations
 
 import struct
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
 from construct import Construct, FormatFieldError, Int32sb, Int32ub, StreamError
 
-from nclient.protocol.mask import Position
+from nclient.protocol.mask import Mask, Position
 from nclient.protocol.stamps import NO_STAMP, STAMP_KEYS, Stamp
 from nclient.protocol.terms import Terms
 
@@ -25,6 +26,14 @@ UNSIGNED_WORD = Int32ub
 STAMP_WORDS = struct.Struct(">7i2I")
 MAX_LASER_READINGS = 482
 """Columns of the laser; no reply holds more readings."""
+
+
+class Masked(Construct):
+    """A piece that some masks leave out whole."""
+
+    @abstractmethod
+    def absent(self, mask: Mask) -> bool:
+        """Whether nothing of it is there under this mask."""
 
 
 class Words(Construct):

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32ul
 
-from nclient.protocol.fields import check_laser, checked_readings, take, terms_of
+from nclient.protocol.fields import Masked, check_laser, checked_readings, take, terms_of
 from nclient.protocol.mask import Mask, Position
 from nclient.protocol.runs import LONGS, SHORTS, SIGNED_LONGS, SIGNED_SHORTS, Run
 from nclient.protocol.stamps import NO_STAMP, STAMP_KEYS, Stamp
@@ -45,7 +45,7 @@ LINE_SIGNED = Number(SIGNED_SHORTS)
 LINE_LONG = Number(SIGNED_LONGS)
 
 
-class _MaskedSlots(Construct):
+class _MaskedSlots(Masked):
     """State slots on the robot's own line; only those in the mask where `masked`."""
 
     def __init__(self, first: int, last: int, masked: bool) -> None:
@@ -53,6 +53,9 @@ class _MaskedSlots(Construct):
         self.slots: Sequence[int] = range(first, last + 1)
         self.masked = masked
         self._chosen: tuple[Mask | None, Sequence[int]] = (None, ())
+
+    def absent(self, mask: Mask) -> bool:
+        return self.masked and not any(map(mask.has, self.slots))
 
     def _selected(self, context: Any) -> Sequence[int]:
         """A mask seldom changes, so what the last one chose is kept."""
@@ -115,7 +118,7 @@ class BumperBytes(_MaskedSlots):
         return obj
 
 
-class LineStamps(Construct):
+class LineStamps(Masked):
     """Stamps on the robot's own line of one kind of sensor, if its bit is set in Smask[0].
 
     In a state packet only those in the mask have stamps (`slots`: their State slots); a get_ answer has them all.
@@ -126,6 +129,9 @@ class LineStamps(Construct):
         self.keys = STAMP_KEYS[wanted]
         self.wanted = int(wanted)
         self.slots = slots
+
+    def absent(self, mask: Mask) -> bool:
+        return not self._selected(mask)
 
     def _selected(self, mask: Mask) -> list[str]:
         if not mask.position & self.wanted:
@@ -149,7 +155,7 @@ class LineStamps(Construct):
         return obj
 
 
-class LineLaser(Construct):
+class LineLaser(Masked):
     """A laser block on the robot's own line: count, then `width` signed numbers or one pixel a reading.
 
     `masked_by`: the State slot whose mask bit decides whether the block is there at all; None: always.
@@ -160,12 +166,12 @@ class LineLaser(Construct):
         self.width = width
         self.masked_by = masked_by
 
-    def _absent(self, terms: Terms) -> bool:
-        return self.masked_by is not None and not terms.mask.has(self.masked_by)
+    def absent(self, mask: Mask) -> bool:
+        return self.masked_by is not None and not mask.has(self.masked_by)
 
     def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...] | None:
         terms = terms_of(context)
-        if self._absent(terms):
+        if self.absent(terms.mask):
             return None
         count = checked_readings(SHORTS.unpack(take(stream, 2, path))[0], path)
         width = self.width(terms)
@@ -174,7 +180,7 @@ class LineLaser(Construct):
 
     def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
         terms = terms_of(context)
-        if self._absent(terms):
+        if self.absent(terms.mask):
             return obj
         laser = obj or (0,)
         width = self.width(terms)

@@ -9,15 +9,15 @@ Rules: shapes know no socket and no history; what a conversation has agreed come
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
-from construct import ConstructError, GreedyRange, Int8ub
+from construct import Construct, ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
-from nclient.protocol.fields import UNSIGNED_WORD, WordLaser, Words, WordSlots, WordStamps
+from nclient.protocol.fields import UNSIGNED_WORD, Masked, WordLaser, Words, WordSlots, WordStamps
 from nclient.protocol.line_fields import (
     LINE_CLOCK,
     BumperBytes,
@@ -27,7 +27,7 @@ from nclient.protocol.line_fields import (
     LineSlots,
     LineStamps,
 )
-from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Position
+from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position
 from nclient.protocol.runs import BYTES, SHORTS, SIGNED_SHORTS
 from nclient.protocol.stamps import Stamp
 from nclient.protocol.terms import LINES, PIXELS, Terms, line_laser_width
@@ -62,18 +62,43 @@ class _Agreed:
         self._params = self
 
 
+class _Member(NamedTuple):
+    """A part of a reply, by name, and what reads and writes it."""
+
+    name: str
+    part: str
+    parse: Callable[..., Any]
+    build: Callable[..., Any]
+    absent: Callable[[Mask], bool] | None
+
+
+def _member(name: str, subcon: Construct) -> _Member:
+    absent = subcon.absent if isinstance(subcon, Masked) else None
+    return _Member(name, name.partition("_")[0], subcon._parse, subcon._build, absent)
+
+
 class ReplyShape:
     """A layout of a reply: `kind`, and the named constructs that make its bytes, in order.
 
     It stands for a construct Struct, and runs the members itself: every answer of the daemon goes through here,
-    and a Struct costs three times as much.
+    and a Struct costs three times as much. A member that a mask leaves out (its `absent` says so) is not run at all.
     """
 
     def __init__(self, kind: str, **members: Any) -> None:
         self.kind = kind
-        self._members = [
-            (name, name.partition("_")[0], subcon._parse, subcon._build) for name, subcon in members.items()
-        ]
+        self._members = [_member(name, subcon) for name, subcon in members.items()]
+        self._masked = any(member.absent is not None for member in self._members)
+        self._present: tuple[Mask | None, list[_Member]] = (None, [])
+
+    def _under(self, mask: Mask) -> list[_Member]:
+        """The members there are; a mask seldom changes, so what the last one left is kept."""
+        if not self._masked:
+            return self._members
+        present = self._present
+        if present[0] is not mask:
+            members = [member for member in self._members if member.absent is None or not member.absent(mask)]
+            present = self._present = (mask, members)
+        return present[1]
 
     def parse(self, data: bytes, terms: Terms) -> Reply:
         """The reply that these bytes are. Raises WireError when they are none of this shape."""
@@ -82,7 +107,7 @@ class ReplyShape:
         found: dict[str, Any] = {"slots": slots, "stamps": stamps}
         stream, context = BytesIO(data), _Agreed(terms)
         try:
-            for name, part, parse, _ in self._members:
+            for name, part, parse, _, _ in self._under(terms.mask):
                 value = parse(stream, context, name)
                 if part in ("slots", "stamps"):
                     found[part].update(value)
@@ -108,7 +133,7 @@ class ReplyShape:
         }
         stream, context = BytesIO(), _Agreed(terms)
         try:
-            for name, part, _, build in self._members:
+            for name, part, _, build, _ in self._under(terms.mask):
                 build(parts[part], stream, context, name)
         except ConstructError as error:
             raise WireError(f"a {self.kind} reply cannot carry this: {one_line(error)}") from None
