@@ -4,7 +4,7 @@
 
 Rules: a command goes out once, after the input was emptied. A bad answer or none is ReplyTimeout, and the
 conversation stays usable, as with the C library. But a late answer is never taken for another command's
-(docs/decisions/012): while an answer of a command's type is owed, a question of another type is asked first, and
+(docs/decisions/017): while an answer of a command's type is owed, a question of another type is asked first, and
 once that is answered nothing of before can come. What a model's line does not have is refused here and not sent.
 """
 

@@ -61,6 +61,8 @@ def daemon(command: str) -> Iterator[str]:
         assert program.stdout is not None
         try:
             assert program.stdout.readline() == f"listening nserver 127.0.0.1:{port}\n"
+            for _ in range(sum(word in ("--serial-link", "--control") for word in words)):
+                assert program.stdout.readline().startswith("listening ")
             yield port
         finally:
             program.terminate()
@@ -74,7 +76,7 @@ def commands(beginning: str) -> list[str]:
 
 
 def test_nothing_in_the_readme_is_left_untested() -> None:
-    tested = ("scripts/run", "nserver ", "nomad localize", "nomad wire", "python -m localization.experiments")
+    tested = ("scripts/run", "nserver ", "nomad ", "python -m localization.experiments")
     assert ACTIVATION in LINES
     assert [c for c in COMMANDS if c and not c.startswith(tested) and c not in LEFT_OUT] == []
     assert len(README.splitlines()) < 150
@@ -96,7 +98,7 @@ def test_one_command_shows_the_whole_path() -> None:
 
 
 def test_a_daemon_and_a_run_on_it(tmp_path: Path) -> None:
-    start = next(command for command in commands("nserver ") if "--port" in command)
+    start = next(command for command in commands("nserver ") if "--speed" in command)
     (drive,) = (command for command in commands("nomad localize") if "nserver://" in command)
     with daemon(start) as port:
         out = run(drive.replace("7019", port), tmp_path)
@@ -116,6 +118,16 @@ def test_a_daemon_in_lockstep() -> None:
 def test_a_run_in_one_process(tmp_path: Path) -> None:
     (drive,) = (command for command in commands("nomad localize") if "sim:" in command)
     assert "3 of 3 way-points reached" in run(drive, tmp_path)
+
+
+def test_a_robot_on_its_cable(tmp_path: Path) -> None:
+    lines = [command.replace("/tmp/nomad", str(tmp_path / "nomad")) for command in COMMANDS if "/tmp/nomad" in command]
+    start, doctor, drive, faults, stop = lines
+    with daemon(start):
+        assert "FAIL" not in run(doctor, tmp_path)
+        assert "2 of 2 way-points reached" in run(drive, tmp_path)
+        run(faults, tmp_path)
+        run(stop, tmp_path)
 
 
 def test_the_worlds_are_listed(tmp_path: Path) -> None:
