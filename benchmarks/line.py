@@ -1,0 +1,159 @@
+"""How fast a robot's own line is: `gs` over the pseudo-terminal, against a bare echo of the same bytes over another.
+
+    python benchmarks/line.py [--rounds N] [--calls N] [--json]
+
+    nserver   the host is the echo's own: prepared bytes sent, and those that come counted
+    client    the host is this package's, as `connect` makes it: each answer parsed and checked
+
+Targets: unpaced, the daemon keeps at least 0.5 of the echo's pace; at 38400 baud, both hosts get at least 0.95 of the
+exchanges that so many bits a second allow, ten a byte, question and answer in turn.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+import tempfile
+import time
+import tty
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+from echo import Pace, compare, parsed_options, started
+
+from nclient.backends.backend import Backend
+from nclient.connect import Wanted, open_backend
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.models import N150
+from nclient.protocol.terms import line_terms
+
+TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
+BAUD, BITS_A_BYTE = 38400, 10
+GS = Call("gs")
+REQUEST = language.line_request(GS, line_terms(N150))
+REPLY_SIZE = 48
+"""An N150's state packet in its frame."""
+PACED_CALLS = 100
+STARTING_S = 20.0
+ECHO = "--echo"
+
+
+class Host:
+    """A blocking program on a serial line: the same prepared request again and again."""
+
+    def __init__(self, path: Path) -> None:
+        self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(self._fd)
+
+    def __call__(self) -> None:
+        os.write(self._fd, REQUEST)
+        size = REPLY_SIZE
+        while size:
+            size -= len(os.read(self._fd, size))
+
+    def close(self) -> None:
+        """Let go."""
+        os.close(self._fd)
+
+
+async def _serve_echo() -> None:
+    """Answer whole requests on a pseudo-terminal, whose name is printed."""
+    fd, other = os.openpty()
+    tty.setraw(other)
+    os.set_blocking(fd, False)
+    pending, reply = 0, bytes(REPLY_SIZE)
+
+    def readable() -> None:
+        nonlocal pending
+        whole, pending = divmod(pending + len(os.read(fd, 4096)), len(REQUEST))
+        if whole:
+            os.write(fd, reply * whole)
+
+    asyncio.get_running_loop().add_reader(fd, readable)
+    print(os.ttyname(other), flush=True)
+    await asyncio.Event().wait()
+
+
+@contextlib.contextmanager
+def nserver(link: Path, *words: str) -> Iterator[Path]:
+    """A daemon with an N150 behind the link."""
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(link), *words]
+    with started(command):
+        until_s = time.monotonic() + STARTING_S
+        while not link.exists():
+            if time.monotonic() > until_s:
+                raise TimeoutError(f"nserver made no {link} within {STARTING_S:g} s")
+            time.sleep(0.01)
+        yield link
+
+
+def measure(rounds: int, calls: int) -> dict[str, float]:
+    """Rates and ratios. Each host has a robot of its own, since a port has one user at a time."""
+    with contextlib.ExitStack() as opened, tempfile.TemporaryDirectory() as folder:
+        place, paced = Path(folder), ("--baud", str(BAUD))
+
+        def host(path: Path) -> Callable[[], None]:
+            return opened.enter_context(contextlib.closing(Host(path)))
+
+        def client(path: Path) -> Callable[[], None]:
+            backend = open_backend(f"serial://{path}", Wanted())
+            opened.callback(backend.close)
+            return partial(_ask, backend)
+
+        fast = {
+            "echo": host(Path(opened.enter_context(started([sys.executable, __file__, ECHO])))),
+            "nserver": host(opened.enter_context(nserver(place / "nserver"))),
+            "client": client(opened.enter_context(nserver(place / "client"))),
+        }
+        slow = {
+            "nserver": host(opened.enter_context(nserver(place / "paced_nserver", *paced))),
+            "client": client(opened.enter_context(nserver(place / "paced_client", *paced))),
+        }
+        return _result(compare(fast, rounds, calls), compare(slow, rounds, PACED_CALLS))
+
+
+def _ask(backend: Backend) -> None:
+    backend.execute(GS)
+
+
+def _result(fast: dict[str, Pace], slow: dict[str, Pace]) -> dict[str, float]:
+    """Paced, the best round counts: a busy machine can only take from what the cable allows."""
+    allowed = BAUD / BITS_A_BYTE / (len(REQUEST) + REPLY_SIZE)
+    echo = fast["echo"].per_second
+    result = {"echo_per_second": echo, "ratio_target": TARGET_RATIO, "share_target": TARGET_SHARE}
+    for name in ("nserver", "client"):
+        result[f"{name}_per_second"] = fast[name].per_second
+        result[f"{name}_ratio"] = fast[name].per_second / echo
+        result[f"{name}_paced_per_second"] = slow[name].best_per_second
+        result[f"{name}_paced_share"] = slow[name].best_per_second / allowed
+    return result
+
+
+def main() -> None:
+    """Measure and print."""
+    if sys.argv[1:] == [ECHO]:
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_serve_echo())
+        return
+    options = parsed_options(__doc__)
+    result = measure(options.rounds, options.calls)
+    if options.json:
+        print(json.dumps(result))
+        return
+    print(f"echo {result['echo_per_second']:.0f}/s")
+    for name in ("nserver", "client"):
+        per_second, ratio, paced, share = (
+            result[f"{name}_{key}"] for key in ("per_second", "ratio", "paced_per_second", "paced_share")
+        )
+        target = f" (target {TARGET_RATIO})" if name == "nserver" else ""
+        print(f"{name} {per_second:.0f}/s: ratio {ratio:.2f}{target}; "
+              f"at {BAUD} baud {paced:.1f}/s: {share:.3f} of what it allows (target {TARGET_SHARE})")
+
+
+if __name__ == "__main__":
+    main()
