@@ -31,7 +31,7 @@ class Emulator(Stage):
         """
         if self.pace.asked_s and call.name not in TIMELESS:
             self.pass_time(self.pace.asked_s)
-        if visit.robot_id is not None:
+        if visit.robot_id is not None and call.name not in TIMELESS:
             self.robot_of(visit).feed()
         if call.name not in QUESTIONS:
             self.look_anew()
@@ -50,7 +50,7 @@ SHOWN = frozenset({"get_ir", "get_sn", "get_rc", "get_rv", "get_cp", "get_bp"})
 """Questions whose answers put State's own numbers: they count as sent, for what the mask leaves out."""
 
 TIMELESS = frozenset({"connect_robot", "create_robot", "disconnect_robot", "sim_truth", "sim_control"})
-"""Commands that take no time where time moves with each exchange."""
+"""Commands that take no time where time moves with each exchange, and feed no time-out: who watches drives nothing."""
 
 HANDLERS: dict[str, Handler] = {
     handler.__name__: handler

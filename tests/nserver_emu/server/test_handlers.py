@@ -399,3 +399,12 @@ def test_the_answers_to_questions_count_as_sent_too(client: WireClient) -> None:
 def test_a_connection_keeps_its_robot_when_another_is_not_there(client: WireClient) -> None:
     assert client.ask("connect_robot", 2, 1).values == (0,)
     assert client.ask("gs").kind == "state"
+
+
+def test_asking_for_the_truth_keeps_no_robot_moving(emulator: Emulator, client: WireClient) -> None:
+    client.ask("conf_tm", 1)
+    client.ask("vm", 50, 0, 0)
+    for _ in range(4):
+        emulator.pass_time(0.4)
+        client.ask("sim_truth")
+    assert client.ask("get_rv").slots[38] == 0
