@@ -22,7 +22,7 @@ from nserver_emu.server.state_reply import state_slots, with_laser
 from nserver_emu.simulation.company import discs_of
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL
-from nserver_emu.simulation.sonar import Sighting
+from nserver_emu.simulation.sighting import Sighting
 from worlds.geometry import area, crossing, inside, lengths, nearest_points
 from worlds.world import Polygon, StartPose
 

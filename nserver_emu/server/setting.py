@@ -9,7 +9,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from nclient.errors import AddressError, StartError
-from nserver_emu.server.hosting import free_place
+from nserver_emu.server.places import FreePlaces
 from nserver_emu.simulation.model_files import load_models
 from nserver_emu.simulation.models import MODELS, RobotModel
 from nserver_emu.simulation.setup import IDEAL, NOISY
@@ -54,12 +54,16 @@ class Setting:
         models = load_models(self.model_file) if self.model_file else MODELS
         simulation = Simulation(load_world(self.world), seed=self.seed)
         setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
+        places = FreePlaces(simulation)
         simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, awake=False)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
-            place = start or free_place(simulation, model.body.radius_in)
+            place = start or places.next(model.body.radius_in)
             if place is None:
-                raise StartError(f"no room for robot {robot_id} near the starts of {self.world}; give it a --start")
+                raise StartError(
+                    f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots or a larger "
+                    "world, or give it a --start"
+                )
             simulation.add_robot(robot_id, place, model, setup, awake=False)
         simulation.wake()
         return simulation

@@ -127,10 +127,12 @@ class Axis:
         """What the encoders show: never 0 while the axis moves, exactly 0 when it does not."""
         if not self._phases:
             return 0.0
-        velocity, resolution = self.velocity, self.limits.resolution
-        if abs(velocity) >= resolution:
-            return velocity
-        return copysign(resolution, velocity or self._phases[0].acceleration)
+        _, velocity, acceleration = self._phases[0]
+        velocity += acceleration * self._elapsed_s
+        resolution = self.limits.resolution
+        if -resolution < velocity < resolution:
+            return copysign(resolution, velocity or acceleration)
+        return velocity
 
     def command(self, command: Command, value: float) -> None:
         """Do what one axis of mv says; LEAVE and LIMP need no value."""
@@ -197,9 +199,16 @@ class Axis:
         """Let dt_s >= 0 seconds pass; returns the displacement in units."""
         if not self._phases:
             return 0.0
-        travelled, self._phases, self._elapsed_s = self._walk(dt_s)
+        duration_s, velocity, acceleration = self._phases[0]
+        elapsed_s = self._elapsed_s
+        if dt_s < duration_s - elapsed_s - TIME_TOLERANCE_S:
+            velocity += acceleration * elapsed_s
+            travelled = (velocity + 0.5 * acceleration * dt_s) * dt_s
+            self._elapsed_s = elapsed_s + dt_s
+        else:
+            travelled, self._phases, self._elapsed_s = self._walk(dt_s)
+            self._hold_when_done()
         self.count += travelled
-        self._hold_when_done()
         return travelled
 
     def way_in(self, dt_s: float) -> float:

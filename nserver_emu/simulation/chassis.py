@@ -47,6 +47,14 @@ class Chassis:
         turret = turret_rad + self._lag_rad + yaw
         return Pose(self._x_in, self._y_in, once_round(steering_rad + yaw), once_round(turret))
 
+    def outlook(self, turret_rad: float) -> tuple[float, float, float]:
+        """From where and where to the turret looks at this mechanical angle: x, y in inches, direction [0, 2 pi)."""
+        return self._x_in, self._y_in, once_round(turret_rad + self._lag_rad + self._yaw_rad)
+
+    def turret_direction(self, turret_rad: float) -> float:
+        """Where the turret truly points at this mechanical angle, [0, 2 pi)."""
+        return once_round(turret_rad + self._lag_rad + self._yaw_rad)
+
     def heading(self, steering_rad: float) -> float:
         """The true heading at this mechanical steering angle, unwrapped."""
         return steering_rad + self._yaw_rad
@@ -62,12 +70,13 @@ class Chassis:
         course = Course(self._x_in, self._y_in, self.heading(steering_rad), stretch)
         return first_contact(course, self.body.radius_in, self._ground)
 
-    def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> None:
-        """Move `time_s` seconds along a stretch begun at this mechanical steering angle."""
-        dx, dy = stretch.displacement(self.heading(steering_rad), time_s)
+    def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> tuple[float, float]:
+        """Move `time_s` seconds along a stretch begun at this mechanical steering angle; returns (dx, dy), inches."""
+        dx, dy = stretch.displacement(steering_rad + self._yaw_rad, time_s)
         self._x_in += dx
         self._y_in += dy
         self._room_in -= stretch.length_bound(time_s)
+        return dx, dy
 
     def turn(self, angle_rad: float) -> None:
         """Turn the whole body."""

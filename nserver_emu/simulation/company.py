@@ -17,7 +17,7 @@ import numpy as np
 
 from nserver_emu.simulation.instants import PS_PER_S, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.sonar import Sighting
+from nserver_emu.simulation.sighting import Sighting
 from worlds.geometry import FloatArray
 
 TICK_PS: Final = PS_PER_S // 100
@@ -39,7 +39,9 @@ class Company:
 
     def at(self, instant_ps: int) -> Sighting:
         """Where all stood at the last tick before an instant; known once `run` has come to its end."""
-        return self._sightings.setdefault((instant_ps - 1) // TICK_PS, Sighting())
+        tick = (instant_ps - 1) // TICK_PS
+        known = self._sightings.get(tick)
+        return self._sightings.setdefault(tick, Sighting()) if known is None else known
 
     def look_around(self, robots: Mapping[int, SimulatedRobot], now_ps: int) -> None:
         """From now on these are the robots, and this is where all see them."""

@@ -33,9 +33,16 @@ class Encoders:
 
     def follow(self, stretch: Stretch, time_s: float, steering_rad: float) -> None:
         """Reckon `time_s` seconds of a stretch that starts at this mechanical steering angle."""
-        dx, dy = stretch.displacement(steering_rad + self._steering_offset_rad, time_s)
-        self._x_in += dx
-        self._y_in += dy
+        self.shift(*stretch.displacement(self.heading(steering_rad), time_s))
+
+    def heading(self, steering_rad: float) -> float:
+        """What they take for the heading at this mechanical steering angle, unwrapped."""
+        return steering_rad + self._steering_offset_rad
+
+    def shift(self, dx_in: float, dy_in: float) -> None:
+        """Reckon a way of (dx, dy)."""
+        self._x_in += dx_in
+        self._y_in += dy_in
 
     def slip(self, way_in: float, steering_rad: float) -> None:
         """Count a way straight along this mechanical steering angle that only the wheels went."""

@@ -24,7 +24,8 @@ from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, Lookout, SonarRing
+from nserver_emu.simulation.sighting import NOBODY, Eye, Lookout
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
@@ -311,7 +312,7 @@ class SimulatedRobot:
                 until = min(until, self.infrared.due_ps)
             if self.compass is not None:
                 self._read_compass(self.compass, until)
-            self._move(to_s(until - self._time_ps))
+            self._move((until - self._time_ps) / PS_PER_S)
             self._time_ps = until
             if self._zeroing:
                 self._end_zero()
@@ -387,8 +388,7 @@ class SimulatedRobot:
         due_ps = compass.due(until_ps)
         if due_ps is not None:
             turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
-            direction = self._chassis.pose(0.0, turret_rad).turret_rad
-            compass.take(due_ps, direction, turret_rad)
+            compass.take(due_ps, self._chassis.turret_direction(turret_rad), turret_rad)
 
     def _carry_compass(self, before_rad: float) -> None:
         """The turret's angle was set, and not by turning."""
@@ -396,12 +396,11 @@ class SimulatedRobot:
             self.compass.carried(before_rad, self._drive.turret_rad)
 
     def _eye(self) -> Eye:
-        actual = self.actual
-        return Eye(actual.x_in, actual.y_in, actual.turret_rad, self._lookout.at(self._time_ps), self._own)
+        return Eye(*self._chassis.outlook(self._drive.turret_rad), self._lookout.at(self._time_ps), self._own)
 
     def _stamp(self) -> Stamp:
-        now_s = self.time_s
-        return Stamp(self.encoder, self.velocities, now_s, now_s)
+        drive, now_s = self._drive, self._time_ps / PS_PER_S
+        return Stamp(self._encoders.pose(drive.steering_rad, drive.turret_rad), self.velocities, now_s, now_s)
 
     def _move(self, span_s: float) -> None:
         """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
@@ -409,7 +408,9 @@ class SimulatedRobot:
         while left_s > 0.0:
             stretch = self._drive.stretch(left_s)
             if stretch.at_rest:
-                self._drift(0.0, self._drive.advance(left_s))
+                turned_rad = self._drive.advance(left_s)
+                if not self._exact:
+                    self._drift(0.0, turned_rad)
                 return
             left_s -= self._glide(stretch, span_s - left_s)
 
@@ -421,25 +422,31 @@ class SimulatedRobot:
         into a wall it is held there for the stretch, wheels turning.
         """
         drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
-        steering_rad, told_in = drive.steering_rad, stretch.distance_at(duration)
+        steering_rad, told_in = drive.steering_rad, 0.0
         steady = driven = stretch
         if not self._exact:
             steady = self.setup.odometry.driven(stretch, drive)
             driven = self.setup.motion.disturbed(steady, self._chance)
+        heading = chassis.heading(steering_rad)
         contact = chassis.first_contact(driven, steering_rad)
         blocked = False
         free_s = duration
         if contact is not None:
-            free_s = contact.time_s
-            heading = chassis.heading(steering_rad) + driven.turn_at(free_s)
-            blocked = told_in != 0.0 and (driven is steady or contact.pressed_by(heading, told_in))
+            free_s, told_in = contact.time_s, stretch.distance_at(duration)
+            pressing = driven is steady or contact.pressed_by(heading + driven.turn_at(free_s), told_in)
+            blocked = told_in != 0.0 and pressing
         taken_s = free_s if blocked else duration
         if self._track is not None:
             begin_ps = self._time_ps + round(begin_s * PS_PER_S)
-            self._track.append(Leg(begin_ps, *chassis.place, chassis.heading(steering_rad), driven, free_s))
-        chassis.follow(driven, free_s, steering_rad)
-        self._encoders.follow(stretch, taken_s, steering_rad)
-        self._drift(driven.turn_at(taken_s) - stretch.turn_at(taken_s), drive.advance(taken_s))
+            self._track.append(Leg(begin_ps, *chassis.place, heading, driven, free_s))
+        way = chassis.follow(driven, free_s, steering_rad)
+        if driven is stretch and taken_s == free_s and self._encoders.heading(steering_rad) == heading:
+            self._encoders.shift(*way)
+        else:
+            self._encoders.follow(stretch, taken_s, steering_rad)
+        turned_rad = drive.advance(taken_s)
+        if not self._exact:
+            self._drift(driven.turn_at(taken_s) - stretch.turn_at(taken_s), turned_rad)
         if blocked:
             self._encoders.slip(copysign(self.setup.odometry.slip_in, told_in), drive.steering_rad)
             drive.block()
@@ -447,6 +454,5 @@ class SimulatedRobot:
 
     def _drift(self, body_rad: float, counted_rad: float) -> None:
         """What no encoder counts: a turn of the body, and of the turret where its gears err."""
-        if not self._exact:
-            self._chassis.turn(body_rad)
-            self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)
+        self._chassis.turn(body_rad)
+        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)

@@ -9,28 +9,21 @@ is an echo model's: SonarNoise, one exact ray with noise, or Polaroid (polaroid.
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from math import cos, floor, inf, sin
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
-from nserver_emu.simulation.polaroid import NO_ROBOTS, Cry, Polaroid
+from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
+from nserver_emu.simulation.sighting import Eye, on_lines
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import IndexArray, cast_ray, ray_to_disc
-
-FARTHEST_IN: Final = 500.0
-"""No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""
-
-GRAZING_IN: Final = 1e-6
-"""So much farther from a line than its rim a robot still counts as met, until its range is worked out: rounding."""
+from worlds.raycast import cast_each, ray_to_disc
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -73,16 +66,19 @@ class SonarNoise:
         """The chance of one cry: one number, or none where there is no noise."""
         return (chance.standard_normal(),) if self.least_std_in or self.std_share else (0.0,)
 
-    def heard_in(
-        self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body, others: FloatArray = NO_ROBOTS
-    ) -> float:
-        """The range from the ring along the ray, to a wall or a robot, with its noise, inches; inf for nothing."""
-        del earlier
-        x, y, dx, dy = cry.x_in, cry.y_in, cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis, _ = cast_ray(x, y, dx, dy, scene.walls)
-        for disc in others.tolist():
-            from_axis = min(from_axis, ray_to_disc(x, y, dx, dy, disc))
-        range_in = from_axis - body.sonar_ring_radius_in
+    def heard_in(self, cries: Sequence[Cry], eyes: Sequence[Eye], walls: FloatArray, body: Body) -> list[float]:
+        """The range from the ring along each ray, to a wall (m, 4) or a robot, with its noise, inches; inf for nothing.
+
+        How many rays come at once changes no bit.
+        """
+        ways = [complex(cos(cry.direction_rad), sin(cry.direction_rad)) for cry in cries]
+        from_axis = cast_each([complex(cry.x_in, cry.y_in) for cry in cries], ways, walls)
+        for ray, disc in on_lines(eyes, ways):
+            met = ray_to_disc(cries[ray].x_in, cries[ray].y_in, ways[ray].real, ways[ray].imag, disc)
+            from_axis[ray] = min(from_axis[ray], met)
+        return [self._misheard(far - body.sonar_ring_radius_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
+
+    def _misheard(self, range_in: float, cry: Cry) -> float:
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
 
 
@@ -91,96 +87,6 @@ EchoModel = SonarNoise | Polaroid
 
 DEAD_IN: Final = 0
 """What a dead sonar reads, always."""
-
-
-class Sighting:
-    """Where all robots stood at one moment: discs (n, 3), rows x y radius in inches; none until that is known."""
-
-    def __init__(self, discs: FloatArray = NO_ROBOTS) -> None:
-        self.discs = discs
-
-    def at(self, instant_ps: int) -> Sighting:
-        """Whatever the instant: nobody moves."""
-        del instant_ps
-        return self
-
-    def near(self, x_in: float) -> IndexArray:
-        """Rows of the robots (k,) whose x is no farther than FARTHEST_IN from this one."""
-        return self._order[self._slice(x_in)]
-
-    def on_line(self, x_in: float, y_in: float, direction_rad: float) -> list[int]:
-        """Rows of those near that a line through this point in this direction meets, and perhaps of some it grazes.
-
-        A centre is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
-        """
-        near = self._slice(x_in)
-        centres = self._centres[near].view(np.complex128)[:, 0]
-        turned = (centres - complex(x_in, y_in)) * complex(cos(direction_rad), -sin(direction_rad))
-        met = (np.abs(turned.imag) <= self._reach[near]).nonzero()[0]
-        rows: list[int] = self._order[near].take(met).tolist()
-        return rows
-
-    def _slice(self, x_in: float) -> slice:
-        return slice(bisect_left(self._xs, x_in - FARTHEST_IN), bisect_right(self._xs, x_in + FARTHEST_IN))
-
-    @cached_property
-    def _order(self) -> IndexArray:
-        return self.discs[:, 0].argsort(kind="stable")
-
-    @cached_property
-    def _centres(self) -> FloatArray:
-        return np.ascontiguousarray(self.discs[self._order, :2])
-
-    @cached_property
-    def _reach(self) -> FloatArray:
-        reach: FloatArray = self.discs[self._order, 2] + GRAZING_IN
-        return reach
-
-    @cached_property
-    def _xs(self) -> list[float]:
-        xs: list[float] = self.discs[self._order, 0].tolist()
-        return xs
-
-
-class Lookout(Protocol):
-    """Who tells where the robots stood at an instant."""
-
-    def at(self, instant_ps: int) -> Sighting: ...
-
-
-NOBODY: Final = Sighting()
-"""What a robot sees that is alone."""
-
-
-class Eye(NamedTuple):
-    """From where the ring looks, and whom it may see.
-
-    x_in, y_in, turret_rad    the robot's true place in inches and its turret's true direction in radians
-    seen, own                 all robots; row `own` is this one
-    """
-
-    x_in: float
-    y_in: float
-    turret_rad: float
-    seen: Sighting = NOBODY
-    own: int = 0
-
-    @property
-    def others(self) -> FloatArray:
-        """The robots (k, 3) without this one and without those beyond FARTHEST_IN."""
-        if len(self.seen.discs) < 2:
-            return NO_ROBOTS
-        rows = np.sort(self.seen.near(self.x_in))
-        discs = self.seen.discs.take(rows[rows != self.own], axis=0)
-        others: FloatArray = discs[np.abs(discs[:, 1] - self.y_in) <= FARTHEST_IN]
-        return others
-
-    def others_on_line(self, direction_rad: float) -> FloatArray:
-        """The robots (k, 3) that a ray from here in this direction can meet, or one the other way."""
-        if len(self.seen.discs) < 2:
-            return NO_ROBOTS
-        rows = [row for row in self.seen.on_line(self.x_in, self.y_in, direction_rad) if row != self.own]
-        return self.seen.discs.take(rows, axis=0) if rows else NO_ROBOTS
 
 
 class Firing(NamedTuple):
@@ -236,9 +142,11 @@ class SonarRing:
     def fire_due(self, eye: Eye, stamp: Stamp) -> None:
         """The sonar that is due fires here and now."""
         sonar, instant_ps, life_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.life_ps
-        self._recent = tuple(cry for cry in self._recent if instant_ps - cry.instant_ps < life_ps)
+        if life_ps:
+            self._recent = tuple(cry for cry in self._recent if instant_ps - cry.instant_ps < life_ps)
         cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
-        self._recent = (*self._recent, cry) if life_ps else ()
+        if life_ps:
+            self._recent = (*self._recent, cry)
         self._count += 1
         self.due_ps += self._interval_ps
 
@@ -253,22 +161,28 @@ class SonarRing:
         self._scene = Scene(walls)
 
     def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
-        direction = eye.turret_rad + self.body.sonar_angles_rad[sonar]
-        cry = Cry(eye.x_in, eye.y_in, direction, instant_ps, self.model.draw(self._chance))
+        x, y, turret_rad, _, _ = eye
+        cry = Cry(x, y, turret_rad + self.body.sonar_angles_rad[sonar], instant_ps, self.model.draw(self._chance))
         self._unheard[sonar] = Firing(cry, earlier, eye)
         self._stamps[sonar] = stamp
         return cry
 
     def _listen(self) -> None:
-        """Hear the echoes of all firings since the last look, one by one: few they are, at most sixteen, and a batch of
-        another size would round another way, so that looking more often could change a reading."""
-        for sonar, (cry, earlier, eye) in self._unheard.items():
-            if sonar not in self.model.dead:
-                ray = isinstance(self.model, SonarNoise)
-                others = eye.others_on_line(cry.direction_rad) if ray else eye.others
-                heard_in = self.model.heard_in(cry, earlier, self._scene, self.body, others)
-                self._readings[sonar] = _reading(heard_in)
+        """Hear the echoes of all firings since the last look. How many they are changes no reading."""
+        if not self._unheard:
+            return
+        dead = self.model.dead
+        firings = {sonar: firing for sonar, firing in self._unheard.items() if sonar not in dead}
+        for sonar, heard_in in zip(firings, self._heard_in(list(firings.values())), strict=True):
+            self._readings[sonar] = _reading(heard_in)
         self._unheard.clear()
+
+    def _heard_in(self, firings: Sequence[Firing]) -> list[float]:
+        """Ranges, inches, inf for nothing."""
+        model, scene, body = self.model, self._scene, self.body
+        if isinstance(model, SonarNoise):
+            return model.heard_in([firing.cry for firing in firings], [f.eye for f in firings], scene.walls, body)
+        return [model.heard_in(cry, earlier, scene, body, eye.others) for cry, earlier, eye in firings]
 
 
 def _reading(heard_in: float) -> int:

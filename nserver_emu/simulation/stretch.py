@@ -41,7 +41,7 @@ class Stretch(NamedTuple):
     @property
     def at_rest(self) -> bool:
         """Whether neither place nor heading changes."""
-        return self.speed == self.acceleration == self.turn_rate == self.turn_acceleration == 0.0
+        return not (self.speed or self.turn_rate or self.acceleration or self.turn_acceleration)
 
     def velocity_at(self, time_s: float) -> float:
         """Speed along the heading `time_s` into the stretch, in/s."""
@@ -61,11 +61,12 @@ class Stretch(NamedTuple):
         Exact for constant velocities, where the path is an arc with the chord 2 R sin(turn / 2) in the direction
         heading + turn / 2; else by Gauss quadrature, good to 1e-12 in for ways of some inches.
         """
-        if self.acceleration == 0.0 and self.turn_acceleration == 0.0:
-            half = 0.5 * self.turn_rate * time_s
-            chord = self.speed * time_s * _sinc(half)
+        _, speed, acceleration, turn_rate, turn_acceleration = self
+        if acceleration == 0.0 and turn_acceleration == 0.0:
+            half = 0.5 * turn_rate * time_s
+            chord = speed * time_s * _sinc(half)
             return chord * cos(heading_rad + half), chord * sin(heading_rad + half)
-        if self.turn_rate == 0.0 and self.turn_acceleration == 0.0:
+        if turn_rate == 0.0 and turn_acceleration == 0.0:
             way = self.distance_at(time_s)
             return way * cos(heading_rad), way * sin(heading_rad)
         return self._quadrature(heading_rad, time_s)
@@ -76,7 +77,8 @@ class Stretch(NamedTuple):
 
     def length_bound(self, time_s: float) -> float:
         """No less than the length of the path within `time_s`, inches; on an arc just that."""
-        return max(abs(self.speed), abs(self.velocity_at(time_s))) * time_s
+        _, speed, acceleration, _, _ = self
+        return (max(abs(speed), abs(speed + acceleration * time_s)) if acceleration else abs(speed)) * time_s
 
     def _quadrature(self, heading_rad: float, time_s: float) -> tuple[float, float]:
         pieces = max(1, ceil(self.turn_bound(time_s) / TURN_A_PIECE_RAD))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from worlds import raycast
 from worlds.geometry import polygon_segments
-from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_discs, cast_rays, ray_to_disc
+from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_discs, cast_each, cast_ray, cast_rays, ray_to_disc
 
 Pair = tuple[float, float]
 Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]
@@ -284,6 +284,27 @@ def test_leading_dimensions_broadcast(
         distance, row = cast_rays(starts[place], ways[place], SQUARE)
         assert ranges[place] == pytest.approx(float(distance), abs=1e-12)
         assert rows[place] == row
+
+
+@pytest.mark.parametrize("walls", [0, 1, 9, 60])
+def test_rays_cast_at_once_are_those_cast_one_by_one_to_the_bit(walls: int) -> None:
+    chance = np.random.default_rng(14)
+    corners = np.vstack((SQUARE, chance.uniform(0.0, 10.0, (60, 4))))[:walls]
+    places = [complex(*pair) for pair in chance.uniform(0.0, 10.0, (40, 2)).tolist()]
+    angles = chance.uniform(0.0, tau, 40).tolist()
+    angles[::4] = [0.0, pi / 2, pi, 1.5 * pi, 0.0] * 2
+    places[::8] = [0j, 10 + 0j, 10 + 10j, 10j, 5 + 0j]
+    ways = [complex(cos(angle), sin(angle)) for angle in angles]
+    alone = [
+        cast_ray(place.real, place.imag, way.real, way.imag, corners)[0]
+        for place, way in zip(places, ways, strict=True)
+    ]
+    for count in (1, 2, 3, 16, 40):
+        cuts = range(0, 40, count)
+        at_once = [cast_each(places[cut : cut + count], ways[cut : cut + count], corners) for cut in cuts]
+        assert [distance for batch in at_once for distance in batch] == alone
+    assert (0.0 in alone) == (walls > 0)
+    assert (inf in alone) == (walls < 4)
 
 
 def test_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:

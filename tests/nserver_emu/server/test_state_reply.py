@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import pytest
 from wire_client import WireClient, meet
@@ -11,6 +12,7 @@ from nclient.protocol.mask import EVERYTHING, Mask, Position
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.polaroid import Cry
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.files import load_world
@@ -23,9 +25,9 @@ def casts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     counted: Counter[str] = Counter()
     hear, look = SonarNoise.heard_in, InfraredRing._ranges
 
-    def heard(*args: object, **named: object) -> float:
-        counted["sonar"] += 1
-        return hear(*args, **named)  # type: ignore[arg-type]
+    def heard(model: SonarNoise, cries: Sequence[Cry], *args: object) -> list[float]:
+        counted["sonar"] += len(cries)
+        return hear(model, cries, *args)  # type: ignore[arg-type]
 
     def looked(*args: object) -> object:
         counted["infrared"] += 1

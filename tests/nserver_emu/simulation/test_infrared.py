@@ -10,7 +10,7 @@ import pytest
 from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS
 from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sonar import Eye, Sighting
+from nserver_emu.simulation.sighting import Eye, Sighting
 from worlds.bodies import N200
 
 HERE = Eye(0.0, 0.0, 0.0)

@@ -12,7 +12,8 @@ from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import to_ps
 from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sonar import Eye, SonarRing
+from nserver_emu.simulation.sighting import Eye
+from nserver_emu.simulation.sonar import SonarRing
 from worlds.bodies import N150
 from worlds.geometry import FloatArray, nearest_points
 

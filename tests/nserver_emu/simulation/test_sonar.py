@@ -9,7 +9,8 @@ import pytest
 
 from nserver_emu.simulation.instants import NEVER_PS, to_ps
 from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, FARTHEST_IN, Eye, Sighting, SonarNoise, SonarRing
+from nserver_emu.simulation.sighting import FARTHEST_IN, Eye, Sighting, on_lines
+from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
 from worlds.bodies import N150
 from worlds.raycast import cast_discs
 
@@ -132,12 +133,18 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
     discs = np.column_stack((chance.uniform(-900.0, 900.0, (80, 2)), chance.uniform(5.0, 60.0, 80)))
     eye = Eye(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, Sighting(discs), 7)
     assert len(Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0).others) == 0
-    assert len(Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0).others_on_line(1.0)) == 0
+    assert list(on_lines([Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0)], [1j])) == []
     far = np.abs(discs[:, :2] - (eye.x_in, eye.y_in)).max(axis=1) > FARTHEST_IN
     np.testing.assert_array_equal(eye.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]])
     assert far.any()
-    for angle in np.linspace(0.0, 6.0, 13).tolist():
-        way = cos(angle), sin(angle)
-        of_all = float(cast_discs((eye.x_in, eye.y_in), way, np.delete(discs, 7, axis=0)))
-        on_line = float(cast_discs((eye.x_in, eye.y_in), way, eye.others_on_line(angle)))
-        assert on_line == of_all or of_all > FARTHEST_IN - 60.0
+    blind = Eye(0.0, 0.0, 0.0, Sighting(), 0)
+    ways = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
+    met: list[list[list[float]]] = [[] for _ in range(14)]
+    for ray, disc in on_lines([eye] * 13 + [blind], [*ways, 1j]):
+        met[ray].append(disc)
+    assert met[13] == []
+    for way, on_line in zip(ways, met[:13], strict=True):
+        here, direction = (eye.x_in, eye.y_in), (way.real, way.imag)
+        of_all = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
+        assert float(cast_discs(here, direction, on_line)) == of_all or of_all > FARTHEST_IN - 60.0
+    assert 1 < sum(map(len, met)) < 3 * 13

@@ -1,0 +1,54 @@
+"""Who is in the way: the squares against asking everybody, and a simulation that keeps them."""
+
+from __future__ import annotations
+
+from math import hypot
+
+import numpy as np
+import pytest
+
+from nclient.errors import StartError
+from nserver_emu.simulation.models import N150
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.standing import Standing
+from worlds.world import StartPose, World
+
+
+def test_squares_find_whom_asking_everybody_finds() -> None:
+    chance = np.random.default_rng(5)
+    discs = np.column_stack((chance.uniform(-300.0, 300.0, (150, 2)), chance.uniform(2.0, 70.0, 150))).tolist()
+    standing = Standing()
+    for number, (x, y, radius) in enumerate(discs):
+        standing.add(number, (x, y, radius))
+    found = 0
+    for x, y in chance.uniform(-400.0, 400.0, (80, 2)).tolist():
+        touched = [number for number, (u, v, radius) in enumerate(discs) if hypot(x - u, y - v) <= radius + 9.0]
+        assert [number for number, _ in standing.touched(x, y, 9.0)] == touched
+        found += len(touched)
+    assert found > 100
+    assert Standing().touched(0.0, 0.0, 9.0) == []
+
+
+def test_who_moved_or_was_moved_is_in_the_way_where_it_is_now() -> None:
+    simulation = Simulation(World("plain"))
+    simulation.add_robot(7, StartPose(0.0, 0.0)).set_velocities(20.0, 0.0, 0.0)
+    simulation.step(2.0)
+    simulation.add_robot(3, StartPose(0.0, 0.0))
+    assert list(simulation.robots) == [3, 7]
+    with pytest.raises(StartError, match=r"touches robot 7, which stands at \(40.0, 0.0\) in; 19"):
+        simulation.require_free(40.0, 0.0, N150.body.radius_in)
+    simulation.require_free(40.0, 0.0, N150.body.radius_in, 7)
+    simulation.place(7, 100.0, 0.0, 0.0, 0.0)
+    simulation.require_free(40.0, 0.0, N150.body.radius_in)
+    with pytest.raises(StartError, match="touches robot 7"):
+        simulation.require_free(100.0, 0.0, N150.body.radius_in)
+
+
+def test_robots_that_are_never_woken_still_meet() -> None:
+    simulation = Simulation(World("plain"))
+    for number, x in enumerate((0.0, 30.0)):
+        simulation.add_robot(number + 1, StartPose(x, 0.0), awake=False).set_velocities(20.0, 0.0, 0.0)
+    simulation.robots[2].stop()
+    simulation.step(2.0)
+    first, second = simulation.robots.values()
+    assert second.actual.x_in - first.actual.x_in == pytest.approx(2.0 * N150.body.radius_in)
