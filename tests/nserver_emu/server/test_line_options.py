@@ -26,7 +26,7 @@ def parsed(*words: str) -> argparse.Namespace:
 
 
 def three_robots() -> Emulator:
-    emulator = emulated()
+    emulator: Emulator = emulated()
     for robot_id, model in ((2, "n200"), (3, "scout")):
         emulator.simulation.add_robot(robot_id, StartPose(30.0 * robot_id, 0.0, 0.0, 0.0), MODELS[model])
     return emulator
