@@ -25,6 +25,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
                     help="how often the tests of restarts restart (default: 5)")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--robot") and config.getoption("numprocesses", None):
+        raise pytest.UsageError("--robot: there is one robot, and one program at a time talks to it; leave -n out")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """With a robot, nothing but what is meant for it."""
     if config.getoption("--robot"):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from envelope import LIMITS, limited
 
 from nclient.address import parsed
@@ -13,8 +14,8 @@ from nclient.address import parsed
 TESTS = Path(__file__).parents[1]
 
 
-def pytest_on(address: str, wanted: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--robot", address, "-k", wanted]
+def pytest_on(address: str, wanted: str, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--robot", address, "-k", wanted, *words]
     places = [str(TESTS / name) for name in ("hardware", "worlds")]
     return subprocess.run([*command, *places], capture_output=True, text=True, check=False, timeout=120)
 
@@ -38,6 +39,12 @@ def test_a_robot_that_is_not_there_is_a_failure(tmp_path: Path) -> None:
     done = pytest_on(f"serial://{tmp_path}/none", "encoders")
     assert done.returncode == 1
     assert "there is no port" in done.stdout
+
+
+def test_two_processes_do_not_share_a_robot() -> None:
+    done = pytest_on("serial:///dev/none", "encoders", "-n", "2")
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert "leave -n out" in done.stderr
 
 
 def test_the_limits_are_the_envelopes_whatever_the_address_says() -> None:
