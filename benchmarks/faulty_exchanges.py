@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import struct
+import sys
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
@@ -136,6 +137,29 @@ def noise(seed: int) -> Plan:
     return Plan((Rule("noise", NOISE, directions=BOTH),), seed)
 
 
+def missed(outcome: Outcome) -> list[str]:
+    """Which targets these exchanges miss; noise is on every byte, else every tenth exchange was struck."""
+    if "noise" in outcome.struck:
+        most = max(1, TARGET_WRONG * outcome.exchanges // 100_000)
+        return [f"{outcome.wrong} wrong values, {most} at most"] if outcome.wrong > most else []
+    clean = [number for number in outcome.lost if number % 10]
+    struck = sum(outcome.struck.values())
+    return [
+        text
+        for text, bad in (
+            (f"{outcome.wrong} wrong values", outcome.wrong),
+            (f"lost without a fault: {clean[:5]}", clean),
+            (f"{struck} faults, one in ten wanted", struck != outcome.exchanges // 10),
+            ("the client's count of failures is another", len(outcome.lost) != _failures(outcome)),
+        )
+        if bad
+    ]
+
+
+def _failures(outcome: Outcome) -> int:
+    return outcome.link["timeouts"] + outcome.link["naks"]
+
+
 def read_packet(frame: bytes) -> tuple[int, ...]:
     """The numbers in the frame of a state packet, as PROTOCOL.md has them, in the order of `spoken`; () for others."""
     if len(frame) != PACKET.size + 6 or frame[3] != 7:
@@ -171,25 +195,28 @@ def row(name: str, outcome: Outcome, taken_s: float) -> str:
     )
 
 
-def main() -> None:
-    """Measure and print."""
+def main() -> int:
+    """Measure and print; 1 where a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--exchanges", type=int, default=100_000, help="a plan (default %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the faults and of the robot (default %(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
-    results = {}
+    results, misses = {}, []
     if not options.json:
         print("| faults | struck | right | lost | wrong | simulated time |\n|---|---|---|---|---|---|")
     for name, (plan, checks) in plans(options.seed).items():
         start_s = time.perf_counter()
         outcome = exchange(plan, options.exchanges, checks=checks)
+        misses += [f"{name}: {what}" for what in missed(outcome)]
         results[name] = asdict(outcome) | {"lost": len(outcome.lost)}
         if not options.json:
             print(row(name, outcome, time.perf_counter() - start_s), flush=True)
     if options.json:
         print(json.dumps(results))
+    print("\n".join(misses) or "all targets met", file=sys.stderr)
+    return 1 if misses else 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

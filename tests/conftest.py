@@ -1,10 +1,38 @@
-"""What all tests share: the recorded exchanges' loader can be imported by name."""
+"""What all tests share: the options, and modules beside the tests that can be imported by name.
+
+    pytest --robot ADDRESS     the tests of tests/hardware alone, on a real robot
+    pytest --restarts N        how often a daemon is killed, and its line pulled (tests/integration/test_restarts.py)
+"""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
+import pytest
+
 sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "gateway"))
+sys.path.insert(0, str(Path(__file__).parent / "hardware"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("nomad")
+    group.addoption("--robot", metavar="ADDRESS", help="a real robot that stands free, 50 cm all around it: only the "
+                    "tests of tests/hardware are run, and on it; see there what it will do")  # fmt: skip
+    group.addoption("--restarts", metavar="N", type=int, default=5,
+                    help="how often the tests of restarts restart (default: 5)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--robot") and config.getoption("numprocesses", None):
+        raise pytest.UsageError("--robot: there is one robot, and one program at a time talks to it; leave -n out")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With a robot, nothing but what is meant for it."""
+    if config.getoption("--robot"):
+        others = [item for item in items if "hardware" not in item.path.parts]
+        items[:] = [item for item in items if "hardware" in item.path.parts]
+        config.hook.pytest_deselected(items=others)

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from faulty_exchanges import ONE_BYTE, PACKET, exchange, noise, one_byte, read_packet
+from faulty_exchanges import ONE_BYTE, PACKET, Outcome, exchange, missed, noise, one_byte, read_packet
 
 from nclient.faults.kinds import Corrupt, DropByte, Fault, Noise, Stray
 from nclient.faults.plan import Direction, Plan, Rule
@@ -65,6 +65,16 @@ def test_noise_on_every_byte(checks: bool) -> None:
     frame = 0.98 ** (6 + 48)
     assert outcome.right / 1500 == pytest.approx(frame, abs=5 * (frame * (1 - frame) / 1500) ** 0.5)
     assert outcome.struck["corrupted_bytes"] == pytest.approx(outcome.struck["dropped_bytes"], rel=0.2)
+
+
+def test_missed_targets_are_named() -> None:
+    counts = {"timeouts": 2, "naks": 0}
+    assert missed(Outcome(20, 18, 0, [10, 20], {"corrupt": 1, "stray": 1}, counts)) == []
+    bad = missed(Outcome(20, 16, 1, [10, 13, 20], {"corrupt": 1}, counts))
+    assert bad == ["1 wrong values", "lost without a fault: [13]", "1 faults, one in ten wanted",
+                   "the client's count of failures is another"]  # fmt: skip
+    assert missed(Outcome(100_000, wrong=30, struck={"noise": 9})) == []
+    assert missed(Outcome(100_000, wrong=31, struck={"noise": 9})) == ["31 wrong values, 30 at most"]
 
 
 def test_what_passes_the_checksum_is_seen_to_be_wrong() -> None:

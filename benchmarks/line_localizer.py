@@ -1,0 +1,113 @@
+"""How far off the localizer is on a robot's own line, beside Nserver's protocol: the same filter, path and noise.
+
+    python benchmarks/line_localizer.py [--seeds N] [--speed X] [--json]
+
+A noisy N150 crosses the thesis room on figure 5.4's path, once over TCP and once over the pseudo-terminal, where there
+are neither stamps nor a mask. The truth is asked on a second connection that only looks. Bounds: those of the tests
+over TCP, an RMSE of 0.5 in and 1 in at the end; odometry alone is beside them. Nothing here is a test.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from localization.belief import independent
+from localization.cli import START_STD
+from localization.localizer import THESIS_ODOMETRY, Surroundings
+from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.run import Moment, Run, Sighting
+from nclient import Robot, connect
+from worlds.bodies import BODIES
+from worlds.files import load_world
+
+WORLD = "thesis_room"
+WAYPOINTS = [(0.0, 0.0), (60.0, 40.0)]
+RMSE_IN, END_IN = 0.5, 1.0
+TIME_LIMIT_S = 60.0
+
+
+@contextlib.contextmanager
+def daemon(seed: int, speed: float) -> Iterator[dict[str, str]]:
+    """Where a noisy N150 is reached, by the name of the line; it lives as long as the block."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = [WORLD, "--noisy", "--seed", str(seed), "--speed", str(speed), "--port", "0"]
+        command = [sys.executable, "-m", "nserver_emu", *words, "--serial-link", str(Path(folder) / "robot")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+            assert program.stdout is not None
+            try:
+                places = dict(program.stdout.readline().split()[1:] for _ in range(2))
+                yield {"tcp": f"nserver://{places['nserver']}/1", "serial": f"serial://{places['serial']}?model=n150"}
+            finally:
+                program.terminate()
+
+
+def localized(address: str, eye: Robot) -> Run:
+    """The run of `nomad localize ADDRESS`, its truth as the eye sees it."""
+    known = Surroundings(load_world(WORLD).walls, BODIES["n150"], THESIS_ODOMETRY)
+    done, seen = Run(WAYPOINTS), _sighting(eye)
+    with connect(address) as robot:
+        state = robot.refresh()
+        belief = independent([state.x_in, state.y_in, state.steering_rad], START_STD)
+        navigator = Navigator(WAYPOINTS, Speeds(), STOP_RADIUS_IN)
+        for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep):
+            before, seen = seen, _sighting(eye)
+            told = progress.state
+            odometry = (told.x_in, told.y_in, told.steering_rad)
+            truth = before.towards(seen, progress.estimate.clock_s)
+            done.add(Moment(progress.estimate, odometry, truth, progress.passed))
+            if done.duration_s > TIME_LIMIT_S:
+                break
+    return done
+
+
+def measure(seeds: int, speed: float) -> dict[str, list[dict[str, Any]]]:
+    """The summaries of all runs by line, a new daemon each."""
+    found: dict[str, list[dict[str, Any]]] = {"tcp": [], "serial": []}
+    for seed in range(seeds):
+        for line, runs in found.items():
+            with daemon(seed, speed) as places, connect(places["tcp"] + "?tm_s=0") as eye:
+                runs.append(localized(places[line], eye).summary())
+    return found
+
+
+def _sighting(eye: Robot) -> Sighting:
+    truth = eye.truth()
+    return Sighting(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10, help="runs a line (default %(default)s)")
+    parser.add_argument("--speed", type=float, default=5.0, help="of the daemon (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    options = parser.parse_args()
+    found = measure(options.seeds, options.speed)
+    if options.json:
+        print(json.dumps(found))
+        return
+    print(f"| line | goals | RMSE, in (bound {RMSE_IN}) | at the end, in (bound {END_IN:g}) | odometry alone, in |")
+    print("|---|---|---|---|---|")
+    for line, runs in found.items():
+        goals = sum(run["reached"] == len(WAYPOINTS) for run in runs)
+        keys = ("rmse_position_in", "end_error_in", "odometry_end_error_in")
+        cells = " | ".join(_spread([run[key] for run in runs]) for key in keys)
+        print(f"| {line} | {goals} of {len(runs)} | {cells} |")
+
+
+def _spread(numbers: list[float]) -> str:
+    return f"{min(numbers):.2f} to {max(numbers):.2f}, median {statistics.median(numbers):.2f}"
+
+
+if __name__ == "__main__":
+    main()

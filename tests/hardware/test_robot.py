@@ -1,0 +1,173 @@
+"""What a robot must do, on a real one:  pytest --robot serial:///dev/ttyUSB0?model=n150
+
+Envelope: it stays within 30 cm of where it stands, and no faster than 5 in/s and 30 deg/s, so give it 50 cm all around
+and keep a hand at the switch. The limits are put on the address (envelope.py), whatever it says itself: speeds are
+capped, the robot stops 2 s after the program is gone, and at a bumper hit. Tests drive 4 in at most, one at a time, and
+go back; a robot that is farther than 30 cm from where it was met is stopped. Its encoders judge, its clock counts.
+Without `--robot` the same tests run against an emulated robot of each model, on a pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from envelope import SPEED_IN_S, Bench, Walk
+
+from nclient import RobotRefused
+from nclient.protocol.models import N200
+
+WAY_IN = 4.0
+SLOW_IN_S = 2.0
+ENCODER_IN, ENCODER_DEG = 0.3, 2.0
+"""How exactly a motion ends where it was to end."""
+LINE = 200
+"""Exchanges that tell what a line is like."""
+
+
+def test_every_sensor_that_the_model_has_answers(walk: Walk) -> None:
+    robot = walk.robot
+    robot.read_sonars()
+    robot.read_bumpers()
+    state = robot.read_velocities()
+    assert all(reading == 0 or 6 <= reading <= 255 for reading in state.sonars_in)
+    assert state.bumpers == ()
+    assert (state.translation_in_s, state.moving) == (0, False)
+    assert state.battery is not None
+    assert 5 < state.battery.cpu_v < 16
+    robot.read_accelerations()
+
+
+def test_what_the_model_lacks_is_refused_before_it_is_sent(walk: Walk) -> None:
+    robot = walk.robot
+    assert robot.link is not None
+    for question in (robot.read_infrareds, robot.read_compass, robot.read_laser):
+        if robot.model is N200:
+            assert question() == robot.state
+            continue
+        before = robot.link.exchanges
+        with pytest.raises(RobotRefused, match=robot.model.name):
+            question()
+        assert robot.link.exchanges - before <= 1  # the feeder's
+
+
+def test_the_line_is_good(walk: Walk) -> None:
+    link = walk.robot.link
+    assert link is not None
+    answers, exchanges = link.answers, link.exchanges
+    for _ in range(LINE):
+        walk.robot.refresh()
+    assert link.answers - answers >= 0.98 * (link.exchanges - exchanges) - 1
+    assert link.exchanges - exchanges >= LINE
+    assert link.latency_s(0.5) < 0.1
+
+
+def test_the_clock_goes_on_at_its_pace(bench: Bench, walk: Walk) -> None:
+    before = walk.robot.refresh()
+    bench.sleep(1.0)
+    after = walk.robot.refresh()
+    assert before.clock_s is not None
+    assert after.clock_s is not None
+    assert 0.9 < after.clock_s - before.clock_s < 3.0
+    assert after.pose == before.pose
+
+
+def test_the_encoders_are_set_and_read_back(walk: Walk) -> None:
+    robot, start = walk.robot, walk.start
+    state = robot.set_position(x_in=12.3, y_in=-45.6)
+    assert (state.x_in, state.y_in) == (12.3, -45.6)
+    robot.read_pose()
+    assert (robot.state.x_in, robot.state.y_in) == (12.3, -45.6)
+    robot.set_position(x_in=start.x_in, y_in=start.y_in)
+    angle = robot.set_angles(steering_deg=10, turret_deg=20)
+    assert angle.steering_deg == pytest.approx(10, abs=0.11)
+    robot.set_angles(steering_deg=start.steering_deg, turret_deg=start.turret_deg)
+
+
+def test_a_way_there_and_back(walk: Walk) -> None:
+    robot = walk.robot
+    moving = robot.move(translation_in=WAY_IN)
+    assert moving.moving
+    there = walk.until_still()
+    assert walk.distance_in(there) == pytest.approx(WAY_IN, abs=ENCODER_IN)
+    assert there.translation_in_s == 0
+    robot.move(translation_in=-WAY_IN)
+    assert walk.distance_in(walk.until_still()) < ENCODER_IN
+
+
+def test_ws_answers_when_the_robot_stands(walk: Walk) -> None:
+    robot = walk.robot
+    robot.move(translation_in=WAY_IN)
+    there = robot.wait_until_still(10)
+    assert not there.moving
+    assert walk.distance_in(there) == pytest.approx(WAY_IN, abs=ENCODER_IN)
+    robot.move(translation_in=-WAY_IN)
+    robot.wait_until_still(10)
+
+
+def test_a_velocity_is_shown_until_st(walk: Walk) -> None:
+    robot = walk.robot
+    assert robot.drive(translation_in_s=SLOW_IN_S).translation_in_s > 0
+    states = walk.watch(lambda state: walk.distance_in(state) > 1.0)
+    assert states[-1].translation_in_s == pytest.approx(SLOW_IN_S, abs=0.3)
+    robot.stop()
+    still = walk.until_still()
+    assert still.translation_in_s == 0
+    assert walk.distance_in(still) < WAY_IN
+    walk.back()
+
+
+def test_no_speed_beyond_the_cap(walk: Walk) -> None:
+    walk.robot.drive(translation_in_s=6)
+    states = walk.watch(lambda state: walk.distance_in(state) > 1.5)
+    assert SLOW_IN_S < max(state.translation_in_s for state in states) <= SPEED_IN_S + 0.2
+    walk.robot.stop()
+    walk.until_still()
+    walk.back()
+
+
+def test_axes_turn_and_turn_back(walk: Walk) -> None:
+    robot = walk.robot
+    for axis in ("steering", "turret") if robot.model.has_turret else ("steering",):
+        before = getattr(walk.until_still(), f"{axis}_deg")
+        robot.set_speeds(translation_in_s=SLOW_IN_S, **_turning(robot.model.has_turret))
+        robot.move(**{f"{axis}_deg": 30})
+        turned = getattr(walk.until_still(), f"{axis}_deg") - before
+        assert math.remainder(turned - 30, 360) == pytest.approx(0, abs=ENCODER_DEG)
+        robot.move(**{f"{axis}_deg": -30})
+        walk.until_still()
+
+
+def _turning(turret: bool) -> dict[str, float]:
+    return {"steering_deg_s": 20, "turret_deg_s": 20} if turret else {}
+
+
+def test_a_robot_that_nobody_talks_to_stops(bench: Bench, walk: Walk) -> None:
+    """conf_tm said by the program itself: from then on nobody feeds."""
+    walk.robot.set_timeout(1)
+    walk.robot.drive(translation_in_s=SLOW_IN_S / 2)
+    bench.sleep(4.0)
+    state = walk.robot.refresh()
+    assert (state.translation_in_s, state.moving) == (0, False)
+    assert 0.3 < walk.distance_in(state) < WAY_IN
+    walk.back()
+
+
+def test_a_robot_moves_on_while_its_program_sleeps(bench: Bench, walk: Walk) -> None:
+    walk.robot.drive(translation_in_s=SLOW_IN_S / 2)
+    bench.sleep(3.0)
+    state = walk.robot.refresh()
+    assert state.moving
+    assert walk.distance_in(state) > 2.0
+    walk.robot.stop()
+    walk.until_still()
+    walk.back()
+
+
+def test_leaving_stops_the_robot(bench: Bench, walk: Walk) -> None:
+    with walk.robot as robot:
+        robot.drive(translation_in_s=SLOW_IN_S)
+        walk.watch(lambda state: walk.distance_in(state) > 0.5)
+    walk.robot = bench.connect()
+    assert walk.distance_in(walk.until_still()) < WAY_IN
+    walk.back()

@@ -1,0 +1,54 @@
+"""`pytest --robot ADDRESS`: the hardware tests, and no others, on whatever is at the address."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from envelope import LIMITS, limited
+
+from nclient.address import parsed
+
+TESTS = Path(__file__).parents[1]
+
+
+def pytest_on(address: str, wanted: str, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--robot", address, "-k", wanted, *words]
+    places = [str(TESTS / name) for name in ("hardware", "worlds")]
+    return subprocess.run([*command, *places], capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_the_robot_that_is_named_is_the_one_that_is_tried(tmp_path: Path) -> None:
+    link = tmp_path / "robot"
+    words = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(link), "--robot", "scout"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        try:
+            assert [daemon.stdout.readline() for _ in range(2)][1].startswith("listening serial")
+            done = pytest_on(f"serial://{link}?model=scout", "encoders or room or refused")
+        finally:
+            daemon.terminate()
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout
+    assert "skipped" not in done.stdout
+
+
+def test_a_robot_that_is_not_there_is_a_failure(tmp_path: Path) -> None:
+    done = pytest_on(f"serial://{tmp_path}/none", "encoders")
+    assert done.returncode == 1
+    assert "there is no port" in done.stdout
+
+
+def test_two_processes_do_not_share_a_robot() -> None:
+    done = pytest_on("serial:///dev/none", "encoders", "-n", "2")
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert "leave -n out" in done.stderr
+
+
+def test_the_limits_are_the_envelopes_whatever_the_address_says() -> None:
+    given = "serial:///dev/ttyUSB0?model=scout&max_speed_in_s=50&feed=0&tm_s=60"
+    assert parsed(limited(given)).options == {"model": "scout"} | {name: str(value) for name, value in LIMITS.items()}
+    assert parsed(limited("robotd://nomad")).options == {name: str(value) for name, value in LIMITS.items()}
+    assert (LIMITS["max_speed_in_s"], LIMITS["bumper_stop"]) == (5, 1)

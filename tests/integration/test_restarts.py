@@ -1,0 +1,108 @@
+"""A daemon is killed and started again, its pseudo-terminal pulled, again and again: one client stays, and says so.
+
+    pytest -s tests/integration/test_restarts.py --restarts 100
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from nclient import ConnectionLost, Robot, connect
+from nserver_emu import ctl
+
+BACK_S = 30.0
+SET_IN = 12.5
+"""What the encoders are set to: a robot that was there all along still has it, a new one does not."""
+PULL = """
+[[rule]]
+name = "pull"
+do = "hang_up"
+command = "gs"
+first = 1
+"""
+
+
+class Daemon:
+    """An nserver on a link, killed and started anew; `places`: a folder for link and socket."""
+
+    def __init__(self, places: Path) -> None:
+        self.link, self._socket, self._plan = places / "robot", places / "ctl.sock", places / "pull.toml"
+        self._plan.write_text(PULL)
+        self.start()
+
+    def kill(self) -> None:
+        """As a power cut does."""
+        self._process.kill()
+        self._process.communicate()
+
+    def pull(self) -> None:
+        """With the next state it sends, the pseudo-terminal is gone, and another behind the link."""
+        assert ctl.main(["--control", str(self._socket), "faults", "set", str(self._plan)]) == 0
+
+    def start(self) -> None:
+        """Another one, behind the same link."""
+        words = ["--port", "0", "--serial-link", str(self.link), "--control", str(self._socket)]
+        command = [sys.executable, "-m", "nserver_emu", *words]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        for _ in range(3):
+            assert self._process.stdout.readline().startswith("listening ")
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    running = Daemon(tmp_path)
+    try:
+        yield running
+    finally:
+        running.kill()
+
+
+def lost(robot: Robot) -> None:
+    """The loss is said, once, by the call that met it."""
+    assert robot.link is not None
+    losses = robot.link.losses
+    with pytest.raises(ConnectionLost):
+        robot.refresh()
+    assert robot.link.losses == losses + 1
+
+
+def back_after_s(robot: Robot) -> float:
+    """Until a call is answered again, seconds; whatever is raised till then is that nobody is there."""
+    start_s = time.monotonic()
+    while time.monotonic() < start_s + BACK_S:
+        with contextlib.suppress(ConnectionLost):
+            robot.refresh()
+            return time.monotonic() - start_s
+    raise AssertionError(f"not back within {BACK_S:g} s")
+
+
+def test_a_client_stays_through_kills_and_pulls(daemon: Daemon, request: pytest.FixtureRequest) -> None:
+    times = request.config.getoption("--restarts")
+    after_s: dict[str, list[float]] = {"pulled": [], "killed": []}
+    with connect(f"serial://{daemon.link}?reconnect=0.2&feed=0") as robot:
+        for _ in range(times):
+            robot.set_position(x_in=SET_IN)
+            daemon.pull()
+            lost(robot)
+            after_s["pulled"].append(back_after_s(robot))
+            assert robot.state.x_in == SET_IN
+            daemon.kill()
+            lost(robot)
+            with pytest.raises(ConnectionLost, match="not back yet"):
+                robot.refresh()
+            daemon.start()
+            after_s["killed"].append(back_after_s(robot))
+            assert robot.state.x_in == 0
+        assert robot.link is not None
+        assert (robot.link.losses, robot.link.reconnects) == (2 * times, 2 * times)
+        assert robot.link.implausible == robot.link.misfits == 0
+    for what, seconds in after_s.items():
+        print(f"{what} {len(seconds)} times: each told, back after {max(seconds):.2f} s at most")
