@@ -23,6 +23,9 @@ GRAZING_IN: Final = 1e-6
 """So much farther from a line than its rim a robot still counts as met, until its range is worked out: rounding."""
 
 
+_FAR_IN: Final = 1e6
+"""Farther than any wall."""
+
 _NOBODY: Final[FloatArray] = np.zeros((0, 4))
 
 
@@ -39,10 +42,25 @@ class Sighting:
 
     def near(self, x_in: float) -> FloatArray:
         """The robots (k, 4) whose x is no farther than FARTHEST_IN from this one: rows x y radius row, sorted by x."""
+        return self._between(x_in - FARTHEST_IN, x_in + FARTHEST_IN)
+
+    def ahead(self, x_in: float, way_x_in: float) -> FloatArray:
+        """Those of `near` that a ray from this x can meet before it has gone so far along x, and perhaps some more."""
+        if len(self.discs) < 2:
+            return _NOBODY
+        beside = self._widest_in
+        low, high = x_in + min(way_x_in, 0.0) - beside, x_in + max(way_x_in, 0.0) + beside
+        return self._between(max(low, x_in - FARTHEST_IN), min(high, x_in + FARTHEST_IN))
+
+    def _between(self, low_in: float, high_in: float) -> FloatArray:
         if len(self.discs) < 2:
             return _NOBODY
         xs = self._xs
-        return self._sorted[bisect_left(xs, x_in - FARTHEST_IN) : bisect_right(xs, x_in + FARTHEST_IN)]
+        return self._sorted[bisect_left(xs, low_in) : bisect_right(xs, high_in)]
+
+    @cached_property
+    def _widest_in(self) -> float:
+        return float(self.discs[:, 2].max()) + GRAZING_IN
 
     @cached_property
     def _sorted(self) -> FloatArray:
@@ -88,24 +106,30 @@ class Eye(NamedTuple):
         return others
 
 
-def on_lines(eyes: Sequence[Eye], ways: Sequence[complex]) -> Iterator[tuple[int, list[float]]]:
+def on_lines(
+    eyes: Sequence[Eye], ways: Sequence[complex], ranges: Sequence[float]
+) -> Iterator[tuple[int, list[float]]]:
     """The other robots that rays can meet, and perhaps some they graze: number of the ray, and x y radius in inches.
 
     eyes, ways    from where each ray goes, and its direction, a unit vector dx + i dy
+    ranges        how far each goes until it meets a wall, inches
 
     All rays at once: a centre is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
     """
     if all(len(eye.seen.discs) < 2 for eye in eyes):
         return
-    near = [eye.seen.near(eye.x_in) for eye in eyes]
+    to_wall = [min(far, _FAR_IN) for far in ranges]
+    near = [eye.seen.ahead(eye.x_in, far * way.real) for eye, way, far in zip(eyes, ways, to_wall, strict=True)]
     counts = [len(robots) for robots in near]
     robots = np.concatenate(near)
     origins = np.array([complex(eye.x_in, eye.y_in) for eye in eyes])
     turned = robots.view(np.complex128)[:, 0] - origins.repeat(counts)
     turned *= np.array(ways).conj().repeat(counts)
     reach = robots[:, 2] + GRAZING_IN
-    met = ((np.abs(turned.imag) <= reach) & (turned.real >= -reach)).nonzero()[0]
+    met = (np.abs(turned.imag) <= reach).nonzero()[0]
     rays = np.searchsorted(np.cumsum(counts), met, side="right")
-    for ray, (x, y, radius, row) in zip(rays.tolist(), robots.take(met, axis=0).tolist(), strict=True):
-        if row != eyes[ray].own:
+    ahead = turned.real.take(met).tolist()
+    for ray, far, (x, y, radius, row) in zip(rays.tolist(), ahead, robots.take(met, axis=0).tolist(), strict=True):
+        beside = radius + GRAZING_IN
+        if row != eyes[ray].own and -beside <= far <= to_wall[ray] + beside:
             yield ray, [x, y, radius]

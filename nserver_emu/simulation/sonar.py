@@ -73,7 +73,7 @@ class SonarNoise:
         """
         ways = [complex(cos(cry.direction_rad), sin(cry.direction_rad)) for cry in cries]
         from_axis = cast_each([complex(cry.x_in, cry.y_in) for cry in cries], ways, walls)
-        for ray, disc in on_lines(eyes, ways):
+        for ray, disc in on_lines(eyes, ways, from_axis.copy()):
             met = ray_to_disc(cries[ray].x_in, cries[ray].y_in, ways[ray].real, ways[ray].imag, disc)
             from_axis[ray] = min(from_axis[ray], met)
         return [self._misheard(far - body.sonar_ring_radius_in, cry) for far, cry in zip(from_axis, cries, strict=True)]

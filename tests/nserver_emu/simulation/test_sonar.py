@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, radians, sin
+from math import cos, inf, radians, sin
 
 import numpy as np
 import pytest
@@ -133,14 +133,14 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
     discs = np.column_stack((chance.uniform(-900.0, 900.0, (80, 2)), chance.uniform(5.0, 60.0, 80)))
     eye = Eye(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, Sighting(discs), 7)
     assert len(Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0).others) == 0
-    assert list(on_lines([Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0)], [1j])) == []
+    assert list(on_lines([Eye(0.0, 0.0, 0.0, Sighting(discs[:1]), 0)], [1j], [inf])) == []
     far = np.abs(discs[:, :2] - (eye.x_in, eye.y_in)).max(axis=1) > FARTHEST_IN
     np.testing.assert_array_equal(eye.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]])
     assert far.any()
     blind = Eye(0.0, 0.0, 0.0, Sighting(), 0)
     ways = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
     met: list[list[list[float]]] = [[] for _ in range(14)]
-    for ray, disc in on_lines([eye] * 13 + [blind], [*ways, 1j]):
+    for ray, disc in on_lines([eye] * 13 + [blind], [*ways, 1j], [inf] * 14):
         met[ray].append(disc)
     assert met[13] == []
     for way, on_line in zip(ways, met[:13], strict=True):
@@ -148,3 +148,11 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
         of_all = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
         assert float(cast_discs(here, direction, on_line)) == of_all or of_all > FARTHEST_IN - 60.0
     assert 1 < sum(map(len, met)) < 3 * 13
+    for wall_in in (0.0, 90.0, 300.0):
+        nearer = list(on_lines([eye] * 13, ways, [wall_in] * 13))
+        for ray, way in enumerate(ways):
+            hidden = [disc for other, disc in nearer if other == ray]
+            here, direction = (eye.x_in, eye.y_in), (way.real, way.imag)
+            seen = min(wall_in, float(cast_discs(here, direction, hidden)))
+            assert seen == min(wall_in, float(cast_discs(here, direction, np.delete(discs, 7, axis=0))))
+        assert len(nearer) < sum(map(len, met))
