@@ -93,6 +93,11 @@ def line_talk(stream: ByteStream, opening: Opening) -> Backend:
     return _direct(stream, opening, hello=opening.scheme.line == HELLO_FIRST)
 
 
+def line_talk_without_hello(stream: ByteStream, opening: Opening) -> Backend:
+    """The same where something was said already: the hello is over, and ct says the mask."""
+    return _direct(stream, opening, hello=False)
+
+
 def _direct(stream: ByteStream, opening: Opening, *, hello: bool) -> Backend:
     return DirectBackend(
         stream,

@@ -3,10 +3,12 @@
     nomad stop nserver://lab:7019/2
     nomad stop "serial:///dev/ttyUSB0?model=n150" --patience 30
 
-Says how often it was told, and where it stands. Exit code 0: it stands still; 1: it moves on, or nobody answered.
+Says how often it was told, and where it stands. Exit code 0: it was seen to stand still; 1: it moves on, nobody
+answered, or it answered st and could not be understood, most often since the address names another model.
 
-Rules: st and gs only; nothing is set, nothing is fed. Whatever goes wrong on the way is tried again until patience
-ends, a connection that broke is made anew; only an address that makes no sense ends it at once.
+Rules: st and gs only; nothing is set but a N200's mask, nothing is fed. On a robot's own line the first bytes of every
+conversation are st, and hello and mask come once that was answered. Whatever goes wrong on the way is tried again
+until patience ends, a connection that broke is made anew; only an address that makes no sense ends it at once.
 """
 
 from __future__ import annotations
@@ -17,11 +19,19 @@ from collections import Counter
 from collections.abc import Callable
 
 from nclient.backends.backend import Backend
+from nclient.backends.direct import QUICK_S
+from nclient.backends.first_stop import say_stop
 from nclient.commands.serving import tell
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
+from nclient.openers import line_talk_without_hello
+from nclient.opening import Opening
+from nclient.protocol.likeness import is_it_another
+from nclient.protocol.models import Model
+from nclient.recording.follower import TCP
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
 from nclient.schemes import Wanted, opening_of
+from nclient.transports.byte_stream import ByteStream
 
 PATIENCE_S = 10.0
 PAUSE_S = 0.05
@@ -40,7 +50,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Stop it; the exit code."""
     opening = opening_of(options.address, Wanted())
-    return Stopping(opening.talk, time.monotonic, time.sleep).run(options.patience)
+    opens = opening.talk if opening.scheme.line == TCP else _on_line(opening)
+    return Stopping(opens, time.monotonic, time.sleep).run(options.patience)
+
+
+def _on_line(opening: Opening) -> StopFirst:
+    patience_s = QUICK_S if opening.timeout_s is None else opening.timeout_s
+    return StopFirst(opening.stream, lambda stream: line_talk_without_hello(stream, opening), opening.model, patience_s)
+
+
+class StopFirst:
+    """Opens conversations on a robot's own line whose first bytes are st. `opens` the line, `talks` what comes then."""
+
+    def __init__(
+        self,
+        opens: Callable[[], ByteStream],
+        talks: Callable[[ByteStream], Backend],
+        model: Model,
+        patience_s: float = QUICK_S,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._opens, self._talks = opens, talks
+        self._model, self._patience_s, self._clock = model, patience_s, clock
+        self.told = 0
+        self.answers: list[bytes] = []
+
+    def __call__(self) -> Backend:
+        """A conversation with a robot that has answered st. Raises as say_stop and `talks`."""
+        stream = self._opens()
+        try:
+            self.answers.append(say_stop(stream, self._patience_s, self._clock, self._tell).data)
+            return self._talks(stream)
+        except BaseException:
+            stream.close()
+            raise
+
+    def remedy(self) -> str:
+        """What is left to say where st was answered, and nothing after it could be read."""
+        hint = is_it_another(self._model, self.answers[-1])
+        return f"st was answered, and nothing showed that it stands still{'; ' if hint else ''}{hint}"
+
+    def _tell(self) -> None:
+        self.told += 1
 
 
 class Stopping:
@@ -100,12 +151,16 @@ class Stopping:
             self._robot.disconnect()
 
     def _report(self, stands: bool) -> None:
-        times = f"told {self._told} time{'' if self._told == 1 else 's'}"
+        first = self._opens if isinstance(self._opens, StopFirst) else None
+        told = self._told + (first.told if first else 0)
+        times = f"told {told} time{'' if told == 1 else 's'}"
         if self._troubles:
             times += f", {sum(self._troubles.values())} faults on the way"
         if stands and self._last is not None:
             print(f"stands still at x {self._last.x_in:.1f} in, y {self._last.y_in:.1f} in; {times}")
         elif self._last is not None:
             print(f"NOT STOPPED: last seen at {self._last.translation_in_s:.1f} in/s; {times}")
+        elif first and first.answers:
+            print(f"NOT SEEN TO STOP: {first.remedy()}; {times}")
         else:
             print(f"NOT STOPPED: nobody answered; {times}")
