@@ -3,17 +3,17 @@
     axis      translation | steering, turret            a Scout: right wheel | left wheel, which share both limits
 
 Rules: numbers are brought down to the limit, never refused, and their signs stay. A Scout's wheels are slowed together,
-so that the curve stays. A relative motion goes at the speed of sp: before the first one, when nobody has said sp yet,
-the limited axes are given their limit.
+so that the curve stays. A relative motion goes at the speed that sp or mv has set: before one, each limited axis of
+which that is not sure is told it again, or its limit where nobody has said any; never more than the program asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from nclient.backends.backend import Backend
 from nclient.backends.wrapper import Wrapper
-from nclient.errors import ConnectionLost
+from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.units import SCOUT_WHEEL_IN_PER_DEG
@@ -37,20 +37,45 @@ class Capped(Wrapper):
         else:
             wheel = min(self._speed, self._turn * SCOUT_WHEEL_IN_PER_DEG)
             self._limits = (wheel, wheel, float("inf"))
-        self._speeds_known = False
+        self._asked: dict[int, int] = {}
+        """The speed of each axis that the program has set, within the limits."""
+        self._sure: set[int] = set()
+        """The axes whose speed the robot is known to have."""
 
     def execute(self, call: Call) -> Reply:
         """The answer to the call as it may be."""
+        within = self._within(call)
         try:
-            if _goes_at_sp(call) and not self._speeds_known:
-                self._inner.execute(self._slowest())
-                self._speeds_known = True
-            reply = self._inner.execute(self._within(call))
+            if _goes_at_sp(call):
+                self._make_sure(_speeds(within))
+            return self._say(within)
         except ConnectionLost:
-            self._speeds_known = False
+            self._sure.clear()
             raise
-        self._speeds_known |= call.name == "sp"
+
+    def _say(self, call: Call) -> Reply:
+        speeds = _speeds(call)
+        try:
+            reply = self._inner.execute(call)
+        except (ReplyTimeout, ConnectionLost):  # it may have been heard, or not
+            self._asked |= speeds
+            self._sure -= speeds.keys()
+            raise
+        self._asked |= speeds
+        self._sure |= speeds.keys()
         return reply
+
+    def _make_sure(self, about_to_be_set: Mapping[int, int]) -> None:
+        """Tell the speeds of relative motion that the robot may not have; axes without a limit keep theirs."""
+        speeds = {
+            axis: self._asked.get(axis, int(limit))
+            for axis, limit in enumerate(self._limits)
+            if limit < float("inf") and axis not in self._sure and axis not in about_to_be_set
+        }
+        if speeds:
+            pairs = [(_SPEED, speeds[axis]) if axis in speeds else (_NOWHERE, 0) for axis in range(_AXES)]
+            self._inner.execute(Call("mv", tuple(number for pair in pairs for number in pair)))
+            self._sure |= speeds.keys()
 
     def _within(self, call: Call) -> Call:
         if call.name == "vm" and len(call.args) == _AXES:
@@ -78,15 +103,20 @@ class Capped(Wrapper):
             within += [mode, _limited(value, limit) if mode in (_VELOCITY, _SPEED) else value]
         return tuple(within)
 
-    def _slowest(self) -> Call:
-        """The limits as the speeds of relative motion; axes without a limit keep theirs."""
-        pairs = [(_NOWHERE, 0) if limit == float("inf") else (_SPEED, int(limit)) for limit in self._limits]
-        return Call("mv", tuple(number for pair in pairs for number in pair))
-
 
 def _goes_at_sp(call: Call) -> bool:
     modes = call.args[::2] if call.name == "mv" else ()
     return call.name in ("pr", "pa") or not {_RELATIVE, _ABSOLUTE}.isdisjoint(modes)
+
+
+def _speeds(call: Call) -> dict[int, int]:
+    """The axes whose speed of relative motion a call sets, and the speed."""
+    if call.name == "sp":
+        return dict(enumerate(call.args))
+    if call.name == "mv":
+        pairs = zip(call.args[::2], call.args[1::2], strict=False)
+        return {axis: value for axis, (mode, value) in enumerate(pairs) if mode == _SPEED}
+    return {}
 
 
 def _limited(value: int, limit: float) -> int:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from robot_line import ScriptedLine, direct_on
+from robot_line import Answer, ScriptedLine, direct_on
 
 from nclient.backends.capped import Capped
-from nclient.errors import ConnectionLost
+from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.models import N150, N200, SCOUT
 from nclient.protocol.units import SCOUT_WHEEL_IN_PER_DEG
@@ -61,6 +61,47 @@ def test_who_has_said_sp_has_said_the_speeds() -> None:
     assert robot.calls == [Call("sp", (50, 300, 300)), Call("pr", (100, 0, 0))]
 
 
+def test_a_speed_that_mv_has_set_is_the_speed() -> None:
+    robot = ScriptedLine()
+    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    asked = [Call("mv", (5, 20, 0, 0, 0, 0)), Call("pr", (100, 0, 0)), Call("mv", (5, 200, 2, 900, 0, 0))]
+    for call in asked:
+        backend.execute(call)
+    assert robot.calls == [*asked[:2], Call("mv", (5, 80, 2, 900, 0, 0))]
+
+
+def test_axes_that_mv_left_out_are_given_their_limits() -> None:
+    robot = ScriptedLine()
+    backend = Capped(direct_on(robot), **BOTH)
+    backend.execute(Call("mv", (0, 0, 5, 50, 0, 0)))
+    backend.execute(Call("mv", (5, 70, 2, 100, 0, 0)))
+    backend.execute(Call("pr", (1, 1, 1)))
+    assert [call.args for call in robot.calls] == [
+        (0, 0, 5, 50, 0, 0), (0, 0, 0, 0, 5, 300), (5, 70, 2, 100, 0, 0), (1, 1, 1)
+    ]  # fmt: skip
+
+
+def test_a_speed_whose_setting_was_not_answered_is_told_again() -> None:
+    silence: list[Answer] = [None]
+    robot = ScriptedLine({"sp": silence})
+    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    with pytest.raises(ReplyTimeout):
+        backend.execute(Call("sp", (30, 450, 450)))
+    robot.calls.clear()
+    backend.execute(Call("pr", (100, 0, 0)))
+    assert robot.calls == [Call("mv", (5, 30, 0, 0, 0, 0)), Call("pr", (100, 0, 0))]
+
+
+def test_a_speed_that_was_refused_is_none() -> None:
+    refused: list[Answer] = [bytes.fromhex("01 02 00 08 0b 5c")]
+    robot = ScriptedLine({"sp": refused})
+    backend = Capped(direct_on(robot), max_speed_in_s=8)
+    with pytest.raises(RobotRefused):
+        backend.execute(Call("sp", (30, 450, 450)))
+    backend.execute(Call("pr", (100, 0, 0)))
+    assert robot.calls[1] == Call("mv", (5, 80, 0, 0, 0, 0))
+
+
 def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
     robot = ScriptedLine()
     stream = MemoryStream(robot)
@@ -75,7 +116,7 @@ def test_a_robot_that_was_lost_may_have_other_speeds() -> None:
     backend._inner = again
     robot.calls.clear()
     backend.execute(Call("pr", (10, 0, 0)))
-    assert robot.names() == ["mv", "pr"]
+    assert robot.calls == [Call("mv", (5, 50, 5, 50, 5, 50)), Call("pr", (10, 0, 0))]
 
 
 @pytest.mark.parametrize("asked", [(400, 400), (400, -400), (390, 100), (-300, 20), (60, 60), (0, 400)])
