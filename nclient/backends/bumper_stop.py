@@ -2,6 +2,7 @@
 
 Rules: st goes out at once, before anything is raised. Only a bumper that did not touch before counts, so that a robot
 that was stopped at a wall can be driven away from it. A robot that was told to move moves until a state shows it still.
+A ws, which is silent until the robot stands, is asked in pieces of a second, so that a hit is seen during it.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 
 from nclient.backends.backend import Backend
+from nclient.backends.pieces import in_pieces, is_wait
 from nclient.backends.wrapper import Wrapper
 from nclient.errors import BumperHit, NomadError
 from nclient.protocol.commands import Call
@@ -19,6 +21,8 @@ POLL_S = 0.2
 """How often a robot is to be asked that nobody asks, so that a hit is seen."""
 _MOTIONS = frozenset({"vm", "pr", "pa", "mv", "zr"})
 _ATTEMPTS = 3
+_PIECE_S = 1
+"""The shortest wait that ws can say."""
 
 
 class BumperStop(Wrapper):
@@ -34,6 +38,9 @@ class BumperStop(Wrapper):
 
     def execute(self, call: Call) -> Reply:
         """The answer. Raises BumperHit, after st, where a bumper has begun to touch."""
+        return in_pieces(call, _PIECE_S, self._watched) if is_wait(call) else self._watched(call)
+
+    def _watched(self, call: Call) -> Reply:
         self._moving |= call.name in _MOTIONS
         reply = self._inner.execute(call)
         moved, touched = self._moving, self._touching

@@ -15,10 +15,11 @@ import time
 from collections.abc import Callable
 
 from nclient.backends.backend import Backend
+from nclient.backends.pieces import in_pieces, is_wait
 from nclient.backends.wrapper import Wrapper
 from nclient.errors import NomadError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
-from nclient.protocol.replies import MOTOR_SLOT, Reply
+from nclient.protocol.replies import Reply
 
 DEFAULT_TIMEOUT_S = 5
 SHORTEST_TIMEOUT_S = 2
@@ -26,7 +27,6 @@ SHORTEST_TIMEOUT_S = 2
 _SHARE = 3
 _SPEED_SLOT, _REAL_TIME = 0, 10
 _SHORTEST_INTERVAL_S = 0.005
-_WS_ARGUMENTS = 4
 _GS = Call("gs")
 
 
@@ -69,8 +69,8 @@ class Feeding(Wrapper):
             if self._met is not None:
                 met, self._met = self._met, None
                 raise met
-            if call.name == "ws" and self._ours and len(call.args) == _WS_ARGUMENTS:
-                return self._wait_in_pieces(call)
+            if self._ours and is_wait(call):
+                return in_pieces(call, self._timeout_s // 2, self._say)
             if call.name == "conf_tm":
                 self._ours = False
             return self._say(call)
@@ -138,14 +138,3 @@ class Feeding(Wrapper):
         speed = reply.slots.get(_SPEED_SLOT)
         if speed is not None:
             self._factor = speed / _REAL_TIME
-
-    def _wait_in_pieces(self, call: Call) -> Reply:
-        """ws, again and again until the axes that it names are still or its time is over."""
-        *flags, left = call.args
-        while True:
-            piece = max(0, min(left, self._timeout_s // 2))
-            left -= piece
-            reply = self._say(Call("ws", (*flags, piece)))
-            motors = reply.slots.get(MOTOR_SLOT, 0)
-            if left <= 0 or not any(flag and motors >> axis & 1 for axis, flag in enumerate(flags)):
-                return reply

@@ -7,7 +7,9 @@ import pickle
 import pytest
 from robot_line import Answer, ScriptedLine, direct_on
 
+from nclient.backends.backend import Backend
 from nclient.backends.bumper_stop import BumperStop
+from nclient.backends.feeding import Feeding
 from nclient.errors import BumperHit
 from nclient.protocol.commands import Call
 from nclient.protocol.models import N150, N200, SCOUT, Model
@@ -101,3 +103,22 @@ def test_st_is_said_until_it_is_answered() -> None:
 def test_the_error_can_be_sent_to_another_process() -> None:
     hit = pickle.loads(pickle.dumps(BumperHit("vm", (3, 4))))
     assert (hit.command, hit.bumpers, str(hit)) == ("vm", (3, 4), str(BumperHit("vm", (3, 4))))
+
+
+@pytest.mark.parametrize("timeout_s", [0, 5, 60])
+def test_a_hit_during_ws_is_seen_within_a_second(timeout_s: int) -> None:
+    rolling = ScriptedLine()
+    rolling.slots[41] = 1
+    rolling.clock = 2000
+    answers: list[Answer] = [rolling.state(), rolling.state()]
+    rolling.slots[33] |= 1 << 3
+    answers.append(rolling.state())
+    robot = ScriptedLine({"ws": answers})
+    backend: Backend = BumperStop(direct_on(robot))
+    if timeout_s:
+        backend = Feeding(backend, timeout_s, feeds=False)
+    robot.calls.clear()
+    backend.execute(VM)
+    with pytest.raises(BumperHit, match="ws: bumper 3"):
+        backend.execute(Call("ws", (1, 0, 0, 30)))
+    assert robot.calls[1:] == [Call("ws", (1, 0, 0, 1))] * 3 + [Call("st")]
