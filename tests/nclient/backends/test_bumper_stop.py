@@ -109,7 +109,7 @@ def test_the_error_can_be_sent_to_another_process() -> None:
 def test_a_hit_during_ws_is_seen_within_a_second(timeout_s: int) -> None:
     rolling = ScriptedLine()
     rolling.slots[41] = 1
-    rolling.clock = 2000
+    rolling.clock = 1050
     answers: list[Answer] = [rolling.state(), rolling.state()]
     rolling.slots[33] |= 1 << 3
     answers.append(rolling.state())
