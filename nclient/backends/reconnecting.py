@@ -3,8 +3,8 @@
     lost ──> ConnectionLost ──> next call: wait 0.1 s, open, greet ──> nobody: ConnectionLost ──> 0.2 s ... longest
 
 Rules: each loss is one ConnectionLost of the call that met it, and nothing is said twice: what that call was to do is
-the program's to decide. Opened anew, the robot is told again what the safety and the shape of answers hang on: which
-robot it is (an Nserver's), the mask, the time-out of motion. Nothing moves by itself.
+the program's to decide. Opened anew, the robot is told again what was agreed with it (agreed.py): which robot it is (an
+Nserver's), mask and laser mode, the time-out of motion, sensors, speeds. Nothing moves by itself.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from nclient.backends.agreed import Agreed
 from nclient.backends.backend import Backend
 from nclient.backends.wrapper import Wrapper
 from nclient.errors import ConnectionLost, NomadError
@@ -22,7 +23,6 @@ from nclient.protocol.replies import Reply
 FIRST_PAUSE_S = 0.1
 LONGEST_PAUSE_S = 5.0
 """Default of the longest pause between two tries."""
-_GREETING = ("connect_robot", "ct", "conf_tm")
 
 
 class Reconnecting(Wrapper):
@@ -43,7 +43,7 @@ class Reconnecting(Wrapper):
         self._clock = clock
         self._left = threading.Event()
         self._wait = wait or self._left.wait
-        self._agreed: dict[str, Call] = {}
+        self._agreed = Agreed()
         self._pause_s = 0.0
         self._next_try_s = 0.0
 
@@ -98,18 +98,14 @@ class Reconnecting(Wrapper):
     def _greeted(self) -> Backend:
         backend = self._opens()
         try:
-            for name in _GREETING:
-                if name in self._agreed:
-                    backend.execute(self._agreed[name])
+            for call in self._agreed.calls():
+                backend.execute(call)
         except BaseException:
             backend.close()
             raise
         return backend
 
     def _remember(self, call: Call) -> None:
-        if call.name in _GREETING:
-            self._agreed[call.name] = call
-        elif call.name == "create_robot":
-            self._agreed["connect_robot"] = Call("connect_robot", call.args)
-        elif call.name == "disconnect_robot":
+        self._agreed.remember(call)
+        if call.name == "disconnect_robot":
             self._left.set()

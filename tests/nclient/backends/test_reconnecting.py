@@ -17,6 +17,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N200
+from nclient.protocol.terms import line_terms
 from nclient.transports.memory import MemoryStream
 
 GS = Call("gs")
@@ -111,8 +112,26 @@ def test_mask_and_time_out_are_said_again_and_nothing_that_moves() -> None:
     cable.plugged = True
     cable.robot.calls.clear()
     assert "sonar_0" in backend.execute(GS).stamps
-    assert cable.robot.names() == ["ct", "ct", "conf_tm", "gs"]
+    assert cable.robot.names() == ["ct", "ct", "conf_tm", "sp", "gs"]
     assert cable.robot.calls[1] == stamped
+
+
+def test_a_laser_mode_is_said_again_and_its_answers_are_read() -> None:
+    cable = Cable()
+    backend = cable.backend()
+    lines = Call("conf_ls", (33, 20, 20, 60, 4))
+    backend.execute(lines)
+    cable.pull()
+    with pytest.raises(ConnectionLost):
+        backend.execute(GS)
+    cable.robot.terms = line_terms(N200)  # it was switched off, too
+    cable.plugged = True
+    cable.robot.laser = (0,)
+    cable.robot.calls.clear()
+    backend.execute(GS)
+    assert cable.robot.calls == [Call("ct", EVERYTHING.smask), lines, GS]
+    cable.robot.laser = (1, 10, 20, 30, -40)
+    assert backend.execute(GS).laser == (1, 10, 20, 30, -40)
 
 
 def test_one_that_cannot_be_greeted_is_closed_and_tried_again() -> None:
