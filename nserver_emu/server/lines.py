@@ -5,7 +5,8 @@
 
 Rules: an emulated robot answers, whatever stands behind Nserver's port. When a host leaves, what it drove stops. A
 host that does not read keeps nobody: what its end does not take is lost, but for the rest of what has begun to go.
-A host that closes the link and opens it again before the loop looked is the same host to it.
+Who opens the link at once after another closed it is another host: bytes are read before it is asked who is there.
+Hosts ask one thing at a time, so of what comes with the news the last frame is the newcomer's.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from nclient.errors import AddressError
 from nclient.faults.language import Language, LineLanguage
 from nclient.protocol.models import Model, model_named
+from nclient.protocol.serial_frame import HOST_LIMIT, SerialFramer
 from nclient.recording.follower import HELLO_FIRST, SERIAL
 from nclient.recording.recorder import OFF
 from nserver_emu.server.cable import Cable
@@ -48,6 +50,15 @@ def own_line(daemon: Daemon, robot_id: int) -> OwnLine:
     return OwnLine(robot_id, model_named(robots[robot_id].model.family))
 
 
+def last_frame(data: bytes) -> int:
+    """Where the last frame begins, whole or not: what two hosts sent is split there."""
+    framer, starts = SerialFramer(limit=HOST_LIMIT), [0]
+    for end in range(1, len(data) + 1):
+        if framer.receive(data[end - 1 : end]):
+            starts.append(end)
+    return starts[-1] if starts[-1] < len(data) else starts[-2] if len(starts) > 1 else 0
+
+
 class SerialLine(Talker):
     """A pseudo-terminal and the robot behind it. `new_cable` makes what lies between them, anew for each host."""
 
@@ -63,22 +74,25 @@ class SerialLine(Talker):
         self.lost = 0
         """Bytes that no host took."""
         self._new_cable = new_cable
-        self.here = self._listening = False
+        self.here = self._listening = self._muted = False
         self._rest = b""
         self._begin()
         daemon.connections.add(self)
+        self._notices = terminal.comings.fd
+        if self._notices >= 0:
+            self._loop.add_reader(self._notices, self._noticed)
 
     def tick(self) -> None:
         """Time has passed: a host may have come, an answer may be there."""
         if self.here:
             super().tick()
         elif not self.terminal.deserted:
-            self.here = True
-            self._tape = self._daemon.recorder.open(self.session.name, SERIAL, self.own.model, self.own.robot_id)
-            log.info("%s: opened", self.session.name)
-            self._listen(True)
+            self._arrived_here()
 
     def close(self) -> None:
+        if self._notices >= 0:
+            self._loop.remove_reader(self._notices)
+            self._notices = -1
         self._left()
         self.terminal.close()
         self._daemon.connections.discard(self)
@@ -90,13 +104,45 @@ class SerialLine(Talker):
         self._cable = None if self._new_cable is None else self._new_cable()
         self._faulty = False
 
+    def _arrived_here(self) -> None:
+        """There is a host."""
+        self.here = True
+        self._tape = self._daemon.recorder.open(self.session.name, SERIAL, self.own.model, self.own.robot_id)
+        log.info("%s: opened", self.session.name)
+        self._listen(True)
+
     def _readable(self) -> None:
         data = self.terminal.read(READ_SIZE)
-        if data:
-            self._came(data)
-        elif data is None:
+        if data is None:
             self._left()
             self.terminal.clean()
+            return
+        if self.terminal.comings.changed():
+            self._handed_over(data)
+        elif data:
+            self._came(data)
+
+    def _noticed(self) -> None:
+        """Somebody opened or closed the link."""
+        changed = self.terminal.comings.changed()
+        if changed and self.here:
+            self._handed_over(b"")
+        elif not self.here and not self.terminal.deserted:
+            self._arrived_here()
+
+    def _handed_over(self, data: bytes) -> None:
+        """The host left, and another came before it was seen that nobody was there; `data`: what both sent so far."""
+        data += self.terminal.read(READ_SIZE) or b""
+        split = last_frame(data)
+        self._muted = True
+        if split:
+            self._came(data[:split])
+        self._muted = False
+        self._left()
+        self.terminal.flush()
+        self._arrived_here()
+        if data[split:]:
+            self._came(data[split:])
 
     def _left(self) -> None:
         """The host is gone: its robot stops, and what was on its way to it is forgotten."""
@@ -116,7 +162,7 @@ class SerialLine(Talker):
         return LineLanguage()
 
     def _send(self, data: bytes) -> None:
-        if self._rest:
+        if self._rest or self._muted:
             self.lost += len(data)
             return
         taken = self.terminal.write(data)

@@ -3,7 +3,8 @@
     PATH ──> /dev/pts/7 (the host's end)        fd (our end, raw, never blocks)
 
 Rules: what is at PATH and is no symbolic link stays; a link that another daemon serves stays too, one that a killed
-daemon left is replaced. Only our end is kept open, since the system tells of hosts that come and go only then.
+daemon left is replaced. Only our end is kept open, since the system tells that all hosts have left only then; whether
+another came at once is comings.py's to tell.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import tty
 from pathlib import Path
 
 from nclient.errors import ConnectionLost
+from nserver_emu.server.comings import Comings
 
 
 class PseudoTerminal:
@@ -31,6 +33,8 @@ class PseudoTerminal:
         self.fd = -1
         self.device = ""
         """The host's end."""
+        self.comings = Comings()
+        """Who opened and closed the host's end."""
         self._poll = select.poll()
         try:
             self._open()
@@ -74,6 +78,15 @@ class PseudoTerminal:
             termios.tcflush(other, termios.TCIFLUSH)
         finally:
             os.close(other)
+        self.comings.forget()
+
+    def flush(self) -> None:
+        """After a host has left and another came: what the first did not read is gone."""
+        other = os.open(self.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            termios.tcflush(other, termios.TCIFLUSH)
+        finally:
+            os.close(other)
 
     def pull(self) -> None:
         """Unplug it, as far as the host can tell, and plug in another behind the same link."""
@@ -87,6 +100,7 @@ class PseudoTerminal:
                 if self.path.readlink() == Path(self.device):
                     self.path.unlink()
             self._let_go()
+        self.comings.close()
         if self._claim is not None:
             self._claim.close()
 
@@ -102,6 +116,7 @@ class PseudoTerminal:
             raise
         finally:
             os.close(other)
+        self.comings.watch(self.device)
         self.fd = fd
         self._poll.register(fd, select.POLLIN)
 

@@ -135,3 +135,14 @@ def seen_moving(eye: Robot) -> bool:
     before = eye.truth()
     until(lambda: eye.truth().time_s > before.time_s + 0.1)
     return eye.truth().x_in != before.x_in
+
+
+def test_who_connects_at_once_after_another_finds_the_robot_stopped(tmp_path: Path) -> None:
+    with emulated("--serial-link", str(tmp_path / "nomad")):
+        address = f"serial://{tmp_path / 'nomad'}?model=n150"
+        for _ in range(3):
+            first = connect(address)
+            first.drive(turret_deg_s=10)
+            first._backend.close()
+            with connect(address) as second:
+                assert second.refresh().raw[38:41] == (0, 0, 0)

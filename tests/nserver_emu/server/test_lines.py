@@ -28,7 +28,7 @@ from nclient.protocol.terms import line_terms
 from nserver_emu.server.cable import PacedCable
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.lines import RobotdConnection, SerialLine, own_line
+from nserver_emu.server.lines import RobotdConnection, SerialLine, last_frame, own_line
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.pseudo_terminal import PseudoTerminal
 
@@ -142,6 +142,80 @@ def test_a_robot_is_driven_over_its_line_and_stops_when_the_host_leaves(path: Pa
             assert house.moving
             leave()
             await house.until(lambda: not house.moving)
+
+    with_house(path, visit)
+
+
+def test_who_comes_at_once_after_another_is_another_and_the_robot_stops(path: Path) -> None:
+    async def visit(house: House) -> None:
+        for _ in range(20):
+            host, leave = house.at_link()
+            assert (await host.ask("vm", 0, 100, 0)).slots[39] == 100
+            leave()
+            host, leave = house.at_link()
+            assert (await host.ask("gs")).slots[39] == 0
+            assert not house.moving
+            leave()
+
+    with_house(path, visit)
+
+
+def test_who_comes_at_once_may_move_at_once(path: Path) -> None:
+    async def visit(house: House) -> None:
+        host, leave = house.at_link()
+        for _ in range(20):
+            await host.ask("vm", 0, 100, 0)
+            host.send(GS * 20)
+            leave()
+            host, leave = house.at_link()
+            assert (await host.ask("vm", 0, 0, 50)).slots[40] == 50
+            assert (await host.ask("get_rv")).slots == {38: 0, 39: 0, 40: 50}
+
+    with_house(path, visit)
+
+
+@pytest.mark.parametrize(
+    ("data", "start"),
+    [(b"", 0), (GS, 0), (GS[:4], 0), (GS + GS, 6), (GS * 3 + GS[:1], 18), (b"??" + GS + b"?", 8), (b"??", 0)],
+)
+def test_where_the_last_frame_begins(data: bytes, start: int) -> None:
+    assert last_frame(data) == start
+
+
+def test_who_comes_at_once_and_says_nothing_stops_the_robot_too(path: Path) -> None:
+    async def visit(house: House) -> None:
+        host, leave = house.at_link()
+        await host.ask("vm", 0, 100, 0)
+        leave()
+        house.at_link()
+        await house.until(lambda: not house.moving)
+
+    with_house(path, visit)
+
+
+def test_one_who_opens_the_link_beside_its_host_and_goes_stops_nobody(path: Path) -> None:
+    async def visit(house: House) -> None:
+        host, _ = house.at_link()
+        await host.ask("vm", 0, 100, 0)
+        for _ in range(3):
+            _, leave = house.at_link()
+            await host.ask("gs")
+            leave()
+            assert (await host.ask("gs")).slots[39] == 100
+
+    with_house(path, visit)
+
+
+def test_without_notices_of_the_system_a_host_is_seen_to_come_all_the_same(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nserver_emu.server.comings.sys.platform", "darwin")
+
+    async def visit(house: House) -> None:
+        host, leave = house.at_link()
+        await host.ask("vm", 0, 100, 0)
+        leave()
+        await house.until(lambda: not house.moving)
 
     with_house(path, visit)
 
