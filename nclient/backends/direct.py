@@ -10,6 +10,7 @@ once that is answered nothing of before can come. What a model's line does not h
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from functools import lru_cache
@@ -21,11 +22,12 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import language
 from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
 from nclient.protocol.hello import HELLO_SIZE, adopt, read_hello
+from nclient.protocol.likeness import is_it_another, model_like
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import Model
-from nclient.protocol.replies import Reply
+from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_frame import SerialFrame
-from nclient.protocol.terms import Terms, line_terms
+from nclient.protocol.terms import DEFAULT_LASER_MODE, LINES, Terms, line_terms
 from nclient.transports.byte_stream import ByteStream
 
 QUICK_S = 1.0
@@ -38,6 +40,7 @@ _SHAPING = ("ct", "conf_ls")
 """Commands that change the shape of the answers after them."""
 _AT_ONCE = frozenset({"st", "lp"})
 _NO_ANSWER = Reply("none")
+_LINE_MODE, _PIXEL_MODE = 33, DEFAULT_LASER_MODE
 
 
 class DirectBackend:
@@ -66,6 +69,8 @@ class DirectBackend:
         self._plausible = Plausibility(model) if checks else None
         self._shaped: dict[str, Call] = {}
         self._doubtful_shapes: set[str] = set()
+        self._laser_mode_said = False
+        self._understood = False
         self._over: str | None = None
         try:
             if hello:
@@ -163,16 +168,40 @@ class DirectBackend:
     def _believed(self, row: Command, frame: SerialFrame) -> Reply:
         """The reply in a frame. Raises ReplyTimeout for one that does not fit, or that cannot be true."""
         try:
-            reply = language.read_line_reply(frame, self._terms)
+            reply = self._read(frame)
         except WireError as error:
             self._link.misfits += 1
             self._doubtful_shapes.update(self._shaped)
-            raise self._failed(f"{row.name} was answered by what does not fit it: {error}") from None
+            why = f"{row.name} was answered by what does not fit it: {error}"
+            raise self._failed(why + self._of_another_model(row, frame)) from None
         doubt = self._plausible.doubt(reply) if self._plausible else ""
         if doubt:
             self._link.implausible += 1
             raise self._failed(f"{row.name}: the answer cannot be true, {doubt}; checks=0 turns such checks off")
+        self._understood = True
         return reply
+
+    def _read(self, frame: SerialFrame) -> Reply:
+        """The reply. A laser that an earlier client left in another mode shows by the length, until conf_ls is said."""
+        try:
+            return language.read_line_reply(frame, self._terms)
+        except WireError:
+            if self._laser_mode_said or "conf_ls" in self._shaped or not self._terms.model.has_laser:
+                raise
+            other = self._terms.copy()
+            other.note_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
+            with contextlib.suppress(WireError):
+                reply = language.read_line_reply(frame, other)
+                self._terms = other
+                return reply
+            raise
+
+    def _of_another_model(self, row: Command, frame: SerialFrame) -> str:
+        """A hint, where nothing was understood yet and the answer looks like another model's."""
+        like = model_like(frame.data) if row.line_reply is LINE_STATE and not self._understood else None
+        if like is None or like is self._terms.model:
+            return ""
+        return "; " + is_it_another(self._terms.model, frame.data)
 
     def _failed(self, why: str) -> ReplyTimeout:
         self._link.timeouts += 1
@@ -220,18 +249,28 @@ class DirectBackend:
         """ct to a N200; N150 and Scout have a fixed mask and are told nothing."""
         if not self._terms.model.sends_mask:
             return None
+        mask = Call("ct", EVERYTHING.smask)
         for _ in range(_GREETINGS - 1):
-            try:
-                return self.execute(Call("ct", EVERYTHING.smask))
-            except ReplyTimeout:
-                continue
-        return self.execute(Call("ct", EVERYTHING.smask))
+            with contextlib.suppress(ReplyTimeout, RobotRefused):
+                return self.execute(mask)
+        try:
+            return self.execute(mask)
+        except ReplyTimeout as error:
+            raise ReplyTimeout(f"{error}; {self._is_it_another()}") from None
+        except RobotRefused:
+            raise RobotRefused("ct", None, f"NAK; {self._is_it_another()}") from None
+
+    def _is_it_another(self) -> str:
+        return is_it_another(self._terms.model)
 
     def _adopt_hello(self) -> None:
         data = self._line.receive_bare(HELLO_SIZE, self._line.deadline(HELLO_S))
         if len(data) < HELLO_SIZE:
-            raise ReplyTimeout(f"a N200 says {HELLO_SIZE} bytes first, and {len(data)} came; is it another model?")
+            raise ReplyTimeout(
+                f"a N200 says {HELLO_SIZE} bytes first, and {len(data)} came; {self._is_it_another()}"
+            )
         adopt(read_hello(data), self._terms)
+        self._laser_mode_said = True
         self._shaped["ct"] = Call("ct", self._terms.mask.smask)
 
     def _agree(self, call: Call) -> Callable[[], None]:

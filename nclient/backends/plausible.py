@@ -6,7 +6,8 @@
 
 Rules: pure; the robot's clock is the only time. A check must not shut out a robot that is odd: answers of one kind
 that fail three times in a row are the robot's way and not the line's, and are believed until one passes again. The
-same heals a clock that was reset and a robot that somebody carried away.
+same heals a clock that was reset and a robot that somebody carried away. But bumper bits at rest that are another
+model's are not believed however often they come, until they have once been this model's.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from nclient.protocol.commands import Call
+from nclient.protocol.likeness import is_it_another
 from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT
 from nclient.protocol.models import SONAR_RATE_STEP_S, Model
 from nclient.protocol.replies import MOTOR_SLOT, Reply
@@ -42,6 +44,9 @@ _SCOUT_SWING = (100, 4000)
 """1/10 degree that an angle may differ, and more a second; the turret does 450, a Scout 3290."""
 _VOLT_STEP = 64
 """Steps of 1/255 that a battery byte may differ: 1.8 V, what starting motors cost."""
+_WITHOUT = "without those that always read 1"
+_OTHERS_REST = 0x0000F0
+"""What the others' resting bits read as in a Scout's order of bytes."""
 _MS = 1000
 
 
@@ -68,6 +73,7 @@ class Plausibility:
         self._seen: _Seen | None = None
         self._firing_ms: float | None = None
         self._doubted: dict[str, int] = {}
+        self._model_seen = False
 
     def note(self, call: Call) -> None:
         """A request went out: what it moves without driving is no jump."""
@@ -80,6 +86,9 @@ class Plausibility:
 
     def doubt(self, reply: Reply) -> str:
         """What cannot be true of an answer; "" for one to believe."""
+        contradiction = self._contradiction(reply)
+        if contradiction:
+            return contradiction
         found = next(self._doubts(reply), "")
         count = self._doubted[reply.kind] = self._doubted.get(reply.kind, 0) + 1 if found else 0
         if found and count < BELIEVED_AFTER:
@@ -87,6 +96,19 @@ class Plausibility:
         if reply.clock is not None:
             slots = {**self._seen.slots, **reply.slots} if self._seen else dict(reply.slots)
             self._seen = _Seen(reply.clock, slots, reply.volts or (self._seen.volts if self._seen else None))
+        return ""
+
+    def _contradiction(self, reply: Reply) -> str:
+        """Bumper bits of another model, as long as they have never been this one's."""
+        bits = reply.slots.get(BUMPER_SLOT)
+        if self._model_seen or bits is None:
+            return ""
+        rest = self._model.bumper_rest
+        if not rest and bits & _OTHERS_REST == _OTHERS_REST:
+            return f"bumper bits {bits:06x}, of which four always read 1 on other models; {is_it_another(self._model)}"
+        if bits & rest != rest:
+            return f"bumper bits {bits:06x} {_WITHOUT}; {is_it_another(self._model)}"
+        self._model_seen = True
         return ""
 
     def _doubts(self, reply: Reply) -> Iterator[str]:
@@ -105,7 +127,7 @@ class Plausibility:
                 yield f"{_name(slot)} reads {value}, and a {self._model.name}'s lies from {least} to {most}"
         rest = self._model.bumper_rest
         if slots.get(BUMPER_SLOT, rest) & rest != rest:
-            yield f"bumper bits {slots[BUMPER_SLOT]:06x} without those that always read 1"
+            yield f"bumper bits {slots[BUMPER_SLOT]:06x} {_WITHOUT}"
 
     def _jumps(self, reply: Reply, seen: _Seen, passed_ms: int) -> Iterator[str]:
         slots, before = reply.slots, seen.slots

@@ -11,6 +11,7 @@ from robot_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoile
 
 from nclient.backends.direct import DirectBackend
 from nclient.backends.line import QUIET_S
+from nclient.backends.retrying import Retrying
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.hello import Hello, build_hello
@@ -25,6 +26,7 @@ from nclient.transports.memory import MemoryStream
 
 GS, ST, RV = Call("gs"), Call("st"), Call("get_rv")
 VM = Call("vm", (100, -50, 0))
+NAK_FRAME = build_frame(8)
 
 
 def test_an_exchange() -> None:
@@ -82,7 +84,7 @@ def test_a_n200_over_tcp_says_its_mask_first() -> None:
     for few in (b"", b"\xff" * 10):
         robot = ScriptedLine(model=N200)
         robot.out += few
-        with pytest.raises(ReplyTimeout, match=f"11 bytes first, and {len(few)} came; is it another model"):
+        with pytest.raises(ReplyTimeout, match=f"11 bytes first, and {len(few)} came; is it a n200"):
             direct_on(robot, hello=True)
         assert robot.closed == 1
 
@@ -511,3 +513,67 @@ def test_no_late_and_no_corrupt_answer_is_ever_another_commands(seed: int) -> No
         assert reply.slots[34] == number % 50
         answered += 1
     assert answered > 120
+
+
+@pytest.mark.parametrize("laser", [(0,), (2, 10, 20, 30, -40, 50, 60, 70, -80)])
+def test_a_laser_that_another_client_left_in_line_mode_is_read(laser: tuple[int, ...]) -> None:
+    robot = ScriptedLine(model=N200)
+    robot.terms.note_laser_mode(33)
+    robot.laser = laser
+    backend = direct_on(robot)
+    assert backend.greeting is not None
+    assert backend.greeting.laser == laser
+    robot.laser = (1, 1, 2, 3, -4)
+    assert backend.execute(GS).laser == (1, 1, 2, 3, -4)
+    robot.terms.note_laser_mode(51)
+    robot.laser = (3, 100, 200, 300)
+    assert backend.execute(GS).laser == (3, 100, 200, 300)
+
+
+def test_a_laser_mode_that_was_said_is_the_mode() -> None:
+    robot = ScriptedLine(model=N200)
+    backend = direct_on(robot)
+    backend.execute(Call("conf_ls", (51, 20, 20, 60, 4)))
+    robot.terms.note_laser_mode(33)
+    robot.laser = (1, 1, 2, 3, -4)
+    with pytest.raises(ReplyTimeout, match="does not fit"):
+        backend.execute(GS)
+    robot = ScriptedLine(model=N200)
+    robot.out += build_hello(Hello(EVERYTHING, 51))
+    backend = direct_on(robot, hello=True)
+    robot.terms.note_laser_mode(33)
+    robot.laser = (1, 1, 2, 3, -4)
+    with pytest.raises(ReplyTimeout, match="does not fit"):
+        backend.execute(GS)
+
+
+@pytest.mark.parametrize(("real", "said", "remedy"), [
+    (N200, N150, "it looks like a n200's: say model=n200"), (N200, SCOUT, "it looks like a n200's: say model=n200"),
+    (SCOUT, N150, "is it a n150. Else say model=n200 or model=scout"),
+    (N150, SCOUT, "is it a scout. Else say model=n150 or model=n200"),
+])
+def test_another_model_than_was_said_is_told_from_the_first_answer_on(real: Model, said: Model, remedy: str) -> None:
+    robot = ScriptedLine(model=real)
+    backend = Retrying(DirectBackend(MemoryStream(robot), said), 2)
+    for _ in range(3):
+        with pytest.raises(ReplyTimeout, match=remedy):
+            backend.execute(Call("conf_tm", (5,)))
+
+
+def test_what_is_understood_once_is_of_this_model() -> None:
+    robot = ScriptedLine()
+    backend = direct_on(robot)
+    backend.execute(GS)
+    robot.answers["gs"] = build_frame(7, ScriptedLine(model=N200).frame("gs")[4:-2])
+    with pytest.raises(ReplyTimeout, match="does not fit") as failed:
+        backend.execute(GS)
+    assert "model=" not in str(failed.value)
+
+
+def test_no_n200_at_the_other_end_of_a_mask() -> None:
+    with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else say model=n150 or model=scout"):
+        direct_on(ScriptedLine({"ct": None}, N200))
+    with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else say model=n150 or model=scout"):
+        direct_on(ScriptedLine({"ct": NAK_FRAME}, N200))
+    with pytest.raises(ReplyTimeout, match=r"says 11 bytes first, and 0 came; is it a n200. Else say model="):
+        direct_on(ScriptedLine(model=N200), hello=True)

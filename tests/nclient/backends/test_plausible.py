@@ -132,3 +132,22 @@ def test_a_clock_that_began_anew_is_believed_the_third_time_and_is_then_the_meas
     assert checks.doubt(state(42)) == ""
     assert checks.doubt(state(58)) == ""
     assert checks.doubt(state(40)) != ""
+
+
+@pytest.mark.parametrize(("model", "bits", "other"), [(N150, 0, "model=scout"), (SCOUT, 0xF0, "model=n150")])
+def test_another_models_bits_are_never_believed(model: Model, bits: int, other: str) -> None:
+    checks = Plausibility(model)
+    for clock in range(1000, 1160, 16):
+        doubt = checks.doubt(state(clock, s33=bits))
+        assert doubt.startswith("bumper bits")
+        assert f"is it a {model.name}?" in doubt
+        assert other in doubt
+
+
+def test_bits_that_were_once_right_and_are_no_more_are_a_robots_way() -> None:
+    checks = Plausibility(N150)
+    assert checks.doubt(state(1000)) == ""
+    assert [bool(checks.doubt(state(clock, s33=0))) for clock in (1016, 1032, 1048)] == [True, True, False]
+    checks = Plausibility(SCOUT)
+    assert checks.doubt(state(1000, s33=0)) == ""
+    assert checks.doubt(state(1016, s33=0xF0)) == ""
