@@ -15,8 +15,9 @@
 
 Rules: as the C library does it. Nothing is raised, nothing printed: a call gives TRUE, or FALSE where it was refused
 or the link is lost (`last_error` says why); the code of a refusal stands in State[44]. Numbers are in wire units, cut
-off to integers as by C. A list stands for a C array or pointer and is filled in place. One program, one thread, one
-robot. The settings in capitals are this module's: assign them by `capi.`, since an import with * only copies names.
+off to integers as by C, and on a robot's own line brought to the nearest that it can carry. A list stands for a C
+array or pointer and is filled in place. One program, one thread, one robot. The settings in capitals are this
+module's: assign them by `capi.`, since an import with * only copies names.
 The direct library's connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) talks to a robot on its own line: bumper bits
 as they come (State[33] is 0xF00000 at rest), a NAK for done, State[0], [42] and [44] left alone.
 """
@@ -29,6 +30,7 @@ from typing import Any
 from nclient.backends.backend import Backend
 from nclient.connect import Wanted, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
+from nclient.protocol.bounds import within_line
 from nclient.protocol.commands import Call
 from nclient.protocol.fields import MAX_LASER_READINGS
 from nclient.protocol.mask import EVERYTHING, SLOTS, Position
@@ -594,7 +596,8 @@ def _reply(name: str, *args: Any) -> Reply | None:
         _error = ConnectionLost(f"{name}: connect_robot first")
         return None
     try:
-        reply = _backend.execute(Call(name, args))
+        call = Call(name, args)
+        reply = _backend.execute(within_line(call) if _backend.terms.line else call)
     except NomadError as error:
         _error = error
         if isinstance(error, RobotRefused) and error.code is not None:

@@ -16,10 +16,12 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from nclient.backends.line import Line
+from nclient.backends.pieces import in_pieces, is_wait
 from nclient.backends.plausible import Plausibility
 from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import language
+from nclient.protocol.bounds import BYTE_HIGHEST
 from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
 from nclient.protocol.hello import HELLO_SIZE, adopt, read_hello
 from nclient.protocol.likeness import is_it_another, model_like
@@ -117,6 +119,8 @@ class DirectBackend:
         if row.name == "disconnect_robot":
             self.close()
             return _NO_ANSWER
+        if is_wait(call) and call.args[3] > BYTE_HIGHEST:
+            return in_pieces(call, BYTE_HIGHEST, self.execute)
         self._refuse(row)
         request = _request(call, self._terms.model)
         try:

@@ -15,6 +15,7 @@ from construct import ConstructError
 from nclient.errors import WireError
 from nclient.protocol import replies as shape
 from nclient.protocol import serial_frame, tcp_frame
+from nclient.protocol.bounds import beyond_line
 from nclient.protocol.commands import (
     BY_LINE_TYPE,
     BY_NAME,
@@ -94,6 +95,9 @@ def line_request(call: Call, terms: Terms) -> bytes:
     row = row_named(call.name)
     if row.line_type is None or not on_line(row, terms.model):
         raise WireError(f"{call.name} does not exist on the line of a {terms.model.name}")
+    beyond = beyond_line(call)
+    if beyond:
+        raise WireError(beyond)
     frame = serial_frame.build_frame(row.line_type, _build(row, row.line_request, call.args))
     if len(frame) > serial_frame.HOST_LIMIT:
         raise WireError(f"{call.name}: a host's frame has at most {serial_frame.HOST_LIMIT} bytes, not {len(frame)}")

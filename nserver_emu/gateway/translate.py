@@ -10,7 +10,7 @@
     everything else     itself
 
 Rules: pure. A command that has no row here stays with the simulation; what the robot lacks is ERROR 4: position stamps
-on a line that has none as well.
+on a line that has none as well. Numbers that the robot's own line cannot carry are brought to the nearest it can.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, NamedTuple
 
+from nclient.protocol.bounds import within_line
 from nclient.protocol.commands import BY_NAME, Call, on_line
 from nclient.protocol.mask import COMPASS_SLOT
 from nclient.protocol.replies import Reply
@@ -32,8 +33,6 @@ HIGHEST_TIMEOUT_S: Final = 255
 _POSE: Final = range(34, 38)
 _MV_HIGHEST: Final = 5
 """Modes of mv beyond it are refused by clients, and here."""
-_FIELD: Final = 0x7FFF
-"""The farthest from 0 that a number of a motion command on the robot's own line can be; it has a sign and 15 bits."""
 
 
 class Plan(NamedTuple):
@@ -59,7 +58,7 @@ def plan(call: Call, visit: Visit, link: Link) -> Plan | int:
     calls, shape = _ROWS[call.name](call, visit, link)
     if link.own_line and not all(on_line(BY_NAME[said.name], link.model) for said in calls):
         return NOT_AVAILABLE
-    return Plan(calls, shape)
+    return Plan(tuple(map(within_line, calls)) if link.own_line else calls, shape)
 
 
 Row = Callable[[Call, Visit, Link], Plan]
@@ -132,17 +131,6 @@ def _conf_tm(call: Call, _visit: Visit, _link: Link) -> Plan:
     return Plan((Call("conf_tm", (min(max(call.args[0], 0), HIGHEST_TIMEOUT_S),)),), _state)
 
 
-def _clamped(lowest: int, highest: int) -> Row:
-    """Speeds beyond any robot's are sent as the highest there is; the robot takes them as its own highest."""
-
-    def row(call: Call, _visit: Visit, link: Link) -> Plan:
-        if not link.own_line:
-            return Plan((call,), _state)
-        return Plan((Call(call.name, tuple(min(max(number, lowest), highest) for number in call.args)),), _state)
-
-    return row
-
-
 def _laser(*, segments: bool) -> Row:
     def shape(visit: Visit, reply: Reply, link: Link) -> Reply:
         return laser_for(visit, reply, link, segments=segments)
@@ -152,10 +140,8 @@ def _laser(*, segments: bool) -> Row:
 
 _ROWS: dict[str, Row] = {
     **dict.fromkeys(("gs", "ct", "ws"), _refresh),
-    **dict.fromkeys(("pr", "pa", "mv", "st", "lp", "zr", "dp", "da"), _itself(_state)),
+    **dict.fromkeys(("vm", "sp", "ac", "pr", "pa", "mv", "st", "lp", "zr", "dp", "da"), _itself(_state)),
     **dict.fromkeys(("conf_ir", "conf_sn", "conf_ls", "conf_sg", "conf_ser"), _itself(_state)),
-    "vm": _clamped(-_FIELD, _FIELD),
-    **dict.fromkeys(("sp", "ac"), _clamped(0, _FIELD)),
     **dict.fromkeys(("get_ir", "get_sn", "get_rc", "get_rv", "get_bp"), _itself(_numbers)),
     "get_ra": _itself(_accelerations),
     "get_cp": _get_cp,

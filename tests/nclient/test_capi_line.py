@@ -11,6 +11,7 @@ from robot_line import NAK, RecordedRobot, ScriptedLine
 
 from nclient import capi
 from nclient.errors import AddressError, RobotRefused
+from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N200, SCOUT
 from nclient.transports.memory import MemoryStream
@@ -144,3 +145,28 @@ def test_an_address_of_a_line_is_a_machine_too(opened: list[tuple[Any, ...]]) ->
     assert capi.server_is_running() == capi.TRUE
     assert capi.gs() == capi.TRUE
     assert len(opened) == 2
+
+
+def test_numbers_out_of_range_are_brought_within(opened: list[tuple[Any, ...]]) -> None:
+    robot = ScriptedLine()
+    peers.append(robot)
+    assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
+    assert capi.pr(40_000, -40_000, 1) == capi.TRUE
+    assert capi.sp(-5, 70_000, 450) == capi.TRUE
+    assert capi.conf_tm(300) == capi.TRUE
+    assert capi.place_robot(40_000, 1, 2, 3) == capi.TRUE
+    assert robot.calls == [
+        Call("pr", (32767, -32767, 1)), Call("sp", (0, 65535, 450)), Call("conf_tm", (255,)),
+        Call("dp", (32767, 1)), Call("da", (2, 3)),
+    ]  # fmt: skip
+    assert opened
+
+
+def test_a_wait_longer_than_a_byte_goes_in_pieces(opened: list[tuple[Any, ...]]) -> None:
+    robot = ScriptedLine()
+    robot.slots[41] = 1
+    peers.append(robot)
+    assert capi.connect_robot(1, capi.MODEL_N150, "/dev/ttyUSB0", 38400)
+    assert capi.ws(1, 1, 1, 600) == capi.TRUE
+    assert [call.args[3] for call in robot.calls] == [255, 255, 90]
+    assert opened

@@ -65,7 +65,8 @@ def test_encode_a_mask(nomad: Nomad) -> None:
 @pytest.mark.parametrize(("words", "wrong"), [
     ("fly 1", "no command 'fly'"), ("vm 1 2", "vm takes 3 numbers"), ("vm 1 2 up", "a number is wanted, not 'up'"),
     ("ct 1", "give the mask with --mask"), ("special_request 1", "needs its --packet-type"),
-    ("pa 1 2 3 --line serial", "does not exist on the line of a n150"), ("vm 40000 0 0 --line serial", "does not fit"),
+    ("pa 1 2 3 --line serial", "does not exist on the line of a n150"),
+    ("vm 40000 0 0 --line serial", "translation is 40000, and a robot"),
     ("place_robot 1 2 --line serial", "does not exist on the line"), ("motion_check 0 nan 0 0 0", "motion_check"),
 ])
 def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:

@@ -113,12 +113,13 @@ def test_packets_pass_as_they_are() -> None:
 @pytest.mark.parametrize(
     ("call", "args", "said"),
     [
-        ("vm", (40_000, -40_000, 5), (0x7FFF, -0x7FFF, 5)), ("sp", (-5, 100, 70_000), (0, 100, 0x7FFF)),
+        ("vm", (40_000, -40_000, 5), (0x7FFF, -0x7FFF, 5)), ("sp", (-5, 100, 70_000), (0, 100, 0xFFFF)),
         ("ac", (1, 2, 3), (1, 2, 3)), ("conf_tm", (300,), (255,)), ("conf_tm", (-1,), (0,)),
-        ("pr", (40_000, 0, 0), (40_000, 0, 0)),
+        ("pr", (40_000, 0, -40_000), (0x7FFF, 0, -0x7FFF)), ("mv", (2, 40_000, 0, 0, 0, 0), (2, 0x7FFF, 0, 0, 0, 0)),
+        ("dp", (-40_000, 3), (-0x7FFF, 3)), ("da", (1, 40_000), (1, 0x7FFF)),
     ],
 )  # fmt: skip
-def test_speeds_beyond_any_robot_are_clamped_and_ways_are_not(
+def test_numbers_that_the_line_cannot_carry_are_brought_to_the_nearest(
     call: str, args: tuple[int, ...], said: tuple[int, ...]
 ) -> None:
     assert planned(call, *args).calls == (Call(call, said),)

@@ -1,0 +1,56 @@
+"""What fits a robot's own line: the limits are those of the bytes, as building them tells independently."""
+
+from __future__ import annotations
+
+import pytest
+from construct import ConstructError
+
+from nclient.errors import WireError
+from nclient.protocol import language
+from nclient.protocol.bounds import beyond_line, line_bounds, within_line
+from nclient.protocol.commands import COMMANDS, Call, Command
+from nclient.protocol.models import N150, N200
+from nclient.protocol.terms import line_terms
+
+BOUNDED = [row for row in COMMANDS if row.line_type is not None and line_bounds(row.name)]
+
+
+@pytest.mark.parametrize("row", BOUNDED, ids=lambda row: row.name)
+def test_the_bytes_go_just_so_far(row: Command) -> None:
+    middle = [0] * len(row.arguments)
+    for place, (name, least, most) in enumerate(line_bounds(row.name)):
+        if most > 0xFFFF:
+            continue
+        for value, fits in ((least, True), (most, True), (least - 1, False), (most + 1, False)):
+            numbers = [*middle[:place], value, *middle[place + 1 :]]
+            assert (beyond_line(Call(row.name, tuple(numbers))) == "") is fits, name
+            if name == "history" and value > most:
+                continue  # the line's own clamp, to ten
+            if fits:
+                row.line_request.build(numbers)
+            else:
+                with pytest.raises(ConstructError):
+                    row.line_request.build(numbers)
+
+
+@pytest.mark.parametrize(("asked", "sent"), [
+    (Call("vm", (40_000, -40_000, 5)), Call("vm", (32767, -32767, 5))),
+    (Call("ac", (-1, 70_000, 3)), Call("ac", (0, 65535, 3))),
+    (Call("conf_tm", (256,)), Call("conf_tm", (255,))),
+    (Call("place_robot", (1, 2, 40_000, 4)), Call("place_robot", (1, 2, 32767, 4))),
+    (Call("ws", (7, 0, 1, 600)), Call("ws", (7, 0, 1, 600))),
+    (Call("ws", (1, 1, 1, -1)), Call("ws", (1, 1, 1, 0))),
+    (Call("gs"), Call("gs")), (Call("vm", (99_999,)), Call("vm", (99_999,))),
+    (Call("tk", ("hello",)), Call("tk", ("hello",))), (Call("nothing", (1,)), Call("nothing", (1,))),
+    (Call("arm_mv", (1, 70_000, 1, 70_000)), Call("arm_mv", (1, 70_000, 1, 70_000))),
+    (Call("ct", (31, *[1] * 43)), Call("ct", (31, *[1] * 43))),
+])  # fmt: skip
+def test_brought_within(asked: Call, sent: Call) -> None:
+    assert within_line(asked) == sent
+
+
+def test_who_sends_too_much_is_told_what_and_how_far() -> None:
+    with pytest.raises(WireError, match="pr: steering is -32768, and a robot's own line carries -32767 to 32767"):
+        language.line_request(Call("pr", (32767, -32768, 0)), line_terms(N150))
+    with pytest.raises(WireError, match=r"conf_tm: timeout_s is 300, .* 0 to 255 .*in several steps"):
+        language.line_request(Call("conf_tm", (300,)), line_terms(N200))
