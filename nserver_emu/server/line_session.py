@@ -3,7 +3,8 @@
     receive(bytes) ──> framer ──> queue ──> answer(call, visit) ──> state packets, answers of get_, NAK
                                                 └─ later (ws, zr, the arm): tick() asks again until there is one
 
-Rules: the line is the robot's, so there is no CONNECT; who writes to it drives that robot. What the model's line does
+Rules: the line is the robot's, so there is no CONNECT; who writes to it drives that robot. Mask and laser mode are the
+robot's too: they stay in force when a host leaves, and hold on all its lines. What the model's line does
 not have, wrong data and what the robot refuses get a NAK; what is no frame gets silence, and the host asks again.
 A frame that is not whole `EXPIRY_S` after it began is given up, so that it hides those behind it no longer.
 A host asks one thing at a time: one that asks while an answer is outstanding has given up on that answer, and does
@@ -24,7 +25,7 @@ from nclient.protocol.models import Model
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer
 from nclient.protocol.stamps import Stamp
-from nclient.protocol.terms import line_terms
+from nclient.protocol.terms import Terms, line_terms
 from nserver_emu.server.session import Answer, Conversation, Visit
 
 EXPIRY_S: Final = 0.5
@@ -39,12 +40,19 @@ _SHORT, _LONG = 0x7FFF, 0x7FFFFFFF
 
 
 class LineSession(Conversation[SerialFrame]):
-    """One host on the line of robot `robot_id`. `clock`: seconds that only grow, of any beginning."""
+    """One host on the line of robot `robot_id`. `clock`: seconds that only grow, of any beginning; `terms`: what is in
+    force on that robot's lines, None: as at power-on."""
 
     def __init__(
-        self, answer: Answer, robot_id: int, model: Model, clock: Callable[[], float], name: str = "line"
+        self,
+        answer: Answer,
+        robot_id: int,
+        model: Model,
+        clock: Callable[[], float],
+        name: str = "line",
+        terms: Terms | None = None,
     ) -> None:
-        super().__init__(answer, name, Visit(line_terms(model), robot_id))
+        super().__init__(answer, name, Visit(terms or line_terms(model), robot_id))
         self.model = model
         self._clock = clock
         self._framer = SerialFramer(limit=HOST_LIMIT)

@@ -99,8 +99,9 @@ class SerialLine(Talker):
 
     def _begin(self) -> None:
         """A conversation for the next host."""
-        answer, name = self._daemon.emulator.answer, f"serial {self.terminal.path}"
-        self.session = LineSession(answer, *self.own, self._loop.time, name)
+        emulator, name = self._daemon.emulator, f"serial {self.terminal.path}"
+        terms = emulator.line_terms(self.own.robot_id)
+        self.session = LineSession(emulator.answer, *self.own, self._loop.time, name, terms)
         self._cable = None if self._new_cable is None else self._new_cable()
         self._faulty = False
 
@@ -214,7 +215,8 @@ class RobotdConnection(Connection):
         return LineLanguage(greets=not self._greeted and bool(self.greeting))
 
     def _meet(self, name: str) -> None:
-        session = LineSession(self._behind.answer, *self.own, self._loop.time, name)
+        terms = self._daemon.emulator.line_terms(self.own.robot_id)
+        session = LineSession(self._behind.answer, *self.own, self._loop.time, name, terms)
         self.session, self.greeting = session, session.greeting
         wire = HELLO_FIRST if self.greeting else SERIAL
         self._tape = self._daemon.recorder.open(name, wire, self.own.model, self.own.robot_id)

@@ -119,7 +119,9 @@ class _DaemonAgain:
             self._acquaintances.arrive(name, host)
             self._sessions[name] = Session(answer, name, lambda wide: self._acquaintances.find(name, host, wide))
             return
-        line = LineSession(answer, entry.more["robot_id"], model, lambda: self._line_clock_s, name)
+        robot_id = entry.more["robot_id"]
+        terms = self._emulator.line_terms(robot_id)
+        line = LineSession(answer, robot_id, model, lambda: self._line_clock_s, name, terms)
         self._sessions[name] = line
         self._greetings[name] = line.greeting if wire == HELLO_FIRST else b""
 

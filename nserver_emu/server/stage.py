@@ -12,7 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from nclient.protocol.models import model_named
 from nclient.protocol.replies import Reply
+from nclient.protocol.terms import Terms, line_terms
 from nserver_emu.server.arm import Arm
 from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
@@ -56,6 +58,7 @@ class Stage:
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
+        self._line_terms: dict[int, Terms] = {}
         self._looked: dict[int, tuple[float, Look]] = {}
         self._promises = Promises()
 
@@ -101,6 +104,13 @@ class Stage:
         assert visit.robot_id is not None
         self.drivers.take(visit, visit.robot_id, axes)
         return self.robot_of(visit)
+
+    def line_terms(self, robot_id: int) -> Terms:
+        """Mask and laser mode in force on a robot's own lines: the robot's, whoever asks by which of them, and after
+        he has left. As at power-on in a simulation that is restored."""
+        if robot_id not in self._line_terms:
+            self._line_terms[robot_id] = line_terms(model_named(self.simulation.robots[robot_id].model.family))
+        return self._line_terms[robot_id]
 
     def arm_of(self, visit: Visit) -> Arm:
         """The arm of the connection's robot, as it is now."""

@@ -27,6 +27,7 @@ class LineHost:
 
     def __init__(self, exchange: Callable[[bytes], bytes], model: Model) -> None:
         self.terms = line_terms(model)
+        """What the host knows: as at power-on, until it is told otherwise."""
         self._exchange = exchange
         self._framer = SerialFramer()
 
@@ -62,7 +63,8 @@ def meet_on_line(emulator: Emulator, robot_id: int = 1) -> tuple[LineHost, LineS
     """A host and the session of that robot's line, in one process; the clock is the simulated time."""
     simulation = emulator.simulation
     model = model_named(simulation.robots[robot_id].model.family)
-    session = LineSession(emulator.answer, robot_id, model, lambda: simulation.time_s)
+    clock, terms = (lambda: simulation.time_s), emulator.line_terms(robot_id)
+    session = LineSession(emulator.answer, robot_id, model, clock, terms=terms)
 
     def exchange(data: bytes) -> bytes:
         session.receive(data)

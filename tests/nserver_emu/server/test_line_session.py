@@ -14,7 +14,7 @@ from recorded import LINE_SESSIONS, SERIAL, exchanges, model_of
 
 from nclient.protocol import language
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.hello import read_hello
+from nclient.protocol.hello import adopt, read_hello
 from nclient.protocol.mask import EVERYTHING, Mask, Position
 from nclient.protocol.models import MODELS, N150, N200
 from nclient.protocol.replies import Reply
@@ -24,6 +24,7 @@ from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
 from nserver_emu.server.line_session import EXPIRY_S, LineSession
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.session import Visit
+from nserver_emu.simulation.models import MODELS as SIMULATED
 from nserver_emu.simulation.setup import MEASURED
 from worlds.world import StartPose
 
@@ -139,13 +140,6 @@ def test_stamps_come_for_sensors_in_the_mask_alone_and_whole_in_the_answers_of_g
     assert answer.stamps["sonar_0"] == state.stamps["sonar_0"]
     assert 0 < state.stamps["sonar_0"].sensor_time <= 1000
     assert host.ask("get_cp").stamps == {}
-
-
-def test_a_session_begins_with_the_mask_of_its_model_whatever_another_agreed() -> None:
-    emulator = emulated("n200")
-    meet_on_line(emulator)[0].ask("ct", *pose_only().smask)
-    other, _ = meet_on_line(emulator)
-    assert set(range(1, 41)) <= set(other.ask("gs").slots)
 
 
 # What each command answers
@@ -383,6 +377,32 @@ def test_over_tcp_an_n200_says_first_which_mask_and_laser_mode_are_in_force() ->
     assert read_hello(session.greeting) == (EVERYTHING, 51)
     assert meet_on_line(emulated())[1].greeting == b""
     assert session.met is None
+
+
+def test_mask_and_laser_mode_are_the_robots_and_outlive_a_host() -> None:
+    emulator = emulated("n200")
+    host, session = meet_on_line(emulator)
+    few = pose_only()
+    host.ask("ct", *few.smask)
+    host.ask("conf_ls", 1, 20, 20, 20, 4)
+    emulator.leave(session.visit)
+    again, session = meet_on_line(emulator)
+    hello = read_hello(session.greeting)
+    assert hello == (Mask((*few.smask[:41], 1, *few.smask[42:])), 1)
+    adopt(hello, again.terms)
+    told = again.ask("gs").slots
+    assert {34, 35, 36, 37} <= set(told)
+    assert not set(range(1, 34)) & set(told)
+    again.ask("ct", *EVERYTHING.smask)
+    again.ask("conf_ls", 51, 20, 20, 20, 4)
+    assert read_hello(meet_on_line(emulator)[1].greeting) == (EVERYTHING, 51)
+
+
+def test_another_robot_has_a_mask_of_its_own() -> None:
+    emulator = emulated("n200")
+    emulator.simulation.add_robot(2, StartPose(60.0, 60.0, 0.0, 0.0), SIMULATED["n200"])
+    meet_on_line(emulator)[0].ask("ct", *[0] * 44)
+    assert read_hello(meet_on_line(emulator, 2)[1].greeting) == (EVERYTHING, 51)
 
 
 # The recorded robot

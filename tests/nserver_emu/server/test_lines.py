@@ -20,7 +20,7 @@ from nclient.faults.plan import GREETING, Plan, Rule, When
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.hello import read_hello
-from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.mask import EVERYTHING, Mask
 from nclient.protocol.models import MODELS
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFrame, SerialFramer
@@ -265,6 +265,24 @@ def test_an_n200_says_hello_over_tcp_and_nothing_on_its_serial_line(path: Path) 
         assert (await host.ask("gs")).laser is not None
         serial, _ = house.at_link()
         assert (await serial.ask("get_rv")).slots == {38: 0, 39: 0, 40: 0}
+
+    with_house(path, visit, model="n200")
+
+
+def test_what_a_host_on_one_line_asked_for_the_hello_of_another_tells(path: Path) -> None:
+    async def visit(house: House) -> None:
+        serial, leave = house.at_link()
+        few = Mask((0,) * 34 + (1,) * 10)
+        serial.terms.note_mask(few)
+        await serial.ask("ct", *few.smask)
+        leave()
+        host, writer = await house.at_port()
+        assert read_hello(await host.some()) == (few, 51)
+        host.terms.note_mask(few)
+        assert 17 not in (await host.ask("gs")).slots
+        writer.close()
+        await writer.wait_closed()
+        await house.until(lambda: not house.daemon.visitors())
 
     with_house(path, visit, model="n200")
 
