@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote_plus, urlsplit
@@ -69,10 +70,14 @@ class Address(NamedTuple):
 
 
 def parsed(text: str) -> Address:
-    """The address that a text is; the scheme is "" where there is none."""
+    """The address that a text is, its scheme "" where there is none. Raises AddressError for an option said twice."""
     scheme, colon, rest = text.strip().partition(":")
     query = rest.partition("#")[0].partition("?")[2]
-    return Address(text.strip(), scheme.lower() if colon else "", dict(parse_qsl(query, keep_blank_values=True)))
+    options = parse_qsl(query, keep_blank_values=True)
+    for name, times in Counter(name for name, _ in options).items():
+        if times > 1:
+            raise AddressError(f"{text.strip()!r}: {name} is given {times} times; expected once")
+    return Address(text.strip(), scheme.lower() if colon else "", dict(options))
 
 
 def nearest(name: str, known: Iterable[str], before: str = "", after: str = "?") -> str:

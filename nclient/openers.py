@@ -23,7 +23,7 @@ from nclient.transports import memory
 from nclient.transports.byte_stream import ByteStream
 from nclient.transports.memory import MemoryStream
 from nclient.transports.serial_port import DEFAULT_BAUD, SerialStream
-from nclient.transports.tcp import CONNECT_TIMEOUT_S, TcpStream
+from nclient.transports.tcp import CONNECT_TIMEOUT_S, ROBOT_LINE, TcpStream
 
 DEFAULT_PORT = 7019
 DEFAULT_LINE_PORT = 65001
@@ -43,7 +43,11 @@ def open_nserver(
 
 def open_tcp(host: str, port: int, timeout_s: float | None) -> TcpStream:
     """A TCP connection, with the time-out of answers where that is longer than one's patience."""
-    return TcpStream(host, port, max(timeout_s or 0.0, CONNECT_TIMEOUT_S))
+    return TcpStream(host, port, _patience_s(timeout_s))
+
+
+def _patience_s(timeout_s: float | None) -> float:
+    return max(timeout_s or 0.0, CONNECT_TIMEOUT_S)
 
 
 def nserver_stream(opening: Opening) -> ByteStream:
@@ -75,7 +79,7 @@ def _robot_id(opening: Opening) -> int:
 def serial_stream(opening: Opening) -> ByteStream:
     """serial:///dev/ttyUSB0"""
     parts = opening.address.parts(opening.scheme.form)
-    if parts.netloc or not parts.path.strip("/"):
+    if parts.netloc or not parts.path.strip("/") or parts.fragment:
         raise AddressError(f"{opening.address.text!r}: three slashes and a port follow: {opening.scheme.form}")
     return SerialStream(unquote(parts.path), opening.values.get("baud", DEFAULT_BAUD))
 
@@ -83,9 +87,10 @@ def serial_stream(opening: Opening) -> ByteStream:
 def robotd_stream(opening: Opening) -> ByteStream:
     """robotd://host[:port]"""
     parts = opening.address.parts(opening.scheme.form)
-    if parts.path.strip("/") or not parts.hostname:
+    if parts.path.strip("/") or not parts.hostname or parts.fragment:
         raise AddressError(f"{opening.address.text!r}: a host and its port follow: {opening.scheme.form}")
-    return open_tcp(parts.hostname, DEFAULT_LINE_PORT if parts.port is None else parts.port, opening.timeout_s)
+    port = DEFAULT_LINE_PORT if parts.port is None else parts.port
+    return TcpStream(parts.hostname, port, _patience_s(opening.timeout_s), served_by=ROBOT_LINE)
 
 
 def line_talk(stream: ByteStream, opening: Opening) -> Backend:
@@ -121,6 +126,8 @@ def memory_talk(stream: ByteStream, opening: Opening) -> Backend:
 def replay_stream(opening: Opening) -> ByteStream:
     """replay:FILE: the connection asked for, else the first, then the next each time that it is opened anew."""
     path = unquote(opening.address.text.partition(":")[2].partition("?")[0])
+    if not path:
+        raise AddressError(f"{opening.address.text!r}: the name of a recording follows: {opening.scheme.form}")
     recording = opening.kept.setdefault("recording", None) or read_recording(Path(path))
     names, opened = recording.connections(), opening.kept.get("opened", 0)
     name = opening.values.get("connection") or (names[min(opened, len(names) - 1)] if names else "")

@@ -14,6 +14,7 @@ import argparse
 import json
 import time
 
+from nclient.commands.durations import seconds
 from nclient.doctor.examination import EXCHANGES, INTERVAL_S, Examination
 from nclient.doctor.finding import Finding, Grade, worst
 from nclient.doctor.report import report
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("address", help="such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room")
     parser.add_argument("--exchanges", type=_count, default=EXCHANGES, metavar="N",
                         help=f"how often gs is asked (default {EXCHANGES})")
-    parser.add_argument("--interval", type=float, default=INTERVAL_S, metavar="S",
+    parser.add_argument("--interval", type=seconds, default=INTERVAL_S, metavar="S",
                         help=f"seconds from one to the next (default {INTERVAL_S:g})")
     parser.add_argument("--json", action="store_true", help="print one object instead of lines")
 

@@ -21,6 +21,7 @@ from collections.abc import Callable
 from nclient.backends.backend import Backend
 from nclient.backends.direct import QUICK_S
 from nclient.backends.first_stop import say_stop
+from nclient.commands.durations import seconds
 from nclient.commands.serving import tell
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.openers import line_talk_without_hello
@@ -43,7 +44,7 @@ _LOOKS = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """An address, and how long to try."""
     parser.add_argument("address", help="such as nserver://localhost:7019/1 or serial:///dev/ttyUSB0")
-    parser.add_argument("--patience", type=float, default=PATIENCE_S, metavar="S",
+    parser.add_argument("--patience", type=seconds, default=PATIENCE_S, metavar="S",
                         help=f"seconds to go on trying (default {PATIENCE_S:g})")
 
 

@@ -4,7 +4,7 @@
 
 Rules: the only room that imports serial. What the port has against being opened is said with its remedy; what breaks
 later (unplugged, the other end of a pseudo-terminal gone) is ConnectionLost. pyserial opens the port and sets it up;
-bytes are read and written as any file's, which costs half as much and needs a system that has select for them.
+bytes are read and written as any file's, which costs half as much and needs a system that has poll for them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import select
+import selectors
 import sys
 import threading
 from collections.abc import Iterator
@@ -52,6 +52,9 @@ class SerialStream:
             raise ConnectionLost(_remedy(port, baud, error)) from error
         self._file = self._port.fileno()
         self._woken, self._wake = os.pipe()
+        self._waiting = selectors.PollSelector()  # select() knows no file beyond the 1024th
+        for file in (self._file, self._woken):
+            self._waiting.register(file, selectors.EVENT_READ)
 
     def send(self, data: bytes) -> None:
         """Send all of it. Raises ConnectionLost."""
@@ -70,7 +73,7 @@ class SerialStream:
         with self._reading:
             while not self._closed:
                 wait_s = deadline.remaining()
-                ready = select.select((self._file, self._woken), (), (), wait_s)[0]
+                ready = [key.fd for key, _ in self._waiting.select(wait_s)]
                 if self._file in ready:
                     return self._read()
                 if not ready and wait_s <= 0:
@@ -84,6 +87,7 @@ class SerialStream:
         self._closed = True
         os.write(self._wake, b"x")
         with self._reading, self._writing:
+            self._waiting.close()
             self._port.close()
             os.close(self._wake)
             os.close(self._woken)

@@ -12,24 +12,33 @@ from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.byte_stream import Deadline
 
 CONNECT_TIMEOUT_S = 5.0
+SERVER, ROBOT_LINE = "nserver --port", "nserver --robotd"
+"""What listens at a port in the language of an Nserver, and in a robot's own."""
 _CHUNK = 65536
 
 
 class TcpStream:
     """A connection to host and port. Raises ConnectionLost when nobody answers there within `timeout_s`.
 
-    What is sent must be taken by the other end within the same time.
+    What is sent must be taken by the other end within the same time. `served_by`: the command that listens so at a
+    port, for the errors.
     """
 
-    def __init__(self, host: str, port: int, timeout_s: float = CONNECT_TIMEOUT_S) -> None:
+    def __init__(
+        self, host: str, port: int, timeout_s: float = CONNECT_TIMEOUT_S, *, served_by: str = SERVER
+    ) -> None:
         self.name = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._timeout_s = timeout_s
         try:
             self._socket = socket.create_connection((host, port), timeout_s)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except (OSError, OverflowError, UnicodeError) as error:
+        except (socket.gaierror, UnicodeError) as error:
             raise ConnectionLost(
-                f"nobody answers at {self.name} ({_reason(error)}); is nserver running? `nserver --port {port}`"
+                f"there is no host {host!r} ({_reason(error)}); is its name right, and this machine on its network?"
+            ) from error
+        except (OSError, OverflowError) as error:
+            raise ConnectionLost(
+                f"nobody answers at {self.name} ({_reason(error)}); is nserver running? `{served_by} {port}`"
             ) from error
 
     def send(self, data: bytes) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import resource
 import select
 import subprocess
 import sys
@@ -209,6 +211,23 @@ def test_what_else_the_system_says(monkeypatch: pytest.MonkeyPatch, error: Excep
     monkeypatch.setattr(serial, "Serial", refuse)
     with pytest.raises(ConnectionLost, match=told):
         SerialStream("/dev/ttyUSB0")
+
+
+def test_a_file_beyond_the_1024th(pty: Pty) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with contextlib.ExitStack() as stack:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+        stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
+        opened = 0
+        while opened < 1024:
+            opened = os.open(os.devnull, os.O_RDONLY)
+            stack.callback(os.close, opened)
+        stream = SerialStream(pty.name)
+        stack.callback(stream.close)
+        os.write(pty.far, b"hello")
+        assert stream.receive(Deadline.after(2)) == b"hello"
+        with pytest.raises(ReplyTimeout):
+            stream.receive(Deadline.after(0.01))
 
 
 def test_the_ports_of_this_machine_are_names() -> None:

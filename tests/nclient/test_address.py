@@ -84,3 +84,8 @@ def test_the_page_of_addresses_has_every_scheme_and_option_and_no_other() -> Non
     for option, row in zip(OPTIONS, rows[len(schemes) :], strict=True):
         told = set(row[2].replace(",", " ").split())
         assert told == (set(option.schemes) if option.schemes else {"all"}), option.name
+
+
+def test_an_option_given_twice_is_refused() -> None:
+    with pytest.raises(AddressError, match=r"'serial:///dev/r1.baud=1.*': baud is given 2 times; expected once"):
+        text.parsed("serial:///dev/r1?baud=1&model=n150&baud=1")

@@ -39,7 +39,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     calls: list[tuple[Any, ...]] = []
     peers.clear()
 
-    def opens(*where: Any) -> MemoryStream:
+    def opens(*where: Any, **_: Any) -> MemoryStream:
         calls.append(where)
         return MemoryStream(peers.pop(0))
 

@@ -11,7 +11,7 @@ import pytest
 from answering import ScriptedServer
 from robot_line import ScriptedLine, spoiled
 
-from nclient import BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
+from nclient import AddressError, BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
 from nclient.connect import is_listening
 from nclient.protocol.commands import Call
 from nclient.protocol.hello import Hello, build_hello
@@ -29,7 +29,7 @@ class Bench:
         self.streams: list[MemoryStream] = []
         self.robots: list[Robot] = []
 
-    def open(self, *where: Any) -> MemoryStream:
+    def open(self, *where: Any, **_: Any) -> MemoryStream:
         self.opened.append(where)
         self.streams.append(MemoryStream(self.robot))
         return self.streams[-1]
@@ -257,3 +257,17 @@ def test_an_nserver_is_counted_where_it_may_be_opened_anew(bench: Bench, monkeyp
     assert robot.refresh().speed_factor == 1.0
     assert robot.link is not None
     assert (robot.link.losses, robot.link.reconnects, robot.link.answers) == (1, 1, 7)
+
+
+@pytest.mark.parametrize(("address", "told"), [
+    ("serial:///dev/r1#2", "three slashes and a port follow"), ("robotd://lab#2", "a host and its port follow"),
+    ("replay:", "the name of a recording follows: replay:FILE"), ("replay:?order=strict", "the name of a recording"),
+])
+def test_what_an_address_leaves_out_or_has_too_much(address: str, told: str) -> None:
+    with pytest.raises(AddressError, match=told):
+        connect(address)
+
+
+def test_nobody_at_a_robots_port() -> None:
+    with pytest.raises(ConnectionLost, match="`nserver --robotd 1`"):
+        connect("robotd://127.0.0.1:1?reconnect=0")

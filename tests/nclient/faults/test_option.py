@@ -89,7 +89,7 @@ def test_on_an_n150_s_own_line_the_first_bytes_are_no_greeting(
     path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'hello'")
     for model, greeted in (("n150", False), ("n200", True)):
         sent = build_frame(21, bytes(8))
-        monkeypatch.setattr("nclient.openers.TcpStream", lambda *_, sent=sent: Chatty(sent))
+        monkeypatch.setattr("nclient.openers.TcpStream", lambda *_, sent=sent, **__: Chatty(sent))
         opening = schemes.opening_of(f"robotd://lab?model={model}&faults={path}", schemes.Wanted())
         stream = opening.stream()
         data = stream.receive(Deadline.after(0))

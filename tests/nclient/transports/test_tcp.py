@@ -10,7 +10,7 @@ from answering import on_socket
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.byte_stream import Deadline
-from nclient.transports.tcp import TcpStream, names_of_this_machine
+from nclient.transports.tcp import ROBOT_LINE, TcpStream, names_of_this_machine
 
 
 def free_port() -> int:
@@ -132,10 +132,27 @@ def test_nobody_there_names_host_port_and_remedy() -> None:
         TcpStream("127.0.0.1", port)
 
 
-@pytest.mark.parametrize(("host", "port"), [("x" * 80 + ".example", 7019), ("127.0.0.1", 70000)])
-def test_what_no_socket_takes_is_a_lost_connection_too(host: str, port: int) -> None:
-    with pytest.raises(ConnectionLost, match=f"{host}:{port}"):
+def test_a_robots_own_line_has_a_remedy_of_its_own() -> None:
+    port = free_port()
+    with pytest.raises(ConnectionLost, match=f"is nserver running. `nserver --robotd {port}`"):
+        TcpStream("127.0.0.1", port, served_by=ROBOT_LINE)
+
+
+@pytest.mark.parametrize(("host", "port", "told"), [
+    ("x" * 80 + ".example", 7019, "there is no host 'xxxx"), ("127.0.0.1", 70000, "127.0.0.1:70000"),
+])
+def test_what_no_socket_takes_is_a_lost_connection_too(host: str, port: int, told: str) -> None:
+    with pytest.raises(ConnectionLost, match=told):
         TcpStream(host, port)
+
+
+def test_a_name_that_nobody_knows_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "create_connection", unknown)
+    with pytest.raises(ConnectionLost, match=r"there is no host 'lab'.*is its name right"):
+        TcpStream("lab", 7019)
 
 
 def test_an_ipv6_host_is_named_in_brackets() -> None:
