@@ -56,6 +56,14 @@ class Drivers:
         drivers = self._drivers.get(robot_id, [None] * len(ALL_AXES))
         self.take(visit, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
 
+    def may_feed(self, visit: Visit, robot_id: int, robot: SimulatedRobot) -> bool:
+        """Whether the time-out of a robot begins anew at what this connection asks: it drives it, or nobody does."""
+        drivers = self._drivers.get(robot_id, ())
+        driving = [driver for driver, moves in zip(drivers, robot.moving, strict=False) if moves and driver is not None]
+        if robot_id in self._of_arm:
+            driving.append(self._of_arm[robot_id])
+        return not driving or any(driver is visit for driver in driving)
+
     def leave(self, visit: Visit, robots: Mapping[int, SimulatedRobot]) -> None:
         """This connection is gone: what still moves because of it brakes and holds."""
         for robot_id, drivers in self._drivers.items():

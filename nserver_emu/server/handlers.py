@@ -32,7 +32,7 @@ class Emulator(Stage):
         if self.pace.asked_s and call.name not in TIMELESS:
             self.pass_time(self.pace.asked_s)
         if visit.robot_id is not None and call.name not in TIMELESS:
-            self.robot_of(visit).feed()
+            self.feed(visit)
         if call.name not in QUESTIONS:
             self.look_anew()
         handler = HANDLERS.get(call.name)

@@ -96,14 +96,14 @@ def lp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 def ws(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Later:
     """The state, when the named axes are still or the timeout (simulated seconds) is over.
 
-    Who waits feeds the time-out of conf_tm: a waiting client cannot.
+    Who waits feeds the time-out of conf_tm as who asks does: a waiting client cannot.
     """
     robot = stage.robot_of(visit)
     axes = [axis for axis, flag in enumerate(args[:3]) if flag]
     deadline_s = stage.simulation.time_s + max(0, args[3])
 
     def waited() -> Reply | None:
-        robot.feed()
+        stage.feed(visit)
         return stage.state(visit) if robot.still(axes) or stage.simulation.time_s >= deadline_s else None
 
     return waited

@@ -85,7 +85,7 @@ def _has_arm(stage: Stage, visit: Visit) -> bool:
 
 def _waited_arm(stage: Stage, visit: Visit) -> Arm:
     """The arm as it is now; who waits for it feeds the time-out, as with the robot's own motion."""
-    stage.robot_of(visit).feed()
+    stage.feed(visit)
     return stage.arm_of(visit)
 
 

@@ -99,6 +99,13 @@ class Stage:
         assert visit.robot_id is not None
         return self.simulation.robots[visit.robot_id]
 
+    def feed(self, visit: Visit) -> None:
+        """A connection asks something, or waits: the time-out of its robot begins anew, unless only others drive it."""
+        assert visit.robot_id is not None
+        robot = self.robot_of(visit)
+        if self.drivers.may_feed(visit, visit.robot_id, robot):
+            robot.feed()
+
     def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """The robot, these axes of it from now on obeying this connection."""
         assert visit.robot_id is not None

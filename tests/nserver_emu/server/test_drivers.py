@@ -6,7 +6,7 @@ import pytest
 from wire_client import WireClient, meet, simulation
 
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.session import Session, Visit
 
 
 @pytest.fixture
@@ -51,6 +51,32 @@ def test_who_drives_robots_one_after_another_stops_them_all(emulator: Emulator) 
     emulator.leave(session.visit)
     assert [robot.moving[2] for robot in emulator.simulation.robots.values()] == [False, False]
     emulator.leave(session.visit)
+
+
+def test_who_only_watches_keeps_no_robot_going_that_another_drives(emulator: Emulator) -> None:
+    first, _, second = pair(emulator)
+    first.ask("conf_tm", 2)
+    first.ask("vm", 0, 0, 100)
+    for _ in range(3):
+        emulator.pass_time(0.6)
+        second.ask("gs")
+    assert emulator.simulation.robots[1].moving[2]
+    emulator.pass_time(0.6)
+    assert not emulator.simulation.robots[1].moving[2]
+
+
+def test_any_question_of_who_drives_keeps_it_going_and_anybodys_where_nobody_drives(emulator: Emulator) -> None:
+    first, session, second = pair(emulator)
+    first.ask("conf_tm", 2)
+    first.ask("vm", 0, 0, 100)
+    for _ in range(4):
+        emulator.pass_time(1.0)
+        first.ask("gs")
+    assert emulator.simulation.robots[1].moving[2]
+    assert not emulator.drivers.may_feed(Visit(), 1, emulator.simulation.robots[1])
+    emulator.leave(session.visit)
+    assert emulator.drivers.may_feed(Visit(), 1, emulator.simulation.robots[1])
+    assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
 
 
 def test_a_search_for_zero_ends_with_who_asked_for_it(emulator: Emulator) -> None:
