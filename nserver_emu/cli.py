@@ -40,6 +40,7 @@ from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.line_options import add_options as add_line_options
 from nserver_emu.server.line_options import at_port, open_lines
+from nserver_emu.server.line_options import refuse as refuse_lines
 from nserver_emu.server.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST, Pace
 from nserver_emu.server.recording import Beginning, header
 from nserver_emu.server.replay import replay
@@ -75,6 +76,7 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(words)
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
+    refuse_lines(parser, options)
     real_options.refuse(parser, options)
     restore_options.refuse(parser, options, words)
     options.keeps_pace = restore_options.keeps_pace(parser, words)

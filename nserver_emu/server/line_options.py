@@ -46,6 +46,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        help="let serial lines be as slow as a real one, 38400 for a Nomad's (default: no time at all)")
 
 
+def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Wrong usage that only several options together show."""
+    if options.baud is not None and not options.serial_link:
+        parser.error("--baud is the rate of serial lines, and there is none: add --serial-link PATH")
+
+
 async def open_lines(daemon: Daemon, options: argparse.Namespace) -> list[str]:
     """Open the lines; what to print of each. Raises AddressError or ConnectionLost, naming the remedy."""
     host = options.bind

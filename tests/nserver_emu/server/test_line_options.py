@@ -13,7 +13,7 @@ from line_host import emulated
 from nclient.errors import AddressError, ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.line_options import add_options, at_port, open_lines
+from nserver_emu.server.line_options import add_options, at_port, open_lines, refuse
 from nserver_emu.simulation.models import MODELS
 from worlds.world import StartPose
 
@@ -23,6 +23,15 @@ def parsed(*words: str) -> argparse.Namespace:
     parser.add_argument("--bind", default="127.0.0.1")
     add_options(parser)
     return parser.parse_args(words)
+
+
+def test_a_rate_without_a_serial_line_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    refuse(parser, parsed("--baud", "38400", "--serial-link", "/tmp/q"))
+    refuse(parser, parsed("--robotd"))
+    with pytest.raises(SystemExit):
+        refuse(parser, parsed("--baud", "38400", "--robotd"))
+    assert "there is none: add --serial-link PATH" in capsys.readouterr().err
 
 
 def three_robots() -> Emulator:
