@@ -92,6 +92,8 @@ def _link(text: str) -> Wanted:
     wanted = _split(text)
     if not wanted.place:
         raise argparse.ArgumentTypeError("a path such as /tmp/nomad, or /tmp/nomad@2 for robot 2")
+    if wanted.robot_id is None and "@" in Path(wanted.place).name:
+        raise argparse.ArgumentTypeError(f"after @ comes the number of a robot, PATH@2, not {text!r}")
     return wanted
 
 
@@ -105,7 +107,7 @@ def _port(text: str) -> Wanted:
 
 
 def _split(text: str) -> Wanted:
-    """PATH@2 names robot 2; an @ that no number follows is part of the path."""
+    """PATH@2 names robot 2."""
     numbered = re.fullmatch(r"(.*)@(\d+)", text)
     return Wanted(numbered[1], int(numbered[2])) if numbered else Wanted(text, None)
 

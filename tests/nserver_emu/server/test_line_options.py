@@ -67,10 +67,10 @@ def test_lines_are_for_the_robots_in_their_order_unless_they_name_one(tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_robotd_without_a_number_takes_the_usual_port_and_an_at_without_one_is_part_of_the_path() -> None:
-    options = parsed("--robotd", "--serial-link", "/tmp/me@home")
+def test_robotd_without_a_number_takes_the_usual_port_and_an_at_in_a_folder_is_part_of_the_path() -> None:
+    options = parsed("--robotd", "--serial-link", "/tmp/me@home/q")
     assert options.robotd == [("65001", None)]
-    assert options.serial_link == [("/tmp/me@home", None)]
+    assert options.serial_link == [("/tmp/me@home/q", None)]
     assert options.baud is None
     assert parsed().robotd == parsed().serial_link == []
 
@@ -81,6 +81,7 @@ def test_robotd_without_a_number_takes_the_usual_port_and_an_at_without_one_is_p
         (("--robotd", "thesis_room"), "the world goes before --robotd"),
         (("--robotd", "65536"), "a port is 0 to 65535, or PORT@ROBOT, not '65536'"),
         (("--serial-link", "@2"), "a path such as"),
+        (("--serial-link", "/tmp/q@x"), "after @ comes the number of a robot"),
         (("--baud", "300"), "a rate is 9600 to 4000000 bits a second, not '300'"),
         (("--baud", "fast"), "not 'fast'"),
     ],
