@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from robot_line import Answer, ScriptedLine
 
+from nclient import cli
 from nclient.backends.backend import Backend
 from nclient.backends.direct import DirectBackend
 from nclient.commands.stop import StopFirst, Stopping
@@ -102,3 +103,15 @@ def test_nobody_answers_and_the_line_is_let_go(capsys: pytest.CaptureFixture[str
     assert set(robot.names()) == {"st"}
     with pytest.raises(ReplyTimeout):
         first()
+
+
+@pytest.mark.parametrize("address", ["serial:///dev/r1?model=n200", "robotd://lab?model=n200&timeout_s=0.5"])
+def test_from_the_command_line_a_hello_that_was_lost_is_not_waited_for(
+    address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = ScriptedLine(model=N200)
+    for name in ("SerialStream", "TcpStream"):
+        monkeypatch.setattr(f"nclient.openers.{name}", lambda *_, **__: MemoryStream(robot))
+    assert cli.main(["stop", address, "--patience", "0.2"]) == 0
+    assert robot.names()[:2] == ["st", "ct"]
+    assert capsys.readouterr().out.startswith("stands still at")
