@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+LINK_LOOK_S = 0.5
+"""How often it is looked whether somebody removed the link."""
+
 
 class OwnLine(NamedTuple):
     """Whose line it is."""
@@ -78,12 +81,17 @@ class SerialLine(Talker):
         self._rest = b""
         self._begin()
         daemon.connections.add(self)
+        self._look_s = 0.0
         self._notices = terminal.comings.fd
         if self._notices >= 0:
             self._loop.add_reader(self._notices, self._noticed)
 
     def tick(self) -> None:
-        """Time has passed: a host may have come, an answer may be there."""
+        """Time has passed: a host may have come, an answer may be there, the link may be gone."""
+        if self._loop.time() >= self._look_s:
+            self._look_s = self._loop.time() + LINK_LOOK_S
+            if self.terminal.restore_link():
+                log.warning("%s: the link had been removed, and is there again", self.session.name)
         if self.here:
             super().tick()
         elif not self.terminal.deserted:

@@ -93,6 +93,16 @@ class PseudoTerminal:
         self._let_go()
         self._open()
 
+    def restore_link(self) -> bool:
+        """Whether the link had been removed, and is there again."""
+        if os.path.lexists(self.path):
+            return False
+        try:
+            _link(self.path, self.device)
+        except OSError:
+            return False
+        return True
+
     def close(self) -> None:
         """The end: the link goes too, if it is still ours. Twice is fine."""
         if self.fd >= 0:

@@ -220,6 +220,18 @@ def test_without_notices_of_the_system_a_host_is_seen_to_come_all_the_same(
     with_house(path, visit)
 
 
+def test_a_link_that_somebody_removes_is_put_back_and_logged(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def visit(house: House) -> None:
+        path.unlink()
+        async with asyncio.timeout(1.0):
+            await house.until(path.is_symlink)
+        assert (await house.at_link()[0].ask("gs")).kind == "state"
+
+    with caplog.at_level(logging.WARNING):
+        with_house(path, visit)
+    assert "the link had been removed, and is there again" in caplog.text
+
+
 def test_only_who_is_there_is_a_visitor(path: Path) -> None:
     async def visit(house: House) -> None:
         assert house.daemon.visitors() == []

@@ -108,6 +108,16 @@ def test_a_link_that_a_killed_daemon_left_is_replaced_and_one_that_somebody_else
     assert path.readlink() == Path("elsewhere")
 
 
+def test_a_link_is_put_back_where_it_can_be(terminal: PseudoTerminal, path: Path) -> None:
+    assert not terminal.restore_link()
+    path.unlink()
+    assert terminal.restore_link()
+    assert path.readlink() == Path(terminal.device)
+    path.unlink()
+    path.parent.rmdir()
+    assert not terminal.restore_link()
+
+
 def test_what_is_no_link_stays_and_the_remedy_is_named(path: Path) -> None:
     path.write_text("precious")
     with pytest.raises(ConnectionLost, match=r"^/\S*nomad is there and no symbolic link: it stays; name another path"):
