@@ -173,7 +173,7 @@ def test_one_program_at_a_time_and_who_it_is(pty: Pty) -> None:
     with other:
         assert other.stdout is not None
         other.stdout.readline()
-        with pytest.raises(ConnectionLost, match=rf"in use by .*\(process {other.pid}\); one program at a time"):
+        with pytest.raises(ConnectionLost, match=rf"in use by .*\(process {other.pid}\).*; one program at a time"):
             SerialStream(pty.name)
         other.communicate(timeout=10)
     SerialStream(pty.name).close()
