@@ -16,13 +16,15 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.belief import Belief, Floats
+from localization.cone import ConeModel
 from localization.echoes import Firing, FiringSchedule
-from localization.ekf import correct, predict
-from localization.gating import STRICT, Gate, observe
-from localization.measurement import WIRE_SONAR, SonarModel, SonarRing, pick, ring, wall_map
+from localization.gating import STRICT, Gate
+from localization.hearing import hearing_of, pose_of
+from localization.measurement import WIRE_SONAR, SonarModel, SonarRing
 from localization.motion import OdometryNoise, step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
+from localization.systematic import predict
 
 THESIS_ODOMETRY = OdometryNoise()
 """What the experiments take the encoders to miss."""
@@ -46,13 +48,19 @@ class Report(Protocol):
 
 
 class Echo(NamedTuple):
-    """One reading and what became of it: `innovation_in` is reading less expectation (0 where it was refused)."""
+    """One reading and what became of it.
+
+    innovation_in   reading less expectation (0 where nothing was expected), and `nis`, its square over its variance
+    bad_share       how likely it was a bad reading: 0 or 1 where a gate decides
+    """
 
     sonar: int
     instant_s: float
     reading_in: int
     refusal: Refusal
     innovation_in: float
+    nis: float = 0.0
+    bad_share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,26 +74,33 @@ class Estimate:
     @property
     def pose(self) -> Floats:
         """x_in, y_in and the heading of the steering in radians, (3,)."""
-        return self.belief.mean
+        return pose_of(self.belief).mean
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What the filter knows beforehand: walls (m, 4) in inches, the robot's ring, and how motion and sonars err."""
+    """What the filter knows beforehand: walls (m, 4) in inches, the robot's ring, and how motion and sonars err.
+
+    The kind of `sonar` says how readings are taken in (see hearing); the gate is for rays alone.
+    """
 
     walls: npt.ArrayLike
     body: SonarRing
     odometry: OdometryNoise = THESIS_ODOMETRY
-    sonar: SonarModel = WIRE_SONAR
+    sonar: SonarModel | ConeModel = WIRE_SONAR
     gate: Gate = STRICT
 
 
 class Localizer:
-    """An extended Kalman filter on one robot. `belief`: where it is thought to stand when the first state comes."""
+    """An extended Kalman filter on one robot.
+
+    `belief`: where it is thought to stand when the first state comes, over poses, or over longer states (systematic)
+    where the encoders' own errors are to be found out as well.
+    """
 
     def __init__(self, known: Surroundings, belief: Belief, schedule: FiringSchedule) -> None:
         self._known = known
-        self._walls = wall_map(known.walls)
+        self._hearing = hearing_of(known.walls, known.body, known.sonar, known.gate)
         self._belief = belief
         self._schedule = schedule
         self._history = PoseHistory()
@@ -116,12 +131,9 @@ class Localizer:
         self._settle(self._history.at(firing.instant_s))
         assert self._settled is not None
         self._heard_s = firing.instant_s
-        beam = pick(ring(self._known.body, self._settled.turret_offset_rad), firing.sonar)
-        reading = np.array([float(reading_in)])
-        seen = observe(self._belief, beam, reading, self._walls, self._known.sonar, self._known.gate)
-        if seen.used[0]:
-            self._belief = correct(self._belief, seen)
-        return Echo(*firing, reading_in, seen.reasons()[0], float(seen.innovation[0]))
+        heard = self._hearing.hear(self._belief, firing.sonar, self._settled.turret_offset_rad, float(reading_in))
+        self._belief = heard.belief
+        return Echo(*firing, reading_in, heard.refusal, heard.innovation_in, heard.nis, heard.bad_share)
 
     def _settle(self, there: EncoderPose) -> None:
         """Move the belief to where the encoders were at that instant."""

@@ -1,0 +1,98 @@
+"""How a filter takes one reading in: which echo it is taken for, and the belief it leaves. A class a kind of sonar.
+
+    RayHearing    one exact ray a sonar: gate, then correct or leave out           setups `ideal` and `noisy`
+    ConeHearing   the nearest thing in a cone: a mixture of all it may be          setup `measured`, a real ring
+
+Rules: pure; a belief in, a belief out, and the reason where a reading said nothing. Whoever hands them over has brought
+the belief to the instant at which the sonar fired. States may be longer than a pose (see systematic).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.belief import Belief
+from localization.cone import ConeModel, Ear, cone_returns
+from localization.ekf import correct
+from localization.gating import STRICT, Gate, observe
+from localization.measurement import SonarModel, SonarRing, pick, ring, wall_map
+from localization.mixture import absorb
+from localization.observation import Observation, Refusal
+from localization.reflectors import reflectors
+from localization.systematic import POSE
+
+MOSTLY_BAD = 0.5
+"""A reading that is bad with more than this probability is told as refused by the gate."""
+
+
+class Heard(NamedTuple):
+    """What a reading left: the belief, why it said nothing (NONE: it did), reading less expectation (0 where nothing
+    was expected) with its normalised square, and how likely it was a bad one."""
+
+    belief: Belief
+    refusal: Refusal
+    innovation_in: float
+    nis: float
+    bad_share: float
+
+
+class Hearing(Protocol):
+    """A kind of sonar, in a map, on a body."""
+
+    def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
+        """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading."""
+        ...
+
+
+class RayHearing:
+    """Each reading is the range along one ray, or it is refused."""
+
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel, gate: Gate = STRICT) -> None:
+        self._walls, self._body, self._sonar, self._gate = wall_map(walls), body, sonar, gate
+
+    def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
+        beam = pick(ring(self._body, turret_offset_rad), sonar)
+        seen = observe(pose_of(belief), beam, np.array([reading_in]), self._walls, self._sonar, self._gate)
+        refusal, innovation = seen.reasons()[0], float(seen.innovation[0])
+        if refusal is not Refusal.NONE:
+            return Heard(belief, refusal, innovation, 0.0, 1.0)
+        jacobian = np.zeros((1, belief.mean.shape[-1]))
+        jacobian[:, :POSE] = seen.jacobian
+        spread = float((jacobian @ belief.cov @ jacobian.T)[0, 0] + seen.variance[0])
+        corrected = correct(belief, Observation(seen.innovation, jacobian, seen.variance, seen.refusals))
+        return Heard(corrected, refusal, innovation, innovation * innovation / spread, 0.0)
+
+
+class ConeHearing:
+    """Each reading is the first echo out of a cone, or a bad one, with probabilities."""
+
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeModel) -> None:
+        self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
+
+    def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
+        model = self._model
+        if not model.lowest_in < reading_in < model.highest_in:
+            return Heard(belief, Refusal.LIMIT, 0.0, 0.0, 1.0)
+        ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        pose = pose_of(belief)
+        returns = cone_returns(pose.mean, pose.std[..., 2], ear, self._around, model)
+        if not returns.probability.any():
+            return Heard(belief, Refusal.NO_WALL, 0.0, 0.0, 1.0)
+        taken = absorb(belief, reading_in, returns, model)
+        refusal = Refusal.GATE if taken.bad_share > MOSTLY_BAD else Refusal.NONE
+        return Heard(taken.belief, refusal, taken.innovation_in, taken.nis, taken.bad_share)
+
+
+def hearing_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Hearing:
+    """How sonars of this model are taken in."""
+    if isinstance(sonar, ConeModel):
+        return ConeHearing(walls, body, sonar)
+    return RayHearing(walls, body, sonar, gate)
+
+
+def pose_of(belief: Belief) -> Belief:
+    """The part of a belief (..., n) that is about the pose."""
+    return Belief(belief.mean[..., :POSE], belief.cov[..., :POSE, :POSE])
