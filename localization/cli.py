@@ -15,12 +15,12 @@ from pathlib import Path
 
 from localization.belief import independent
 from localization.cone import ConeModel
-from localization.localizer import THESIS_ODOMETRY, Surroundings
 from localization.measurement import WIRE_SONAR
 from localization.motion import OdometryNoise
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
+from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import LARGEST, POSE, with_constants
 from nclient import ReplyTimeout, Robot, WorldFileError, connect
 from worlds.bodies import BODIES

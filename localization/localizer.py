@@ -1,7 +1,7 @@
 """The filter live: states of a robot in, estimates out. It sees what the robot's API reports and nothing else.
 
     state ──> pose history ──┐
-    state ──> new echoes ────┴─> for each, at the pose of its firing instant: predict, gate, correct ──> estimate
+    state ──> new echoes ────┴─> for each, at the pose of its firing instant: move, hear ──> estimate
 
 Rules: odometry from the encoder pose, readings from State's sonars, time from the robot's clock; no truth, no wall
 clock, no socket. Each echo counts once; limits (6, 255) are never ranges. The same object runs on every address.
@@ -13,21 +13,15 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from localization.belief import Belief, Floats
-from localization.cone import ConeModel
 from localization.echoes import Firing, FiringSchedule
-from localization.gating import STRICT, Gate
-from localization.hearing import hearing_of, pose_of
-from localization.measurement import WIRE_SONAR, SonarModel, SonarRing
-from localization.motion import OdometryNoise, step_between
+from localization.filters.hearing import pose_of
+from localization.filters.table import DEFAULT_METHOD, make
+from localization.motion import step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
-from localization.systematic import predict
-
-THESIS_ODOMETRY = OdometryNoise()
-"""What the experiments take the encoders to miss."""
+from localization.surroundings import Surroundings
 
 
 class Report(Protocol):
@@ -77,31 +71,22 @@ class Estimate:
         return pose_of(self.belief).mean
 
 
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What the filter knows beforehand: walls (m, 4) in inches, the robot's ring, and how motion and sonars err.
-
-    The kind of `sonar` says how readings are taken in (see hearing); the gate is for rays alone.
-    """
-
-    walls: npt.ArrayLike
-    body: SonarRing
-    odometry: OdometryNoise = THESIS_ODOMETRY
-    sonar: SonarModel | ConeModel = WIRE_SONAR
-    gate: Gate = STRICT
-
-
 class Localizer:
-    """An extended Kalman filter on one robot.
+    """A filter on one robot, fed with its states.
 
     `belief`: where it is thought to stand when the first state comes, over poses, or over longer states (systematic)
-    where the encoders' own errors are to be found out as well.
+    where the encoders' own errors are to be found out as well. `method`: a name of filters.table, `seed` its chance.
     """
 
-    def __init__(self, known: Surroundings, belief: Belief, schedule: FiringSchedule) -> None:
-        self._known = known
-        self._hearing = hearing_of(known.walls, known.body, known.sonar, known.gate)
-        self._belief = belief
+    def __init__(
+        self,
+        known: Surroundings,
+        belief: Belief,
+        schedule: FiringSchedule,
+        method: str = DEFAULT_METHOD,
+        seed: int = 0,
+    ) -> None:
+        self._filter = make(method, known, belief, seed)
         self._schedule = schedule
         self._history = PoseHistory()
         self._settled: EncoderPose | None = None
@@ -125,19 +110,13 @@ class Localizer:
         firings = self._schedule.readable(self._heard_s, latest.clock_s)
         echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
-        return Estimate(latest.clock_s, predict(self._belief, step, self._known.odometry), echoes)
+        return Estimate(latest.clock_s, self._filter.ahead(step), echoes)
 
     def _hear(self, firing: Firing, reading_in: int) -> Echo:
-        self._settle(self._history.at(firing.instant_s))
+        """Bring the filter to where the encoders were at that instant, and let it hear."""
         assert self._settled is not None
-        self._heard_s = firing.instant_s
-        heard = self._hearing.hear(self._belief, firing.sonar, self._settled.turret_offset_rad, float(reading_in))
-        self._belief = heard.belief
-        return Echo(*firing, reading_in, heard.refusal, heard.innovation_in, heard.nis, heard.bad_share)
-
-    def _settle(self, there: EncoderPose) -> None:
-        """Move the belief to where the encoders were at that instant."""
-        assert self._settled is not None
-        step = step_between(self._settled.pose, there.pose)
-        self._belief = predict(self._belief, step, self._known.odometry)
-        self._settled = there
+        there = self._history.at(firing.instant_s)
+        self._filter.move(step_between(self._settled.pose, there.pose))
+        self._settled, self._heard_s = there, firing.instant_s
+        judgement = self._filter.hear(firing.sonar, there.turret_offset_rad, float(reading_in))
+        return Echo(*firing, reading_in, *judgement)

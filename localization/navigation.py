@@ -17,8 +17,9 @@ import numpy as np
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
 from localization.echoes import FiringSchedule
-from localization.localizer import Estimate, Localizer, Surroundings
+from localization.localizer import Estimate, Localizer
 from localization.steadying import SteadyPose
+from localization.surroundings import Surroundings
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState

@@ -10,8 +10,9 @@ import pytest
 
 from localization.belief import Belief, independent
 from localization.echoes import FiringSchedule
-from localization.localizer import Localizer, Surroundings
+from localization.localizer import Localizer
 from localization.observation import Refusal
+from localization.surroundings import Surroundings
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from localization.belief import Belief
 from localization.cone import ConeModel, Ear, cone_returns
 from localization.ekf import correct
+from localization.filters.method import Judgement
 from localization.gating import STRICT, Gate, observe
 from localization.measurement import SonarModel, SonarRing, pick, ring, wall_map
 from localization.mixture import absorb
@@ -29,14 +30,10 @@ MOSTLY_BAD = 0.5
 
 
 class Heard(NamedTuple):
-    """What a reading left: the belief, why it said nothing (NONE: it did), reading less expectation (0 where nothing
-    was expected) with its normalised square, and how likely it was a bad one."""
+    """What a reading left: the belief, and what became of it."""
 
     belief: Belief
-    refusal: Refusal
-    innovation_in: float
-    nis: float
-    bad_share: float
+    judgement: Judgement
 
 
 class Hearing(Protocol):
@@ -58,12 +55,12 @@ class RayHearing:
         seen = observe(pose_of(belief), beam, np.array([reading_in]), self._walls, self._sonar, self._gate)
         refusal, innovation = seen.reasons()[0], float(seen.innovation[0])
         if refusal is not Refusal.NONE:
-            return Heard(belief, refusal, innovation, 0.0, 1.0)
+            return Heard(belief, Judgement(refusal, innovation, 0.0, 1.0))
         jacobian = np.zeros((1, belief.mean.shape[-1]))
         jacobian[:, :POSE] = seen.jacobian
         spread = float((jacobian @ belief.cov @ jacobian.T)[0, 0] + seen.variance[0])
         corrected = correct(belief, Observation(seen.innovation, jacobian, seen.variance, seen.refusals))
-        return Heard(corrected, refusal, innovation, innovation * innovation / spread, 0.0)
+        return Heard(corrected, Judgement(refusal, innovation, innovation * innovation / spread, 0.0))
 
 
 class ConeHearing:
@@ -75,15 +72,15 @@ class ConeHearing:
     def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
         model = self._model
         if not model.lowest_in < reading_in < model.highest_in:
-            return Heard(belief, Refusal.LIMIT, 0.0, 0.0, 1.0)
+            return Heard(belief, Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0))
         ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
         pose = pose_of(belief)
         returns = cone_returns(pose.mean, pose.std[..., 2], ear, self._around, model)
         if not returns.probability.any():
-            return Heard(belief, Refusal.NO_WALL, 0.0, 0.0, 1.0)
+            return Heard(belief, Judgement(Refusal.NO_WALL, 0.0, 0.0, 1.0))
         taken = absorb(belief, reading_in, returns, model)
         refusal = Refusal.GATE if taken.bad_share > MOSTLY_BAD else Refusal.NONE
-        return Heard(taken.belief, refusal, taken.innovation_in, taken.nis, taken.bad_share)
+        return Heard(taken.belief, Judgement(refusal, taken.innovation_in, taken.nis, taken.bad_share))
 
 
 def hearing_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Hearing:

@@ -10,8 +10,8 @@ import pytest
 from localization import ekf
 from localization.belief import Belief, independent
 from localization.cone import ConeModel
+from localization.filters.hearing import ConeHearing, RayHearing, hearing_of, pose_of
 from localization.gating import observe
-from localization.hearing import ConeHearing, RayHearing, hearing_of, pose_of
 from localization.measurement import WIRE_SONAR, pick, ring, wall_map
 from localization.observation import Refusal
 from localization.systematic import with_constants
@@ -32,26 +32,26 @@ def test_the_kind_of_sonar_says_how_it_is_heard() -> None:
 @pytest.mark.parametrize("hearing", [CONE, RAYS])
 def test_a_good_reading_corrects(hearing: ConeHearing | RayHearing) -> None:
     heard = hearing.hear(BELIEF, 0, 0.0, 54.0)
-    assert heard.refusal is Refusal.NONE
-    assert heard.innovation_in == pytest.approx(54.0 - EAST_IN)
+    assert heard.judgement.refusal is Refusal.NONE
+    assert heard.judgement.innovation_in == pytest.approx(54.0 - EAST_IN)
     assert heard.belief.mean[0] < BELIEF.mean[0]
     assert heard.belief.std[0] < BELIEF.std[0]
-    assert 0.0 < heard.nis < 6.6
-    assert heard.bad_share < 0.1
+    assert 0.0 < heard.judgement.nis < 6.6
+    assert heard.judgement.bad_share < 0.1
 
 
 @pytest.mark.parametrize("hearing", [CONE, RAYS])
 @pytest.mark.parametrize(("reading", "refusal"), [(6.0, Refusal.LIMIT), (255.0, Refusal.LIMIT), (90.0, Refusal.GATE)])
 def test_bad_readings_are_told_apart(hearing: ConeHearing | RayHearing, reading: float, refusal: Refusal) -> None:
     heard = hearing.hear(BELIEF, 0, 0.0, reading)
-    assert heard.refusal is refusal
-    assert heard.bad_share > 0.99
+    assert heard.judgement.refusal is refusal
+    assert heard.judgement.bad_share > 0.99
     np.testing.assert_allclose(heard.belief.mean, BELIEF.mean, atol=1e-6)
 
 
 def test_a_cone_that_no_reflector_fills_says_so() -> None:
     heard = CONE.hear(BELIEF, 1, math.radians(0.0), 100.0)
-    assert heard.refusal is Refusal.NO_WALL
+    assert heard.judgement.refusal is Refusal.NO_WALL
     assert heard.belief is BELIEF
 
 
@@ -64,7 +64,7 @@ def test_the_turret_turns_the_ring() -> None:
 def test_a_ray_is_the_gate_and_the_filter_of_the_experiments() -> None:
     heard = RAYS.hear(BELIEF, 3, 0.2, 40.0)
     seen = observe(BELIEF, pick(ring(N150, 0.2), 3), np.array([40.0]), wall_map(ROOM), WIRE_SONAR)
-    assert heard.refusal is seen.reasons()[0]
+    assert heard.judgement.refusal is seen.reasons()[0]
     np.testing.assert_allclose(heard.belief.mean, ekf.correct(BELIEF, seen).mean, atol=1e-12)
 
 

@@ -1,0 +1,33 @@
+"""The table of methods: by name, what makes each from what is known beforehand and a first belief."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from localization.belief import Belief
+from localization.filters.hearing import hearing_of
+from localization.filters.kalman import KalmanFilter
+from localization.filters.method import Filter
+from localization.surroundings import Surroundings
+
+Maker = Callable[[Surroundings, Belief, int], Filter]
+"""Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
+
+
+def _kalman(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    hearing = hearing_of(known.walls, known.body, known.sonar, known.gate)
+    return KalmanFilter(belief, hearing, known.odometry)
+
+
+METHODS: Final[Mapping[str, Maker]] = MappingProxyType({"ekf": _kalman})
+"""Every method by its name."""
+DEFAULT_METHOD: Final = "ekf"
+
+
+def make(method: str, known: Surroundings, belief: Belief, seed: int = 0) -> Filter:
+    """The filter of a name in METHODS. Raises ValueError for any other name."""
+    if method not in METHODS:
+        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    return METHODS[method](known, belief, seed)
