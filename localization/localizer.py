@@ -119,4 +119,5 @@ class Localizer:
         self._filter.move(step_between(self._settled.pose, there.pose))
         self._settled, self._heard_s = there, firing.instant_s
         judgement = self._filter.hear(firing.sonar, there.turret_offset_rad, float(reading_in))
-        return Echo(*firing, reading_in, *judgement)
+        refusal, innovation_in, nis, bad_share = judgement
+        return Echo(*firing, reading_in, refusal, innovation_in, nis, bad_share)
