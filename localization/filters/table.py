@@ -6,10 +6,15 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
+import numpy as np
+
 from localization.belief import Belief
+from localization.cone import ConeModel
 from localization.filters.hearing import hearing_of
 from localization.filters.kalman import KalmanFilter
+from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.method import Filter
+from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
 from localization.surroundings import Surroundings
 
 Maker = Callable[[Surroundings, Belief, int], Filter]
@@ -21,7 +26,14 @@ def _kalman(known: Surroundings, belief: Belief, _seed: int) -> Filter:
     return KalmanFilter(belief, hearing, known.odometry)
 
 
-METHODS: Final[Mapping[str, Maker]] = MappingProxyType({"ekf": _kalman})
+def _particles(known: Surroundings, belief: Belief, seed: int) -> Filter:
+    chance = np.random.default_rng(seed)
+    parameters = MonteCarlo()
+    states = drawn_from(belief, parameters.particles, chance)
+    return ParticleFilter(states, likelihood_of(known), known.odometry, chance, parameters)
+
+
+METHODS: Final[Mapping[str, Maker]] = MappingProxyType({"ekf": _kalman, "mcl": _particles})
 """Every method by its name."""
 DEFAULT_METHOD: Final = "ekf"
 
@@ -31,3 +43,10 @@ def make(method: str, known: Surroundings, belief: Belief, seed: int = 0) -> Fil
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     return METHODS[method](known, belief, seed)
+
+
+def likelihood_of(known: Surroundings) -> Likelihood:
+    """How particles are weighed with sonars of this kind."""
+    if isinstance(known.sonar, ConeModel):
+        return ConeLikelihood(known.walls, known.body, known.sonar)
+    return RayLikelihood(known.walls, known.body, known.sonar)
