@@ -6,7 +6,7 @@
     ├── ReplyTimeout (TimeoutError)        the other end is there and silent
     ├── RobotRefused                       an answer, and it is no: ERROR or NAK, with the command
     ├── WireError (ValueError)             bytes that are no message, or values that no message can carry
-    ├── WorldFileError (ValueError)        a world file that cannot be used: file, key, what was expected
+    ├── WorldFileError (ValueError)        a world, model or setup file in TOML that cannot be used: file, key
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
     └── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
@@ -68,7 +68,7 @@ class WireError(NomadError, ValueError):
 
 
 class WorldFileError(NomadError, ValueError):
-    """A world file that cannot be used; the message names file, key and what was expected."""
+    """A world, model or setup file in TOML that cannot be used: the message names file, key and what was expected."""
 
 
 class StartError(NomadError, ValueError):

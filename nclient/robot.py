@@ -301,7 +301,10 @@ class Robot(RobotWorld):
     def configure_laser(
         self, mode: int, *, threshold: int = 20, width: int = 20, num_data: int = 20, processing: int = 4
     ) -> RobotState:
-        """Set the laser: mode 51 points, 33 lines (with bit 0 clear it is off), and its numbers. C: conf_ls"""
+        """Set the laser: mode 51 points, 33 lines (with bit 0 clear it is off), how many columns count (0: all).
+
+        threshold, width and processing are the camera's; in a simulation they have no effect. C: conf_ls
+        """
         return self._ask("conf_ls", mode, threshold, width, num_data, processing)
 
     def configure_segments(self, threshold: int, min_points: int, gap: int) -> RobotState:

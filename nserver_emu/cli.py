@@ -18,7 +18,6 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from importlib.metadata import version
-from itertools import zip_longest
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,11 +26,13 @@ from nserver_emu.server import snapshot
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import FASTEST, SLOWEST, Pace
-from nserver_emu.server.setting import DEFAULT_WORLD, READY_MODELS, Placed, Setting, pose_from_text
+from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS, Setting, placed
 from nserver_emu.server.setup_files import read_setups
 from nserver_emu.server.stage import Allowed
 from nserver_emu.simulation.setup import SETUPS
+from nserver_emu.simulation.setup_toml import SUFFIX
 from worlds.files import load_world, world_names
+from worlds.tables import nearest
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +42,6 @@ MAX_SPEED = "max"
 LONGEST_LOCKSTEP_S = 10.0
 SETUP_SUFFIX = ".setup"
 MOST_SETUPS = 2
-MOST_ROBOTS = 1000
 OLD_OPTIONS = ("help", "noisy", "port")
 """What the original took after a single dash, by as few first letters as one likes."""
 
@@ -72,6 +72,8 @@ def main(argv: list[str] | None = None) -> int:
 
 async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
+    for key in setups.unused:
+        log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     emulator = _emulator(options, setups.robot or READY_MODELS[0])
     daemon = Daemon(emulator, options.speed)
@@ -95,20 +97,11 @@ def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Na
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
 
 
-def _robots(options: argparse.Namespace, default: str) -> list[Placed]:
-    """The robots that the options ask for: the last model counts for the rest, who has no start gets a free one."""
-    models = options.robot or [default]
-    starts = [pose_from_text(text) for text in options.start or ()]
-    count = max(len(models), len(starts), options.robots)
-    models = [*models, *[models[-1]] * (count - len(models))]
-    return list(zip_longest(models, starts))
-
-
 def _emulator(options: argparse.Namespace, robot: str) -> Emulator:
     """The simulation as the options say, or as a snapshot has it."""
-    (model, start), *others = _robots(options, robot)
+    (model, start), *others = placed(options.robot or [robot], options.start or (), options.robots)
     setting = Setting(
-        options.world, model, start, options.seed, options.noisy, options.setup, tuple(others), options.model_file
+        options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
     )
     pace = Pace(options.speed, options.paused, options.lockstep)
     allowed = Allowed(quit=options.allow_quit, control=options.allow_control)
@@ -169,9 +162,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
     parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was")
     parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
-    parser.add_argument("--setup", choices=tuple(SETUPS), default="",
-                        help="how real: ideal, noisy, or measured (sonars like a Polaroid ring, compass errs too)")
-    parser.add_argument("--noisy", action="store_true", help="noise on motion and sonars, and ramps (default: ideal)")
+    parser.add_argument("--setup", type=_setup, metavar="NAME | FILE.toml",
+                        help="how real: ideal (default), noisy (ramps, noise of motion and sonars), measured (sonars "
+                        "like a Polaroid ring, compass errs too), worn (wheels that err the same way every time); or a "
+                        "file made from one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] "
+                        "(every key is in docs/setups.md)")
+    parser.add_argument("--noisy", action="store_true", help="the same as --setup noisy")
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
@@ -228,6 +224,15 @@ def _port(text: str) -> int:
 
 def _seed(text: str) -> int:
     return _number(text, int, (0, 2**31 - 1), "a seed is 0 to 2147483647")
+
+
+def _setup(text: str) -> str:
+    """The name of a setup, or a file, which is read later."""
+    if text not in SETUPS and not text.endswith(SUFFIX):
+        raise argparse.ArgumentTypeError(
+            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{nearest(text, SETUPS)}"
+        )
+    return text
 
 
 def _host(text: str) -> str:

@@ -60,7 +60,8 @@ def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.Arra
     ways = np.asarray(directions, dtype=np.float64)
     segments = np.ascontiguousarray(walls, dtype=np.float64)
     if starts.ndim == ways.ndim == 1 and len(segments):
-        nearest, row = _cast_one(starts, ways, segments)
+        (x, y), (dx, dy) = starts.tolist(), ways.tolist()
+        nearest, row = cast_ray(x, y, dx, dy, segments)
         return np.array(nearest), np.array(row, dtype=np.intp)
     shape = np.broadcast_shapes(starts.shape, ways.shape)
     ranges, rows = _cast_many(
@@ -90,13 +91,15 @@ def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.Arr
     return ranges
 
 
-def _cast_one(origin: FloatArray, direction: FloatArray, walls: FloatArray) -> tuple[float, int]:
-    """One ray: sides and aheads of all corners in arrays, then one by one the few walls worth a look.
+def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
+    """`cast_rays` of a single ray from (x, y) along (dx, dy), in numbers: the quickest way for one.
 
-    A corner is the complex number x + iy; times the conjugate of the direction it is ahead + i side.
+    walls       (m, 4) as there, contiguous
+    returns     the range, and the row of the wall that is met
+
+    Sides and aheads of all corners in arrays, then one by one the few walls worth a look. A corner is the complex
+    number x + iy; times the conjugate of the direction it is ahead + i side.
     """
-    x, y = origin.tolist()
-    dx, dy = direction.tolist()
     seen = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).view(np.float64)
     rows = (seen[:, 1] * seen[:, 3] <= _WORTH_A_LOOK).nonzero()[0]
     nearest, hit = inf, NO_WALL

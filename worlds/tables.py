@@ -64,6 +64,36 @@ class Table:
             self.fail(key, f"expected a whole number from 0 to {count - 1}, found {found(value)}")
         return value
 
+    def flag(self, key: str) -> bool:
+        """true or false; the key is there."""
+        value = self.values[key]
+        if not isinstance(value, bool):
+            self.fail(key, f"expected true or false, found {found(value)}")
+        return value
+
+    def number(self, key: str, low: float, high: float) -> float:
+        """A number from `low` to `high`; the key is there."""
+        return self._between(key, self.values[key], low, high)
+
+    def numbers(self, key: str, count: int, low: float, high: float) -> tuple[float, ...]:
+        """So many numbers from `low` to `high`; the key is there."""
+        rows = self.values[key]
+        if not isinstance(rows, list) or len(rows) != count:
+            self.fail(key, f"expected a list of {count} numbers, found {found(rows)}")
+        return tuple(self._between(f"{key}[{number}]", row, low, high) for number, row in enumerate(rows))
+
+    def indices(self, key: str, count: int) -> tuple[int, ...]:
+        """Any number of different whole numbers from 0 below `count`, sorted; the key is there."""
+        rows = self.values[key]
+        if not isinstance(rows, list):
+            self.fail(key, f"expected a list of whole numbers from 0 to {count - 1}, found {found(rows)}")
+        for number, row in enumerate(rows):
+            if not isinstance(row, int) or isinstance(row, bool) or not 0 <= row < count:
+                self.fail(f"{key}[{number}]", f"expected a whole number from 0 to {count - 1}, found {found(row)}")
+        if len(set(rows)) < len(rows):
+            self.fail(key, f"expected each number once, found {found(rows)}")
+        return tuple(sorted(rows))
+
     def angle_rad(self, name: str) -> float:
         """The angle under the key `name`_deg, in radians; 0 where it is not given."""
         key = f"{name}_deg"
@@ -125,6 +155,12 @@ class Table:
             limit = FARTHEST_IN / scale
             self.fail(place, f"expected at most {limit:g} either way, found {found(value)}; is the unit right?")
         return length
+
+    def _between(self, place: str, value: object, low: float, high: float) -> float:
+        number = self._number(place, value, f"{low:g} to {high:g}")
+        if not low <= number <= high:
+            self.fail(place, f"expected {low:g} to {high:g}, found {found(value)}")
+        return number
 
     def _number(self, place: str, value: object, what: str) -> float:
         if not isinstance(value, int | float) or isinstance(value, bool):

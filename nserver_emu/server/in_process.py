@@ -11,18 +11,20 @@ from __future__ import annotations
 
 import difflib
 import math
-from urllib.parse import parse_qsl
+from pathlib import Path
+from urllib.parse import parse_qs
 
 from nclient.errors import AddressError
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Session
-from nserver_emu.server.setting import DEFAULT_WORLD, Setting, pose_from_text
+from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, Setting, placed
 from nserver_emu.server.stage import Allowed
-from nserver_emu.simulation.setup import SETUPS
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1
-_OPTIONS = ("robot", "seed", "noisy", "setup", "start", "step_s")
+_OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s")
+_FOR_EACH = ("robot", "start")
+"""Options that may come again, for robot 2 and so on."""
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
 
@@ -60,27 +62,46 @@ def open_address(address: str) -> InProcess:
     """The simulation that an address names.
 
     `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; the world is a shipped name or a file, every
-    option may be left out. `step_s`: simulated seconds an exchange, 0.001 to 10; `setup`: ideal, noisy or measured, and
-    counts before `noisy`. Raises AddressError naming the option and the nearest known, WorldFileError or StartError.
+    option may be left out.
+
+    robots      how many, 1 to 1000: the client's own is number 1, the others stand there; `robot` and `start` may
+                come again for them. Each address opened is a world of its own, so they are nobody else's to drive
+    model_file  a TOML file of models that override or add to the known ones
+    setup       ideal, noisy, measured, worn or a TOML file; counts before `noisy`
+    step_s      simulated seconds an exchange, 0.001 to 10
+
+    Raises AddressError naming the option and the nearest known, WorldFileError or StartError.
     """
     path, _, query = address.removeprefix(f"{SCHEME}:").partition("?")
-    options = dict(parse_qsl(query, keep_blank_values=True))
-    for name in options:
+    given = parse_qs(query, keep_blank_values=True)
+    for name, values in given.items():
         if name not in _OPTIONS:
             near = difflib.get_close_matches(name, _OPTIONS, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
             raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(_OPTIONS)}.")
-    start = options.get("start")
+        if len(values) > 1 and name not in _FOR_EACH:
+            raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")
+    options = {name: values[-1] for name, values in given.items()}
+    count = _count(address, options.get("robots", "1"))
+    (robot, start), *others = placed(given.get("robot", ["n150"]), given.get("start", []), count)
     setting = Setting(
         world=path or DEFAULT_WORLD,
-        robot=options.get("robot", "n150"),
-        start=pose_from_text(start) if start is not None else None,
+        robot=robot,
+        start=start,
         seed=_seed(address, options.get("seed", "0")),
         noisy=_flag(address, options.get("noisy", "0")),
-        setup=_setup(address, options.get("setup", "")),
+        setup=options.get("setup", ""),
+        others=tuple(others),
+        model_file=Path(options["model_file"]) if "model_file" in options else None,
     )
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
     return InProcess(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
+
+
+def _count(address: str, text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_ROBOTS:
+        raise AddressError(f"{address}: robots is a whole number from 1 to {MOST_ROBOTS}, not {text!r}")
+    return int(text)
 
 
 def _seed(address: str, text: str) -> int:
@@ -94,12 +115,6 @@ def _flag(address: str, text: str) -> bool:
         return _FLAGS[text.lower()]
     except KeyError:
         raise AddressError(f"{address}: noisy is 1 or 0, not {text!r}") from None
-
-
-def _setup(address: str, text: str) -> str:
-    if text and text not in SETUPS:
-        raise AddressError(f"{address}: setup is one of {', '.join(SETUPS)}, not {text!r}")
-    return text
 
 
 def _step(address: str, text: str) -> float:

@@ -60,7 +60,11 @@ def get_cp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 
 def conf_ls(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
-    """How many columns of the laser count (0: all); the session has noted the mode, the rest has no effect."""
+    """How many columns of the laser count (0: all); the session has noted the mode.
+
+    Threshold, width and processing tell a camera's picture from its noise; there is no picture here, and no source
+    that tells their units: they have no effect.
+    """
     robot = stage.robot_of(visit)
     if not robot.model.sees:
         return error_reply(NOT_AVAILABLE)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from nclient.errors import AddressError, StartError
 from nserver_emu.server.hosting import free_place
 from nserver_emu.simulation.model_files import load_models
 from nserver_emu.simulation.models import MODELS, RobotModel
-from nserver_emu.simulation.setup import IDEAL, NOISY, SETUPS
+from nserver_emu.simulation.setup import IDEAL, NOISY
+from nserver_emu.simulation.setup_toml import setup_named
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
 from worlds.world import StartPose
 
 DEFAULT_WORLD = "thesis_room"
 FIRST_ROBOT = 1
+MOST_ROBOTS = 1000
+"""That one command line or address puts into a world."""
+
 READY_MODELS = tuple(MODELS)
 """The robots that can be simulated."""
 
@@ -30,7 +35,7 @@ Placed = tuple[str, StartPose | None]
 class Setting:
     """World by name or file, robot by model, where it starts (None: where the world says), noise and seed.
 
-    setup         how real: ideal, noisy or measured; "": as `noisy` says
+    setup         how real: the name of a setup, or a file of one in TOML; "": as `noisy` says
     others        the robots with the numbers from 2 on
     model_file    models that override or add to those there are
     """
@@ -45,10 +50,10 @@ class Setting:
     model_file: Path | None = None
 
     def simulation(self) -> Simulation:
-        """The simulation as set. Raises WorldFileError, AddressError (model) or StartError, naming the remedy."""
+        """The simulation as set. Raises WorldFileError, AddressError (model, setup) or StartError, with the remedy."""
         models = load_models(self.model_file) if self.model_file else MODELS
         simulation = Simulation(load_world(self.world), seed=self.seed)
-        setup = SETUPS[self.setup or (NOISY.name if self.noisy else IDEAL.name)]
+        setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
         simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
@@ -57,6 +62,16 @@ class Setting:
                 raise StartError(f"no room for robot {robot_id} near the starts of {self.world}; give it a --start")
             simulation.add_robot(robot_id, place, model, setup)
         return simulation
+
+
+def placed(models: Sequence[str], starts: Sequence[str], count: int) -> list[Placed]:
+    """Robots 1, 2, 3 ...: as many as there are models or starts, and `count` at least.
+
+    The last model counts for the rest; who has no start gets a free one. Raises AddressError for a start that is none.
+    """
+    poses = [pose_from_text(text) for text in starts]
+    number = max(len(models), len(poses), count)
+    return list(zip_longest([*models, *[models[-1]] * (number - len(models))], poses))
 
 
 def _model(models: Mapping[str, RobotModel], name: str) -> RobotModel:

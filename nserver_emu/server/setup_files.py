@@ -5,8 +5,9 @@
           value          a backslash at the end joins the next line
 
 Keys are case-sensitive, the last of two wins, unknown ones are left alone. No sample of either file survives, so what
-is known is little: [server] port; [robot] type; [laser] calibration (8 numbers) and offset (2). Our own TOML files
-are the real format.
+is known is little: [server] port; [robot] type; [laser] calibration (8 numbers) and offset (2). What the laser's ten
+numbers mean no source tells: they are checked and kept, and have no effect; `unused` says so to whoever gave them. Our
+own TOML files are the real format.
 """
 
 from __future__ import annotations
@@ -28,12 +29,18 @@ MOST_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class OldSetup:
-    """What old setup files say; None where they do not. The laser's numbers are kept as they stand."""
+    """What old setup files say; None where they do not. The laser's numbers are kept as they stand, without effect."""
 
     port: int | None = None
     robot: str | None = None
     laser_calibration: tuple[float, ...] | None = None
     laser_offset: tuple[float, ...] | None = None
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """The keys that were given and have no effect."""
+        given = {"[laser] calibration": self.laser_calibration, "[laser] offset": self.laser_offset}
+        return tuple(key for key, numbers in given.items() if numbers is not None)
 
 
 @dataclass(slots=True)

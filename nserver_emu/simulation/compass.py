@@ -64,8 +64,9 @@ class Compass:
 
     def due(self, until_ps: int) -> int | None:
         """The instant of the last reading up to then, if it is yet to be taken."""
-        last_ps = until_ps // INTERVAL_PS * INTERVAL_PS
-        return last_ps if last_ps > self.taken_ps else None
+        if until_ps < self.taken_ps + INTERVAL_PS:
+            return None
+        return until_ps // INTERVAL_PS * INTERVAL_PS
 
     def take(self, instant_ps: int, direction_rad: float, angle_rad: float) -> None:
         """Read at a due instant; the readings skipped before it only spend their chance.

@@ -10,8 +10,7 @@ the wheels err. No noise, no contact, no clock.
 
 from __future__ import annotations
 
-from copy import copy
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from nserver_emu.simulation.angles import short_way
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
@@ -39,19 +38,7 @@ class Rate(NamedTuple):
         return Rate(self.velocity * scale, self.acceleration * scale)
 
 
-class Axles:
-    """What all drives share: axes among their attributes."""
-
-    def twin(self) -> Self:
-        """A drive in the same state, to be run ahead: an axis keeps only values, so that copies of them are enough."""
-        twin = copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, Axis):
-                setattr(twin, name, copy(value))
-        return twin
-
-
-class SynchroDrive(Axles):
+class SynchroDrive:
     """The drive of the N150 and N200.
 
     steering_rad, turret_rad    mechanical angles against the body, unwrapped; 0 is the bumpers' zero
@@ -74,14 +61,9 @@ class SynchroDrive(Axles):
 
     def stretch(self, longest_s: float) -> Stretch:
         """The path of the next `longest_s` seconds, or of less where the wheels change their acceleration sooner."""
-        translation, steering = self.translation, self.steering
-        return Stretch(
-            min(longest_s, translation.phase_left_s, steering.phase_left_s),
-            translation.velocity,
-            translation.phase_acceleration,
-            steering.velocity,
-            steering.phase_acceleration,
-        )
+        rolling_s, speed, acceleration = self.translation.pace
+        steering_s, turn_rate, turn_acceleration = self.steering.pace
+        return Stretch(min(longest_s, rolling_s, steering_s), speed, acceleration, turn_rate, turn_acceleration)
 
     def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
         """What translation and steering do on a stretch."""
@@ -98,6 +80,10 @@ class SynchroDrive(Axles):
         turned = self.turret.advance(dt_s)
         self.turret_rad += turned
         return turned
+
+    def turret_in(self, dt_s: float) -> float:
+        """`turret_rad` as it will be dt_s >= 0 seconds from now; a wall stops no turret."""
+        return self.turret_rad + self.turret.way_in(dt_s)
 
     def block(self) -> None:
         """Something is in the way: the wheels no longer roll; steering and turret go on."""
@@ -126,7 +112,7 @@ class SynchroDrive(Axles):
         self.put(0.0, 0.0)
 
 
-class DifferentialDrive(Axles):
+class DifferentialDrive:
     """The drive of the Scout: two wheels side by side, their speeds v_r and v_l, `track_in` inches apart.
 
         speed = (v_r + v_l) / 2        turn rate = (v_r - v_l) / track
@@ -165,12 +151,9 @@ class DifferentialDrive(Axles):
     def stretch(self, longest_s: float) -> Stretch:
         """The path of the next `longest_s` seconds, or of less where a wheel changes its acceleration or the robot its
         direction sooner."""
-        right, left = self.right, self.left
-        stretch = self.path(
-            min(longest_s, right.phase_left_s, left.phase_left_s),
-            Rate(right.velocity, right.phase_acceleration),
-            Rate(left.velocity, left.phase_acceleration),
-        )
+        right_s, *right = self.right.pace
+        left_s, *left = self.left.pace
+        stretch = self.path(min(longest_s, right_s, left_s), Rate(*right), Rate(*left))
         if stretch.speed * stretch.acceleration < 0.0:
             turns_back_s = -stretch.speed / stretch.acceleration
             if TIME_TOLERANCE_S < turns_back_s < stretch.duration_s:
@@ -200,6 +183,10 @@ class DifferentialDrive(Axles):
         """Let dt_s seconds pass in both wheels; returns how far a turret turned: there is none, 0."""
         self.heading_rad += (self.right.advance(dt_s) - self.left.advance(dt_s)) / self.track_in
         return 0.0
+
+    def turret_in(self, dt_s: float) -> float:
+        """The heading as it will be dt_s >= 0 seconds from now, if no wall stops it."""
+        return self.heading_rad + (self.right.way_in(dt_s) - self.left.way_in(dt_s)) / self.track_in
 
     def block(self) -> None:
         """Something is in the way: no wheel rolls any more."""

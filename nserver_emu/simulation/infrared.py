@@ -36,9 +36,10 @@ MOST_UNSEEN: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class InfraredNoise:
-    """How light comes back: gaussian noise of std_share of the range; slanted: walls seen at a slant look farther.
+    """How light comes back: gaussian noise of std_share of the range; slanted: what is seen at a slant looks
+    farther.
 
-    A dull wall sends back cos(incidence) / range^2, from which the sensor takes the range: it comes out as
+    A dull wall, or robot, sends back cos(incidence) / range^2, from which the sensor takes the range: it comes out as
     range / sqrt(cos(incidence)).
     """
 
@@ -127,17 +128,29 @@ class InfraredRing:
         """What the sensors make of a flash: ranges (16,) from the body, inches, inf where nothing is met."""
         directions = flash.eye.turret_rad + np.array(self.body.sonar_angles_rad)
         ways = np.stack((np.cos(directions), np.sin(directions)), axis=1)
-        from_axis, rows = cast_rays((flash.eye.x_in, flash.eye.y_in), ways, self._walls)
-        ranges: FloatArray = from_axis - self.body.radius_in
+        here, others = (flash.eye.x_in, flash.eye.y_in), flash.eye.others
+        from_axis, rows = cast_rays(here, ways, self._walls)
+        to_robots = cast_discs(here, ways, others)
+        robots = to_robots < from_axis
+        ranges: FloatArray = np.minimum(from_axis, to_robots) - self.body.radius_in
         met = ranges < inf
         if self.noise.slanted and met.any():
-            head_on = np.abs((normals(self._walls[rows[met]]) * ways[met]).sum(axis=1))
+            facing = np.zeros_like(ways)
+            of_walls = met & ~robots
+            facing[of_walls] = normals(self._walls[rows[of_walls]])
+            if robots.any():
+                facing[robots] = _disc_normals(np.array(here) + to_robots[robots, np.newaxis] * ways[robots], others)
+            head_on = np.abs((facing[met] * ways[met]).sum(axis=1))
             ranges[met] /= np.sqrt(np.maximum(head_on, 1e-6))
-        if len(flash.eye.discs) > 1:
-            others = np.delete(flash.eye.discs, flash.eye.own, axis=0)
-            here = flash.eye.x_in, flash.eye.y_in
-            ranges = np.minimum(ranges, cast_discs(here, ways, others) - self.body.radius_in)
-            met = ranges < inf
         if flash.chances is not None:
             ranges[met] *= 1.0 + self.noise.std_share * flash.chances[met]
         return ranges
+
+
+def _disc_normals(points: FloatArray, discs: FloatArray) -> FloatArray:
+    """Unit normals (k, 2) at points (k, 2), each on the rim of one of the discs (n, 3), which do not overlap."""
+    offsets = points[:, np.newaxis] - discs[:, :2]
+    off_rim = np.abs(np.hypot(offsets[..., 0], offsets[..., 1]) - discs[:, 2])
+    nearest = off_rim.argmin(axis=1)
+    normal: FloatArray = offsets[np.arange(len(points)), nearest] / discs[nearest, 2:]
+    return normal

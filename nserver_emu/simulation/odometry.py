@@ -34,6 +34,11 @@ class Odometry:
     drifts: tuple[float, float] = (0.0, 0.0)
     slip_in: float = 0.0
 
+    @property
+    def turns_as_told(self) -> bool:
+        """Whether no axis errs; there may be slip."""
+        return self.scales == (1.0, 1.0, 1.0) and self.drifts == (0.0, 0.0)
+
     def driven(self, stretch: Stretch, drive: Drive) -> Stretch:
         """What becomes of a stretch that this drive was told; the very same if nothing errs."""
         if self.scales[:2] == (1.0, 1.0) and self.drifts == (0.0, 0.0):

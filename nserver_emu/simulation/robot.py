@@ -20,7 +20,7 @@ from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS, to_ps, to_s
 from nserver_emu.simulation.laser import LineFit, ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import Identity, Purpose
+from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, NOBODY, Eye, SonarRing
@@ -62,6 +62,7 @@ class SimulatedRobot:
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
         self._chance = identity.stream(Purpose.MOTION)
+        self._exact = setup.motion == NO_NOISE and setup.odometry.turns_as_told
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
         self.sonar.fire_all(self._eye(), self._stamp())
         self.infrared: InfraredRing | None = None
@@ -254,7 +255,8 @@ class SimulatedRobot:
             self._read_compass(until)
             self._move(to_s(until - self._time_ps))
             self._time_ps = until
-            self._end_zero()
+            if self._zeroing:
+                self._end_zero()
             if until == self._deadline_ps:
                 self._expire()
             self._fire_due()
@@ -299,7 +301,7 @@ class SimulatedRobot:
         self._stop_axes()
 
     def _end_zero(self) -> None:
-        if self._zeroing and not any(self.moving):
+        if not any(self.moving):
             self._zeroing = False
             self._drive.found_zero()
             for axis in self._drive.axes:
@@ -317,34 +319,28 @@ class SimulatedRobot:
     def _read_compass(self, until_ps: int) -> None:
         """Its last reading up to an instant that this piece of time reaches, before anything moves.
 
-        Time is not cut for it: a copy of the drive tells how far the turret will have turned by then.
+        Time is not cut for it: the drive tells how far the turret will have turned by then.
         """
         due_ps = self.compass.due(until_ps)
-        if due_ps is None:
-            return
-        drive, left_s = self._drive, to_s(due_ps - self._time_ps)
-        if any(self.moving):
-            drive = drive.twin()
-        while drive is not self._drive and left_s > 0.0:
-            span_s = min(drive.stretch(left_s).duration_s, left_s)
-            drive.advance(span_s)
-            left_s -= span_s
-        direction = self._chassis.pose(drive.steering_rad, drive.turret_rad).turret_rad
-        self.compass.take(due_ps, direction, drive.turret_rad)
+        if due_ps is not None:
+            turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
+            direction = self._chassis.pose(0.0, turret_rad).turret_rad
+            self.compass.take(due_ps, direction, turret_rad)
 
     def _eye(self) -> Eye:
         actual = self.actual
         return Eye(actual.x_in, actual.y_in, actual.turret_rad, *self._others)
 
     def _stamp(self) -> Stamp:
-        return Stamp(self.encoder, self.velocities, self.time_s, self.time_s)
+        now_s = self.time_s
+        return Stamp(self.encoder, self.velocities, now_s, now_s)
 
     def _move(self, span_s: float) -> None:
         """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
         while span_s > 0.0:
             stretch = self._drive.stretch(span_s)
             if stretch.at_rest:
-                self._turn_turret(self._drive.advance(span_s))
+                self._drift(0.0, self._drive.advance(span_s))
                 return
             span_s -= self._glide(stretch)
 
@@ -355,25 +351,29 @@ class SimulatedRobot:
         into a wall it is held there for the stretch, wheels turning.
         """
         drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
-        odometry, told_in = self.setup.odometry, stretch.distance_at(duration)
-        steady = odometry.driven(stretch, drive)
-        driven = self.setup.motion.disturbed(steady, self._chance)
-        contact = chassis.first_contact(driven, drive.steering_rad)
+        steering_rad, told_in = drive.steering_rad, stretch.distance_at(duration)
+        steady = driven = stretch
+        if not self._exact:
+            steady = self.setup.odometry.driven(stretch, drive)
+            driven = self.setup.motion.disturbed(steady, self._chance)
+        contact = chassis.first_contact(driven, steering_rad)
         blocked = False
         free_s = duration
         if contact is not None:
             free_s = contact.time_s
-            heading = chassis.heading(drive.steering_rad) + driven.turn_at(free_s)
+            heading = chassis.heading(steering_rad) + driven.turn_at(free_s)
             blocked = told_in != 0.0 and (driven is steady or contact.pressed_by(heading, told_in))
         taken_s = free_s if blocked else duration
-        chassis.follow(driven, free_s, drive.steering_rad)
-        self._encoders.follow(stretch, taken_s, drive.steering_rad)
-        chassis.turn(driven.turn_at(taken_s) - stretch.turn_at(taken_s))
-        self._turn_turret(drive.advance(taken_s))
+        chassis.follow(driven, free_s, steering_rad)
+        self._encoders.follow(stretch, taken_s, steering_rad)
+        self._drift(driven.turn_at(taken_s) - stretch.turn_at(taken_s), drive.advance(taken_s))
         if blocked:
-            self._encoders.slip(copysign(odometry.slip_in, told_in), drive.steering_rad)
+            self._encoders.slip(copysign(self.setup.odometry.slip_in, told_in), drive.steering_rad)
             drive.block()
         return taken_s
 
-    def _turn_turret(self, counted_rad: float) -> None:
-        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)
+    def _drift(self, body_rad: float, counted_rad: float) -> None:
+        """What no encoder counts: a turn of the body, and of the turret where its gears err."""
+        if not self._exact:
+            self._chassis.turn(body_rad)
+            self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)

@@ -16,12 +16,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
-from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
+from nserver_emu.simulation.polaroid import NO_ROBOTS, Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_discs, cast_rays
+from worlds.raycast import cast_discs, cast_ray
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -64,12 +65,16 @@ class SonarNoise:
         """The chance of one cry: one number, or none where there is no noise."""
         return (chance.standard_normal(),) if self.least_std_in or self.std_share else (0.0,)
 
-    def heard_in(self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body) -> float:
-        """The range from the ring along the ray, with its noise, inches; inf for nothing."""
+    def heard_in(
+        self, cry: Cry, earlier: Sequence[Cry], scene: Scene, body: Body, others: FloatArray = NO_ROBOTS
+    ) -> float:
+        """The range from the ring along the ray, to a wall or a robot, with its noise, inches; inf for nothing."""
         del earlier
-        way = cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis, _ = cast_rays((cry.x_in, cry.y_in), way, scene.walls)
-        range_in = float(from_axis) - body.sonar_ring_radius_in
+        x, y, dx, dy = cry.x_in, cry.y_in, cos(cry.direction_rad), sin(cry.direction_rad)
+        from_axis, _ = cast_ray(x, y, dx, dy, scene.walls)
+        if len(others):
+            from_axis = min(from_axis, float(cast_discs((x, y), (dx, dy), others)))
+        range_in = from_axis - body.sonar_ring_radius_in
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
 
 
@@ -97,6 +102,11 @@ class Eye(NamedTuple):
     discs: FloatArray = NOBODY[0]
     own: int = NOBODY[1]
 
+    @property
+    def others(self) -> FloatArray:
+        """The robots (k, 3) without this one."""
+        return np.delete(self.discs, self.own, axis=0) if len(self.discs) > 1 else NO_ROBOTS
+
 
 class Firing(NamedTuple):
     """A cry whose echo nobody has looked at, those before it that may still be under way, and the eye it left from."""
@@ -119,7 +129,9 @@ class SonarRing:
         self._unheard: dict[int, Firing] = {}
         self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
-        self._interval_ps = self._start_ps = self._count = 0
+        self._interval_ps = self._count = 0
+        self.due_ps = NEVER_PS
+        """When the next sonar fires; NEVER_PS if the ring is off."""
 
     @property
     def readings_in(self) -> tuple[int, ...]:
@@ -133,11 +145,6 @@ class SonarRing:
         """The moment of each of those readings."""
         return tuple(self._stamps)
 
-    @property
-    def due_ps(self) -> int:
-        """When the next sonar fires; NEVER_PS if the ring is off."""
-        return self._start_ps + self._count * self._interval_ps if self._order else NEVER_PS
-
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
         """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
 
@@ -148,8 +155,8 @@ class SonarRing:
         end = next((at for at, sonar in enumerate(order) if not 0 <= sonar < SONARS), len(order))
         self._order = tuple(order[:end])
         self._interval_ps = min(max(rate, 1), SLOWEST_RATE) * TICK_PS
-        self._start_ps = now_ps
         self._count = 0
+        self.due_ps = now_ps if self._order else NEVER_PS
 
     def fire_due(self, eye: Eye, stamp: Stamp) -> None:
         """The sonar that is due fires here and now."""
@@ -158,6 +165,7 @@ class SonarRing:
         cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
         self._recent = (*self._recent, cry) if life_ps else ()
         self._count += 1
+        self.due_ps += self._interval_ps
 
     def fire_all(self, eye: Eye, stamp: Stamp) -> None:
         """All sixteen as at power-on, each as if it were alone."""
@@ -181,20 +189,9 @@ class SonarRing:
         another size would round another way, so that looking more often could change a reading."""
         for sonar, (cry, earlier, eye) in self._unheard.items():
             if sonar not in self.model.dead:
-                of_walls = self.model.heard_in(cry, earlier, self._scene, self.body)
-                self._readings[sonar] = _reading(min(of_walls, self._heard_of_robots(cry, eye)))
+                heard_in = self.model.heard_in(cry, earlier, self._scene, self.body, eye.others)
+                self._readings[sonar] = _reading(heard_in)
         self._unheard.clear()
-
-    def _heard_of_robots(self, cry: Cry, eye: Eye) -> float:
-        """The range to another robot along the axis of the beam, with the noise of this cry; inf for none."""
-        if len(eye.discs) == 1:
-            return inf
-        way = cos(cry.direction_rad), sin(cry.direction_rad)
-        from_axis = float(cast_discs((eye.x_in, eye.y_in), way, np.delete(eye.discs, eye.own, axis=0)))
-        if from_axis == inf:
-            return inf
-        range_in = from_axis - self.body.sonar_ring_radius_in
-        return range_in + cry.chances[0] * max(self.model.std_share * range_in, self.model.least_std_in)
 
 
 def _reading(heard_in: float) -> int:

@@ -38,6 +38,14 @@ def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str])
     assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.parametrize("setup", ["measured", "worn"])
+def test_a_ring_that_mishears_and_wheels_that_err_are_no_error(setup: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(f"sim:thesis_room?setup={setup}&seed=1", *TO_GOAL, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["end_error_in"] < 2.0 < result["odometry_end_error_in"]
+
+
 def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize("sim:centre_vertex?start=10,10", "--map", "centre_vertex", "--path", "5.9", "--json") == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 3

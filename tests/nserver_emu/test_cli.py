@@ -75,7 +75,8 @@ def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: sig
 
 
 def test_usage_errors_say_what_is_wanted(capsys: pytest.CaptureFixture[str]) -> None:
-    wanted = ((["--speed", "MAX"], "a speed is 0.1 to 100, or max, not 'MAX'"), (["--port", "x"], "a port is 0 to"))
+    wanted = ((["--speed", "MAX"], "a speed is 0.1 to 100, or max, not 'MAX'"), (["--port", "x"], "a port is 0 to"),
+              (["--setup", "mesured"], "files that end in .toml; did you mean measured?"))  # fmt: skip
     for argv, words in wanted:
         with pytest.raises(SystemExit):
             cli.main(argv)
@@ -88,6 +89,7 @@ def test_usage_errors_say_what_is_wanted(capsys: pytest.CaptureFixture[str]) -> 
         (["--robots", "60"], "no room for robot"),
         (["--start", "0,0", "--start", "5,0"], "touches robot 1"),
         (["--model-file", "nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["--setup", "nowhere.toml"], "nowhere.toml: cannot be read"),
         (["--model-file", "nowhere.toml", "--robot", "mine"], "nowhere.toml: cannot be read"),
     ],
 )

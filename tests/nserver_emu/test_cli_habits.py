@@ -85,12 +85,13 @@ def test_the_old_style_with_both_setup_files(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     robot, world = tmp_path / "robot.setup", tmp_path / "world.setup"
-    robot.write_text("[robot]\ntype = n200\n")
+    robot.write_text("[robot]\ntype = n200\n[laser]\noffset = 1 2\n")
     world.write_text(f"[server]\nport = {port}\n")
     with program("-n", str(robot), str(world)) as started:
         assert started.port == port
         assert started.client.ask("arm_mv", 0, 0, 0, 0).kind == "special"
         assert 0 < started.client.ask("vm", 100, 0, 0).slots[38] < 100
+        assert "[laser] offset of the setup file is read and has no effect" in started.end()
     with program("-noisy", "-po", "0", str(robot), str(world)) as started:
         assert started.port != port
 
@@ -121,6 +122,15 @@ def test_a_paused_start_that_clients_may_step() -> None:
     with program("--port", "0", "--paused") as started:
         assert started.client.ask("sim_control", 2, 0).values == (5,)
         assert "--allow-control" in started.end()
+
+
+def test_a_setup_of_ones_own(tmp_path: Path) -> None:
+    setup = tmp_path / "room12.toml"
+    setup.write_text('base = "measured"\nsonar.dead = [3, 11]\n', encoding="utf-8")
+    with program("--port", "0", "--lockstep", "0.1", "--setup", str(setup)) as started:
+        slots = started.client.ask("gs").slots
+        assert [number for number in range(16) if slots[17 + number] == 0] == [3, 11]
+        assert 0 < started.client.ask("vm", 100, 0, 0).slots[38] < 100
 
 
 def test_quit_ends_the_program_where_it_is_allowed() -> None:

@@ -4,8 +4,32 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from math import asin, atan, hypot
+
+import pytest
 
 from nclient.connect import connect
+
+
+def test_the_laser_shows_the_arc_of_the_other_robot_over_tcp() -> None:
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    command += ["--robot", "n200", "--robot", "n150", "--start", "20,45", "--start", "70,45"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        try:
+            assert program.stdout is not None
+            host = program.stdout.readline().split()[-1]
+            with connect(f"nserver://{host}/1?model=n200", timeout_s=10) as robot:
+                points = robot.read_laser().laser_points_in
+        finally:
+            program.kill()
+    arc = [(x, y) for x, y in points if x < 60.0]
+    assert all(abs(hypot(x - 50.0, y) - 9.72) < 0.08 for x, y in arc)
+    half_arc = asin(9.72 / (50.0 - 9.0))
+    assert max(atan(y / (x - 9.0)) for x, y in arc) == pytest.approx(half_arc, abs=0.005)
+    assert min(atan(y / (x - 9.0)) for x, y in arc) == pytest.approx(-half_arc, abs=0.005)
+    behind = [(x, y) for x, y in points if x >= 60.0]
+    assert all(abs(x - 82.17) < 0.06 for x, _ in behind)
+    assert len(arc) + len(behind) == len(points) == 482
 
 
 def test_each_robot_is_found_by_its_number() -> None:

@@ -1,4 +1,4 @@
-"""What error messages say of a value that was found, and which known word they offer."""
+"""What a table gives, what it says of a value that it refuses, and which known word it offers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import datetime
 
 import pytest
 
-from worlds.tables import found, nearest
+from nclient.errors import WorldFileError
+from worlds.tables import Table, found, nearest
 
 
 @pytest.mark.parametrize(
@@ -35,3 +36,28 @@ def test_found_is_never_long() -> None:
 def test_nearest_offers_one_word_or_none() -> None:
     assert nearest("pionts_in", ["points_in", "corners_in"]) == "; did you mean points_in?"
     assert nearest("zzz", ["points_in", "corners_in"]) == ""
+
+
+TABLE = Table("f", "t", {"n": 2, "on": True, "ns": [1, 2.5], "of": [3, 0], "no": "x"})
+
+
+def test_numbers_flags_and_lists_are_given_as_they_stand() -> None:
+    assert TABLE.number("n", 2.0, 2.0) == 2.0
+    assert TABLE.flag("on") is True
+    assert TABLE.numbers("ns", 2, 1.0, 2.5) == (1.0, 2.5)
+    assert TABLE.indices("of", 4) == (0, 3)
+
+
+def test_numbers_flags_and_lists_out_of_range_or_of_another_kind_are_refused() -> None:
+    with pytest.raises(WorldFileError, match=r"f: t.n: expected 3 to 4, found 2"):
+        TABLE.number("n", 3.0, 4.0)
+    with pytest.raises(WorldFileError, match=r"t.n: expected true or false, found 2"):
+        TABLE.flag("n")
+    with pytest.raises(WorldFileError, match=r"t.ns\[1\]: expected 0 to 2, found 2.5"):
+        TABLE.numbers("ns", 2, 0.0, 2.0)
+    with pytest.raises(WorldFileError, match=r"t.ns: expected a list of 3 numbers"):
+        TABLE.numbers("ns", 3, 0.0, 9.0)
+    with pytest.raises(WorldFileError, match=r"t.of\[0\]: expected a whole number from 0 to 2, found 3"):
+        TABLE.indices("of", 3)
+    with pytest.raises(WorldFileError, match=r"t.no: expected a list of whole numbers"):
+        TABLE.indices("no", 3)

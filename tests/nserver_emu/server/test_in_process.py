@@ -78,12 +78,16 @@ def test_closing_stops_the_robot() -> None:
     ("address", "words"),
     [
         ("sim:?sed=1", "did you mean seed"),
-        ("sim:?colour=1", "There are robot, seed"),
+        ("sim:?colour=1", "There are robot, robots"),
         ("sim:?seed=x", "seed is a whole number"),
         ("sim:?noisy=maybe", "noisy is 1 or 0"),
         ("sim:?step_s=0", "step_s is 0.001 to 10"),
         ("sim:?step_s=long", "step_s is 0.001 to 10"),
         ("sim:?robot=r2d2", "no robot model 'r2d2'"),
+        ("sim:?robots=0", "robots is a whole number from 1 to 1000, not '0'"),
+        ("sim:?robots=two", "robots is a whole number"),
+        ("sim:?robots=1001", "robots is a whole number"),
+        ("sim:?seed=1&seed=2", "seed is given 2 times; expected once"),
         ("sim:?start=1", "a start is X,Y,STEER,TURRET"),
         ("sim:?start=a,b", "a start is X,Y,STEER,TURRET"),
         ("sim:?start=nan,0", "a start is X,Y,STEER,TURRET"),
@@ -120,8 +124,41 @@ def test_the_client_controls_the_time_and_a_paused_simulation_answers_no_wait() 
 def test_a_setup_can_be_named_and_counts_before_noisy() -> None:
     for options, setup in (("setup=measured", "measured"), ("noisy=1&setup=ideal", "ideal"), ("noisy=1", "noisy")):
         assert open_address(f"sim:?{options}").emulator.simulation.robots[1].setup.name == setup
-    with pytest.raises(AddressError, match="setup is one of ideal, noisy, measured"):
+    with pytest.raises(AddressError, match="no setup 'perfect'; there are ideal, noisy, measured, worn, and files"):
         open_address("sim:?setup=perfect")
+
+
+def test_a_setup_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "half deaf.toml"
+    path.write_text("[sonar]\ndead = [0, 8]\n", encoding="utf-8")
+    client, _ = connected(f"sim:?setup={path}")
+    slots = client.ask("gs").slots
+    assert (slots[17], slots[25]) == (0, 0)
+    assert slots[18] > 0
+    with pytest.raises(WorldFileError, match=r"nowhere.toml: cannot be read"):
+        open_address("sim:?setup=nowhere.toml")
+
+
+def test_other_robots_stand_there_each_address_a_world_of_its_own() -> None:
+    client, end = connected("sim:?robots=2&start=0,0&start=60,0")
+    alone, _ = connected("sim:")
+    robots = end.emulator.simulation.robots
+    assert list(robots) == [1, 2]
+    assert robots[2].actual[:2] == (60.0, 0.0)
+    for _ in range(10):
+        seen = client.ask("gs").slots
+    assert (seen[17], alone.ask("gs").slots[17]) == (round(60.0 - 9.72 - 9.06), 93)
+    assert client.ask("get_rpx").values[0] == 2
+    assert client.ask("create_robot", 3, 1).values != (0,)
+    assert client.ask("get_rpx").values[0] == 3
+    assert alone.ask("get_rpx").values[0] == 1
+
+
+def test_models_and_models_of_a_file_for_each(tmp_path: Path) -> None:
+    path = tmp_path / "models.toml"
+    path.write_text('[[model]]\nname = "small"\nlike = "n200"\nradius_in = 6\n', encoding="utf-8")
+    end = open_address(f"sim:?robot=n200&robot=small&robots=3&model_file={path}")
+    assert [robot.model.name for robot in end.emulator.simulation.robots.values()] == ["n200", "small", "small"]
 
 
 def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:

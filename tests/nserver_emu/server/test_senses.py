@@ -12,7 +12,7 @@ from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.snapshot import dumps, loads
 from nserver_emu.server.state_reply import clock_ms, volts_raw
-from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.models import N150, N200
 from nserver_emu.simulation.setup import IDEAL, MEASURED, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
@@ -121,6 +121,23 @@ def test_the_laser_gives_points_lines_and_pixels_by_its_mode() -> None:
     assert (pixels[0], len(pixels), min(pixels[1:]) > 0) == (482, 483, True)
 
 
+def test_other_robots_are_in_laser_and_infrareds_of_state() -> None:
+    emulator = n200(BEFORE_A_WALL)
+    client, _ = meet(emulator)
+    emulator.simulation.add_robot(2, StartPose(65.0, 45.0), N150)
+    points = client.ask("get_ls").laser
+    assert points is not None
+    xy = [(points[at] / 10, points[at + 1] / 10) for at in range(1, len(points), 2)]
+    arc = [point for point in xy if point[0] < 62.0]
+    assert all(math.hypot(x - 25.0, y) == pytest.approx(9.72, abs=0.08) for x, y in arc)
+    half_deg = math.degrees(math.asin(9.72 / 16.0))
+    assert half_deg > 30.0
+    assert len(xy) == len(arc) == 482
+    emulator.simulation.robots[2].place(62.0, 67.0, 0.0, 0.0)
+    emulator.simulation.step(0.1)
+    assert client.ask("gs").slots[3] == round(math.hypot(22.0, 22.0) - 18.72) == 12
+
+
 def test_each_connection_has_its_own_laser_mode_and_even_modes_are_off(emulator: Emulator, client: WireClient) -> None:
     other, _ = meet(emulator)
     assert client.ask("conf_ls", 50, 0, 0, 0, 0).laser == (0,)
@@ -146,6 +163,15 @@ def test_conf_ls_takes_the_number_of_columns_and_conf_sg_what_a_line_is() -> Non
     assert line is not None
     assert line[0] == 1
     assert client.ask("conf_sg", 256, 0, 0).values == (2,)
+
+
+@pytest.mark.parametrize("mode", [3, 33, 51])
+def test_threshold_width_and_processing_of_conf_ls_have_no_effect(mode: int) -> None:
+    client, _ = meet(n200(StartPose(20.0, 45.0, 0.3, 0.2), MEASURED))
+    plain = client.ask("conf_ls", mode, 0, 0, 100, 0).laser
+    for numbers in ((255, 0, 100, 0), (0, 255, 100, 0), (0, 0, 100, 255), (120, 7, 100, 1)):
+        assert client.ask("conf_ls", mode, *numbers).laser == plain
+    assert client.ask("conf_ls", mode, 0, 0, 50, 0).laser != plain
 
 
 def test_a_prediction_has_infrareds_compass_and_laser_of_the_other_place(client: WireClient) -> None:

@@ -39,6 +39,8 @@ def test_both_files_are_read_for_the_keys_that_are_known(tmp_path: Path) -> None
     files = [written(tmp_path, "robot.setup", ROBOT), written(tmp_path, "world.setup", WORLD)]
     assert read_setups(files) == OldSetup(7654, "n200", (1.5, 2, 3, 4, 5, 6, 7, -0.8), (10, 20))
     assert read_setups([]) == OldSetup()
+    assert read_setups(files).unused == ("[laser] calibration", "[laser] offset")
+    assert read_setups(files[1:]).unused == ()
 
 
 def test_the_later_file_wins(tmp_path: Path) -> None:

@@ -104,3 +104,31 @@ def test_slanted_walls_look_farther_and_ranges_are_noisy_as_told() -> None:
         readings.append(noisy.readings[0])
     assert np.mean(readings) == pytest.approx(8.0, abs=0.08)
     assert np.var(readings) == pytest.approx(0.8**2 + 1.0 / 12.0, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_nearest_of_walls_and_robots_counts_at_its_own_slant(seed: int) -> None:
+    """Against every ray by itself: a quadratic for each robot, Cramer's rule for each wall."""
+    rng = np.random.default_rng(seed)
+    angles, aways = 0.4 * np.pi * np.arange(5) + rng.uniform(-0.3, 0.3, 5), rng.uniform(22.0, 34.0, 5)
+    others = np.stack((aways * np.cos(angles), aways * np.sin(angles), rng.uniform(6.0, 9.5, 5)), axis=1)
+    discs = np.insert(others, 2, (0.0, 0.0, N200.radius_in), axis=0)
+    walls = np.array([[-30.0, -25.0, 30.0, -28.0], [30.0, -28.0, 25.0, 30.0], [-20.0, 33.0, -28.0, -25.0]])
+    sensors = ring(walls, InfraredNoise(slanted=True))
+    turret = rng.uniform(-3.0, 3.0)
+    sensors.flash_due(Eye(0.0, 0.0, turret, discs, 2), stamp())
+    for number, reading in enumerate(sensors.readings):
+        way = np.array([cos(turret + number * radians(22.5)), np.sin(turret + number * radians(22.5))])
+        met = [(float("inf"), 1.0)]
+        for x, y, radius in others:
+            ahead = float(way @ (x, y))
+            root = ahead**2 - x * x - y * y + radius**2
+            if root >= 0.0 < ahead:
+                met.append((ahead - sqrt(root), sqrt(root) / radius))
+        for x1, y1, x2, y2 in walls:
+            far, share = np.linalg.solve([[way[0], x1 - x2], [way[1], y1 - y2]], [x1, y1])
+            if far > 0.0 and 0.0 <= share <= 1.0:
+                met.append((far, abs(float(way @ (y1 - y2, x2 - x1))) / float(np.hypot(x2 - x1, y2 - y1))))
+        far, cosine = min(met)
+        seen = (far - N200.radius_in) / sqrt(cosine)
+        assert reading == (round(min(seen, 15.0)) if seen <= 24.0 else 15)

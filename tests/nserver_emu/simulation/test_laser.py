@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, inf, pi, radians, sin
+from math import asin, atan2, cos, hypot, inf, pi, radians, sin
 
 import numpy as np
 import pytest
@@ -45,6 +45,17 @@ def test_another_robot_is_seen() -> None:
     discs = np.array([[0.0, 0.0, 9.0], [0.0, 50.0, 9.0]])
     seen = ranges(Eye(0.0, 0.0, pi / 2, discs, 0), np.empty((0, 4)), N200)
     assert seen.min() == pytest.approx(50.0 - 18.0, abs=1e-3)
+
+
+def test_another_robot_shows_its_arc_and_hides_the_wall_behind_it() -> None:
+    discs = np.array([[70.0, 5.0, 9.72], [0.0, 0.0, 9.0]])
+    found = points(ranges(Eye(0.0, 0.0, 0.0, discs, 1), ahead(100.0), N200), N200)
+    assert len(found) == COLUMNS
+    off_rim = np.hypot(found[:, 0] - 70.0, found[:, 1] - 5.0)
+    on_arc = np.isclose(off_rim, 9.72, atol=1e-9)
+    assert found[~on_arc, 0] == pytest.approx(np.full((~on_arc).sum(), 109.0))
+    away, middle = hypot(70.0 - RADIUS, 5.0), atan2(5.0, 70.0 - RADIUS)
+    assert (on_arc == (np.abs(ANGLES_RAD - middle) < asin(9.72 / away))).all()
 
 
 def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:

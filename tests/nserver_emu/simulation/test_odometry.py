@@ -11,7 +11,7 @@ from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN, RobotMode
 from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
 from nserver_emu.simulation.odometry import Odometry
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import RobotSetup
+from nserver_emu.simulation.setup import WORN, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.world import StartPose, World
@@ -31,17 +31,19 @@ def robot_with(
     return simulation, simulation.add_robot(1, start, model, erring(odometry))
 
 
-def square(room: World, odometry: Odometry, model: RobotModel, way: int) -> tuple[complex, float]:
+def square(
+    room: World, odometry: Odometry, model: RobotModel, way: int, leg_in: float = LEG_IN
+) -> tuple[complex, float]:
     """(place, turn) at the end of the actual robot, after four legs and four quarter turns back by its encoders."""
-    corner = StartPose(-LEG_IN / 2, -way * LEG_IN / 2)
+    corner = StartPose(-leg_in / 2, -way * leg_in / 2)
     simulation, robot = robot_with(room, odometry, model, corner)
     wheel = way * radians(90.0) * SCOUT_TRACK_IN / 2
-    legs = (LEG_IN, LEG_IN, 0.0) if model is SCOUT else (LEG_IN, 0.0, 0.0)
+    legs = (leg_in, leg_in, 0.0) if model is SCOUT else (leg_in, 0.0, 0.0)
     turns = (wheel, -wheel, 0.0) if model is SCOUT else (0.0, way * pi / 2, 0.0)
     for _ in range(4):
         for motion in (legs, turns):
             robot.move_relative(*motion)
-            simulation.step(6.0)
+            simulation.step(12.0)
             assert robot.still((0, 1, 2))
     assert robot.encoder[:2] == pytest.approx((corner.x_in, corner.y_in), abs=1e-9)
     actual = robot.actual
@@ -106,6 +108,27 @@ def test_umbmark_finds_the_diameters_and_the_wheelbase_again(room: World, diamet
     half = SCOUT_TRACK_IN / 2.0
     assert (1.0 + half * across) / (1.0 - half * across) == pytest.approx(diameters, abs=1e-4)
     assert (pi / 2) / (pi / 2 - alpha) == pytest.approx(share, abs=5e-4)
+
+
+def test_worn_is_as_far_off_after_a_square_of_4_m_as_it_says(room: World) -> None:
+    """UMBmark's systematic error: the farther of the two ends, without the chance. First by its closed form."""
+    leg_in, odometry = 4.0 / 0.0254, WORN.odometry
+    scale, _, _ = odometry.scales
+    drift, _ = odometry.drifts
+    for model, off_mm in ((N150, 126.0), (SCOUT, 338.0)):
+        wheels = (SCOUT_TRACK_IN, scale - 1.0) if model is SCOUT else (1.0, 0.0)
+        counted = pi / 4 * SCOUT_TRACK_IN
+        ends, errors = [], []
+        for way in (CCW, CW):
+            if model is SCOUT:
+                leg = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
+                corner = arc(way * counted * wheels[1] / 2.0, way * counted * ((scale + 1.0) / SCOUT_TRACK_IN + drift))
+            else:
+                leg, corner = arc(leg_in * scale, leg_in * drift), (0j, way * pi / 2)
+            ends.append(abs(composed([leg, corner])[0]) * 25.4)
+            errors.append(abs(square(room, odometry, model, way, leg_in)[0]) * 25.4)
+        assert errors == pytest.approx(ends, abs=0.01)
+        assert max(ends) == pytest.approx(off_mm, abs=0.5)
 
 
 def test_slip_is_what_the_encoders_count_beyond_the_wall(room: World) -> None:

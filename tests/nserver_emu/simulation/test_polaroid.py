@@ -8,8 +8,9 @@ from math import cos, erf, inf, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
+from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import to_ps
-from nserver_emu.simulation.polaroid import Cry, Polaroid, Scene
+from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sonar import Eye, SonarRing
 from worlds.bodies import N150
@@ -118,7 +119,7 @@ def test_a_slanted_wall_shows_what_it_mirrors_too_far_away() -> None:
 def test_edges_are_heard_from_all_sides_but_not_where_a_wall_goes_straight_on() -> None:
     end, far = [FACE + 40.0, 0.0, FACE + 90.0, 50.0], [FACE + 90.0, 50.0, FACE + 91.0, 51.0]
     assert first([end], cry()) == pytest.approx(39.5)
-    assert Scene(np.array([end, far])).edges.tolist() == [[FACE + 40.0, 0.0], [FACE + 91.0, 51.0]]
+    assert Scene(np.array([end, far])).edges.tolist() == [FACE + 40.0, FACE + 91.0 + 51.0j]
     assert first([end, [FACE + 30.0, -1.0, FACE + 31.0, 1.0]], cry()) == pytest.approx(29.5, abs=1.0)
 
 

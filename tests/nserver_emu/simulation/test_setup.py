@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
+from nserver_emu.simulation.odometry import EXACT
 from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.sonar import SonarNoise
@@ -24,3 +27,9 @@ def test_measured_is_noisy_with_the_ears_of_a_polaroid_ring() -> None:
     measured = SETUPS["measured"]
     assert (measured.name, measured.ramps, measured.motion) == ("measured", True, SETUPS["noisy"].motion)
     assert measured.sonar == Polaroid()
+
+
+def test_worn_is_noisy_on_wheels_that_err() -> None:
+    worn = SETUPS["worn"]
+    assert replace(worn, name="noisy", odometry=EXACT) == SETUPS["noisy"]
+    assert worn.odometry != EXACT

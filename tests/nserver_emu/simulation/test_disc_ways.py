@@ -1,0 +1,243 @@
+"""Echoes of other robots: against fans of rays, against the closed forms, and behind and before walls."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from math import asin, cos, hypot, inf, log10, pi, radians, sin, sqrt
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.echo_ways import Scene
+from nserver_emu.simulation.instants import to_ps
+from nserver_emu.simulation.models import N150 as N150_MODEL
+from nserver_emu.simulation.noise import NO_NOISE
+from nserver_emu.simulation.polaroid import Cry, Polaroid
+from nserver_emu.simulation.setup import MEASURED
+from nserver_emu.simulation.simulation import Simulation
+from worlds.bodies import N150
+from worlds.geometry import FloatArray
+from worlds.world import StartPose, World
+
+MODEL = Polaroid()
+ROUND = replace(MODEL, skin_loss_db=inf, margin_std_db=0.0)
+"""Discs as smooth mirrors only."""
+LOUD = replace(ROUND, margin_db=1e6, edge_loss_db=inf)
+RING = N150.sonar_ring_radius_in
+FACE = RING - MODEL.recess_in
+RADIUS = N150.radius_in
+HALF = MODEL.cone_rad / 2.0
+FAR = 1e6
+NO_DISCS = np.empty((0, 3))
+NO_WALLS = np.empty((0, 4))
+
+
+def cry(direction_rad: float = 0.0, instant_s: float = 0.0) -> Cry:
+    return Cry(0.0, 0.0, direction_rad, to_ps(instant_s), (0.0, 0.0))
+
+
+def disc(away_in: float, bearing_rad: float = 0.0, radius_in: float = RADIUS) -> FloatArray:
+    """A robot whose middle is that far from the transducer of sonar 0, and there seen from it."""
+    return np.array([[FACE + away_in * cos(bearing_rad), away_in * sin(bearing_rad), radius_in]])
+
+
+def first(
+    discs: FloatArray, model: Polaroid = MODEL, walls: FloatArray = NO_WALLS, now: Cry | None = None,
+    earlier: tuple[Cry, ...] = (),
+) -> float:  # fmt: skip
+    return model.first_in(now or cry(), earlier, Scene(walls), N150, discs)
+
+
+def rays(count: int) -> tuple[FloatArray, FloatArray]:
+    """A fan over the cone of sonar 0: angles off its axis (count,) and directions (count, 2)."""
+    angles = np.linspace(-HALF, HALF, count)
+    return angles, np.stack((np.cos(angles), np.sin(angles)), axis=1)
+
+
+def met_by(ways: FloatArray, discs: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where rays from the transducer first meet a disc: ranges (count,), FAR where none or a wall before it; and the
+    cosines of incidence. Slow and plain: every ray with every disc and wall by the quadratic and by Cramer."""
+    ranges, cosines = np.full(len(ways), FAR), np.zeros(len(ways))
+    for ray, way in enumerate(ways):
+        for x, y, radius in discs:
+            to = np.array([x - FACE, y])
+            root = (to @ way) ** 2 - to @ to + radius**2
+            reach = to @ way - sqrt(root) if root >= 0.0 else FAR
+            if 0.0 < reach < ranges[ray]:
+                ranges[ray], cosines[ray] = reach, -way @ (reach * way - to) / radius
+        for x1, y1, x2, y2 in walls:
+            reach, share = np.linalg.solve([[way[0], x1 - x2], [way[1], y1 - y2]], [x1 - FACE, y1])
+            if 0.0 < reach < ranges[ray] and 0.0 <= share <= 1.0:
+                ranges[ray] = FAR
+    return ranges, cosines
+
+
+# Against many rays
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_nearest_loud_point_of_the_robots_in_the_cone_is_heard(seed: int) -> None:
+    """What comes back of 4001 rays: the skin's points, each with its loss, and those that are struck head-on."""
+    rng = np.random.default_rng(seed)
+    discs = np.concatenate([disc(rng.uniform(15.0, 120.0), rng.uniform(-0.6, 0.6), rng.uniform(7.0, 10.0))
+                            for _ in range(2)])  # fmt: skip
+    middle, turn = rng.uniform((20.0, -10.0), (60.0, 10.0)), rng.uniform(-pi, pi)
+    along = 4.0 * np.array([cos(turn), sin(turn)])
+    walls = np.array([[*(middle - along), *(middle + along)]])
+    model = replace(MODEL, edge_loss_db=inf)
+    angles, ways = rays(4001)
+    ranges, cosines = met_by(ways, discs, walls)
+    rim_db = MODEL.cone_loss_db * (angles / HALF) ** 2 + MODEL.way_loss_db_in * ranges
+    loud = rim_db + MODEL.skin_loss_db <= MODEL.margin_db
+    for x, y, radius in discs:
+        spread_db = 10.0 * log10(1.0 + (hypot(x - FACE, y) - radius) / radius)
+        ours = np.abs(np.hypot(FACE + ranges * ways[:, 0] - x, ranges * ways[:, 1] - y) - radius) < 1e-6
+        loud |= ours & (cosines > 1.0 - 1e-5) & (rim_db + spread_db <= MODEL.margin_db)
+    expected = ranges[loud].min(initial=inf)
+    off_the_wall = model.first_in(cry(), (), Scene(walls), N150)
+    heard = first(discs, model, walls)
+    assert heard == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
+
+
+@pytest.mark.parametrize("away", [12.0, 40.0, 90.0, 250.0])
+def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(away: float) -> None:
+    """Two rays close together come back so much farther apart than off a wall; the reach is where that is too soft."""
+    angle = 1e-5
+    sideways = away * sin(angle) / RADIUS
+    struck = asin(sideways)
+    range_in = away * cos(angle) - RADIUS * sqrt(1.0 - sideways**2)
+    turned = pi + angle - 2.0 * struck
+    back = np.array([range_in * cos(angle), range_in * sin(angle)])
+    apart = abs(back[1] + (-back[0] / cos(turned)) * sin(turned))
+    gap = away - RADIUS
+    spread_db = 10.0 * log10(apart / (2.0 * gap * angle))
+    needed_db = spread_db + MODEL.way_loss_db_in * gap
+    assert first(disc(away), replace(ROUND, margin_db=needed_db + 0.01)) == pytest.approx(gap - MODEL.recess_in)
+    assert first(disc(away), replace(ROUND, margin_db=needed_db - 0.01)) == inf
+
+
+@pytest.mark.parametrize(("bearing_deg", "away"), [(5.0, 50.0), (11.25, 80.0), (16.0, 30.0)])
+def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearing_deg: float, away: float) -> None:
+    """The shortest way by the rim, sought over 200,001 of its points, is the mirror's."""
+    one, other = cry(0.0), cry(radians(22.5), 0.001)
+    target = disc(away, radians(bearing_deg))
+    x, y, radius = target[0]
+    around = np.linspace(0.0, 2.0 * pi, 200_001)
+    rim = np.stack((x + radius * np.cos(around), y + radius * np.sin(around)), axis=1)
+    faces = [(FACE, 0.0), (FACE * cos(radians(22.5)), FACE * sin(radians(22.5)))]
+    there, back = (np.hypot(rim[:, 0] - u, rim[:, 1] - v) for u, v in faces)
+    length = float((there + back).min())
+    own = hypot(x - faces[1][0], y - faces[1][1]) - radius - MODEL.recess_in
+    cross = (length - 0.001 * MODEL.sound_in_s) / 2.0 - MODEL.recess_in
+    wide = replace(LOUD, cone_rad=pi / 2.0)
+    assert first(target, wide, now=other, earlier=(one,)) == pytest.approx(min(own, cross), abs=1e-6)
+    assert cross < own
+
+
+# Closed forms of the cone
+
+
+def test_a_robot_is_heard_as_far_as_its_nearest_point_in_the_cone() -> None:
+    for bearing in (-0.2, 0.0, 0.1, HALF - 1e-9):
+        assert first(disc(60.0, bearing), LOUD) == pytest.approx(60.0 - RADIUS - MODEL.recess_in)
+    for bearing in (HALF + 0.01, 0.3, -0.35):
+        beyond = abs(bearing) - HALF
+        reach = 25.0 * cos(beyond) - sqrt(RADIUS**2 - (25.0 * sin(beyond)) ** 2)
+        assert first(disc(25.0, bearing)) == pytest.approx(reach - MODEL.recess_in)
+        assert first(disc(25.0, bearing), LOUD) == inf
+    for bearing in (HALF + asin(RADIUS / 60.0) + 1e-3, 1.0, pi):
+        assert first(disc(60.0, bearing)) == inf
+    assert first(disc(RADIUS + 0.2, 2.5)) == inf
+
+
+def test_a_robot_is_heard_at_slants_at_which_a_wall_is_lost() -> None:
+    """A wall through the nearest point of the robot, 45 degrees off, mirrors all away; a robot always faces one."""
+    x = FACE + 40.0
+    wall = np.array([[x - 5.0, -5.0, x + 5.0, 5.0]])
+    mute = replace(MODEL, edge_loss_db=inf)
+    assert first(NO_DISCS, mute, wall) == inf
+    turned = disc(40.0 + RADIUS, 0.0)
+    assert first(turned, mute) == pytest.approx(39.5)
+
+
+def test_inside_a_robot_nothing_comes_back_from_it() -> None:
+    assert first(disc(5.0)) == inf
+
+
+# Walls and robots
+
+
+def test_a_robot_hides_walls_and_a_wall_hides_robots() -> None:
+    x = FACE + 100.0
+    back_wall = np.array([[x, -300.0, x, 300.0]])
+    narrow = disc(50.0, 0.0, 3.0)
+    assert first(NO_DISCS, LOUD, back_wall) == pytest.approx(99.5)
+    deaf_to_robots = replace(LOUD, margin_db=11.0, way_loss_db_in=0.0)
+    assert first(narrow, LOUD, back_wall) == pytest.approx(46.5)
+    assert first(narrow, deaf_to_robots, back_wall) == inf
+    assert first(disc(50.0, 0.1, 3.0), deaf_to_robots, back_wall) == pytest.approx(99.5)
+    screen = np.array([[FACE + 30.0, -20.0, FACE + 31.0, 20.0]])
+    assert first(disc(60.0), LOUD, screen) == first(NO_DISCS, LOUD, screen) < 31.0
+    slanted = np.array([[FACE + 30.0, -20.0, FACE + 50.0, 20.0]])
+    assert first(disc(90.0), LOUD, slanted) == inf
+
+
+def test_a_slanted_wall_shows_the_robot_that_it_mirrors_too_far_away() -> None:
+    x = FACE + 50.0
+    mirror = np.array([[x - 10.0, -10.0, x + 10.0, 10.0]])
+    robot = np.array([[x, 70.0, RADIUS]])
+    assert first(robot, LOUD, mirror) == pytest.approx(50.0 + 70.0 - RADIUS - 0.5)
+    needed_db = 2.0 * MODEL.bounce_loss_db + MODEL.way_loss_db_in * (120.0 - RADIUS) + 10.0 * log10(120.0 / RADIUS)
+    mute = replace(ROUND, edge_loss_db=inf)
+    assert first(robot, replace(mute, margin_db=needed_db + 0.01), mirror) < inf
+    assert first(robot, replace(mute, margin_db=needed_db - 0.01), mirror) == inf
+
+
+def test_in_the_measured_setup_a_robot_beside_the_axis_is_heard(room: World) -> None:
+    simulation = Simulation(room, 1)
+    simulation.add_robot(1, StartPose(0.0, 0.0), N150_MODEL, MEASURED)
+    simulation.add_robot(2, StartPose(50.0, 11.0), N150_MODEL, MEASURED)
+    simulation.step(1.0)
+    assert RADIUS < 11.0
+    readings = simulation.robots[1].sonar.readings_in
+    assert readings[0] == pytest.approx(hypot(50.0 - FACE, 11.0) - RADIUS - 0.5, abs=2.0)
+    simulation.robots[2].place(-50.0, 60.0, 0.0, 0.0)
+    simulation.step(1.0)
+    assert simulation.robots[1].sonar.readings_in[0] > 80
+
+
+def two_measured(room: World) -> Simulation:
+    """Two robots that pass one another, their motion exact, firing as fast as they can."""
+    simulation = Simulation(room, 1)
+    setup = replace(MEASURED, motion=NO_NOISE)
+    for robot_id, (x, y, heading) in enumerate(((-40.0, -12.0, 0.0), (40.0, 12.0, pi)), start=1):
+        robot = simulation.add_robot(robot_id, StartPose(x, y, heading, heading), N150_MODEL, setup)
+        robot.configure_sonars(3, tuple(range(16)))
+        robot.set_velocities(15.0, 0.0, 0.3)
+    return simulation
+
+
+def heard(simulation: Simulation) -> list[tuple[int, ...]]:
+    return [robot.sonar.readings_in for robot in simulation.robots.values()]
+
+
+def test_what_is_heard_of_a_passing_robot_does_not_depend_on_how_time_is_cut_or_who_looks(room: World) -> None:
+    results = []
+    for step_s in (0.5, 0.01, 0.007):
+        simulation = two_measured(room)
+        while simulation.time_s < 1.5 - 1e-9:
+            simulation.step(min(step_s, 1.5 - simulation.time_s))
+            if step_s == 0.007:
+                heard(simulation)
+        results.append(heard(simulation))
+    assert results[0] == results[1] == results[2]
+
+
+def test_a_copy_goes_on_with_what_its_robots_hear_of_one_another(room: World) -> None:
+    simulation = two_measured(room)
+    simulation.step(0.777)
+    twin = copy.deepcopy(simulation)
+    for one in (simulation, twin):
+        one.step(1.0)
+    assert heard(simulation) == heard(twin)
