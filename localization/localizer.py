@@ -17,11 +17,13 @@ import numpy as np
 from localization.belief import Belief, Floats
 from localization.echoes import Firing, FiringSchedule
 from localization.filters.hearing import pose_of
+from localization.filters.method import Filter
 from localization.filters.table import DEFAULT_METHOD, make
 from localization.motion import step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
 from localization.surroundings import Surroundings
+from localization.watch import ALL_WELL, Verdict
 
 
 class Report(Protocol):
@@ -64,6 +66,7 @@ class Estimate:
     clock_s: float
     belief: Belief
     echoes: tuple[Echo, ...]
+    verdict: Verdict = ALL_WELL
 
     @property
     def pose(self) -> Floats:
@@ -75,7 +78,8 @@ class Localizer:
     """A filter on one robot, fed with its states.
 
     `belief`: where it is thought to stand when the first state comes, over poses, or over longer states (systematic)
-    where the encoders' own errors are to be found out as well. `method`: a name of filters.table, `seed` its chance.
+    where the encoders' own errors are to be found out as well. `method`: a name of filters.table, `seed` its chance;
+    or a filter that is made already.
     """
 
     def __init__(
@@ -83,10 +87,10 @@ class Localizer:
         known: Surroundings,
         belief: Belief,
         schedule: FiringSchedule,
-        method: str = DEFAULT_METHOD,
+        method: str | Filter = DEFAULT_METHOD,
         seed: int = 0,
     ) -> None:
-        self._filter = make(method, known, belief, seed)
+        self._filter = make(method, known, belief, seed) if isinstance(method, str) else method
         self._schedule = schedule
         self._history = PoseHistory()
         self._settled: EncoderPose | None = None
@@ -110,7 +114,7 @@ class Localizer:
         firings = self._schedule.readable(self._heard_s, latest.clock_s)
         echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
-        return Estimate(latest.clock_s, self._filter.ahead(step), echoes)
+        return Estimate(latest.clock_s, self._filter.ahead(step), echoes, self._filter.verdict)
 
     def _hear(self, firing: Firing, reading_in: int) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""

@@ -25,11 +25,13 @@ class Absorbed(NamedTuple):
     """A belief that a reading has corrected, and how it was understood.
 
     shares            (k + 1,) how likely it was each reflector's, the last: bad
+    likelihood        of the reading under the belief before it, per inch
     innovation_in     reading less what its likeliest reflector gives; nis its square over its variance. NaN for none
     """
 
     belief: Belief
     shares: Floats
+    likelihood: float
     innovation_in: float
     nis: float
 
@@ -67,6 +69,7 @@ def absorb(belief: Belief, reading_in: float, returns: Returns, model: ConeModel
     return Absorbed(
         Belief(add(belief.mean, change), 0.5 * (cov + cov.T)),
         shares,
+        total,
         float("nan") if best is None else float(innovation[best]),
         float("nan") if best is None else float(nis[best]),
     )

@@ -20,6 +20,7 @@ THESIS_ODOMETRY: Final = OdometryNoise()
 class Surroundings:
     """Walls (m, 4) in inches, the robot's ring, and how motion and sonars err.
 
+    `clearance_in`: no wall is nearer to the robot's axis than this: its radius, or a little less.
     The kind of `sonar` says how readings are taken in (filters.hearing); the gate is for rays alone.
     """
 
@@ -28,3 +29,4 @@ class Surroundings:
     odometry: OdometryNoise = THESIS_ODOMETRY
     sonar: SonarModel | ConeModel = WIRE_SONAR
     gate: Gate = STRICT
+    clearance_in: float = 9.0

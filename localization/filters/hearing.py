@@ -9,6 +9,7 @@ the belief to the instant at which the sonar fired. States may be longer than a 
 
 from __future__ import annotations
 
+from math import exp, pi, sqrt
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -25,15 +26,19 @@ from localization.observation import Observation, Refusal
 from localization.reflectors import reflectors
 from localization.systematic import POSE
 
+BAD_RAYS, SPAN_IN = 0.05, 249.0
+"""What is taken for bad of exact rays' readings, anywhere from 6 to 255 in: for likelihoods alone, the gate decides."""
 MOSTLY_BAD = 0.5
 """A reading that is bad with more than this probability is told as refused by the gate."""
 
 
 class Heard(NamedTuple):
-    """What a reading left: the belief, and what became of it."""
+    """What a reading left: the belief, what became of it, and how well the belief before it explains it: a density per
+    inch for a range, a chance for a limit; the same kind for the same reading, whatever the belief."""
 
     belief: Belief
     judgement: Judgement
+    likelihood: float
 
 
 class Hearing(Protocol):
@@ -55,12 +60,14 @@ class RayHearing:
         seen = observe(pose_of(belief), beam, np.array([reading_in]), self._walls, self._sonar, self._gate)
         refusal, innovation = seen.reasons()[0], float(seen.innovation[0])
         if refusal is not Refusal.NONE:
-            return Heard(belief, Judgement(refusal, innovation, 0.0, 1.0))
+            return Heard(belief, Judgement(refusal, innovation, 0.0, 1.0), _unexplained(refusal))
         jacobian = np.zeros((1, belief.mean.shape[-1]))
         jacobian[:, :POSE] = seen.jacobian
         spread = float((jacobian @ belief.cov @ jacobian.T)[0, 0] + seen.variance[0])
         corrected = correct(belief, Observation(seen.innovation, jacobian, seen.variance, seen.refusals))
-        return Heard(corrected, Judgement(refusal, innovation, innovation * innovation / spread, 0.0))
+        nis = innovation * innovation / spread
+        hit = exp(-0.5 * nis) / sqrt(2.0 * pi * spread)
+        return Heard(corrected, Judgement(refusal, innovation, nis, 0.0), (1.0 - BAD_RAYS) * hit + BAD_RAYS / SPAN_IN)
 
 
 class ConeHearing:
@@ -71,16 +78,25 @@ class ConeHearing:
 
     def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
         model = self._model
-        if not model.lowest_in < reading_in < model.highest_in:
-            return Heard(belief, Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0))
+        if reading_in <= model.lowest_in:
+            return Heard(belief, Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0), 1.0)
         ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
         pose = pose_of(belief)
         returns = cone_returns(pose.mean, pose.std[..., 2], ear, self._around, model)
+        if reading_in >= model.highest_in:
+            nothing = 1.0 - (1.0 - model.bad_share) * float(returns.probability.sum())
+            return Heard(belief, Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0), nothing)
         if not returns.probability.any():
-            return Heard(belief, Judgement(Refusal.NO_WALL, 0.0, 0.0, 1.0))
+            return Heard(belief, Judgement(Refusal.NO_WALL, 0.0, 0.0, 1.0), model.bad_density)
         taken = absorb(belief, reading_in, returns, model)
         refusal = Refusal.GATE if taken.bad_share > MOSTLY_BAD else Refusal.NONE
-        return Heard(taken.belief, Judgement(refusal, taken.innovation_in, taken.nis, taken.bad_share))
+        judgement = Judgement(refusal, taken.innovation_in, taken.nis, taken.bad_share)
+        return Heard(taken.belief, judgement, taken.likelihood)
+
+
+def _unexplained(refusal: Refusal) -> float:
+    """The likelihood of a reading that a ray refused: that of a bad one where it was not met, else of any."""
+    return 1.0 if refusal is Refusal.LIMIT else BAD_RAYS / SPAN_IN if refusal is Refusal.GATE else 1.0 / SPAN_IN
 
 
 def hearing_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Hearing:

@@ -10,6 +10,7 @@ from localization.filters.hearing import Hearing
 from localization.filters.method import Judgement
 from localization.motion import OdometryNoise
 from localization.systematic import predict
+from localization.watch import ALL_WELL, Verdict
 
 
 class KalmanFilter:
@@ -20,6 +21,10 @@ class KalmanFilter:
         self._hearing = hearing
         self._odometry = odometry
 
+    @property
+    def verdict(self) -> Verdict:
+        return ALL_WELL
+
     def move(self, step: Floats) -> None:
         self.belief = predict(self.belief, step, self._odometry)
 
@@ -27,5 +32,6 @@ class KalmanFilter:
         return predict(self.belief, step, self._odometry)
 
     def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
-        self.belief, judgement = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in)
-        return judgement
+        heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in)
+        self.belief = heard.belief
+        return heard.judgement

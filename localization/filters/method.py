@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 from localization.belief import Belief, Floats
 from localization.observation import Refusal
+from localization.watch import Verdict
 
 
 class Judgement(NamedTuple):
@@ -31,6 +32,11 @@ class Filter(Protocol):
     @property
     def belief(self) -> Belief:
         """Mean (n,) and covariance (n, n), n >= 3: a pose and what else is found out (systematic)."""
+        ...
+
+    @property
+    def verdict(self) -> Verdict:
+        """How far it can be believed; a method that does not look on says that all is well."""
         ...
 
     def move(self, step: Floats) -> None:

@@ -22,6 +22,7 @@ from localization.filters.method import Judgement
 from localization.motion import OdometryNoise, step_variance
 from localization.observation import Refusal
 from localization.systematic import POSE, move_states
+from localization.watch import ALL_WELL, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,10 @@ class ParticleFilter:
     def belief(self) -> Belief:
         """The gaussian of the particles' first two moments."""
         return moments(self.states, self.weights)
+
+    @property
+    def verdict(self) -> Verdict:
+        return ALL_WELL
 
     @property
     def effective(self) -> float:

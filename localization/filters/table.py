@@ -8,14 +8,17 @@ from typing import Final
 
 import numpy as np
 
+from localization.atlas import Atlas, draw_atlas
 from localization.belief import Belief
 from localization.cone import ConeModel
+from localization.filters.finder import Finder
 from localization.filters.hearing import hearing_of
 from localization.filters.kalman import KalmanFilter
 from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.method import Filter
 from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
 from localization.surroundings import Surroundings
+from localization.systematic import POSE
 
 Maker = Callable[[Surroundings, Belief, int], Filter]
 """Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
@@ -33,7 +36,11 @@ def _particles(known: Surroundings, belief: Belief, seed: int) -> Filter:
     return ParticleFilter(states, likelihood_of(known), known.odometry, chance, parameters)
 
 
-METHODS: Final[Mapping[str, Maker]] = MappingProxyType({"ekf": _kalman, "mcl": _particles})
+def _finder(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return finder(known, belief)
+
+
+METHODS: Final[Mapping[str, Maker]] = MappingProxyType({"ekf": _kalman, "mcl": _particles, "finder": _finder})
 """Every method by its name."""
 DEFAULT_METHOD: Final = "ekf"
 
@@ -43,6 +50,17 @@ def make(method: str, known: Surroundings, belief: Belief, seed: int = 0) -> Fil
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     return METHODS[method](known, belief, seed)
+
+
+def finder(known: Surroundings, belief: Belief | None, constants: tuple[float, ...] = ()) -> Finder:
+    """The method that finds itself again, and that may begin with no belief at all; `constants` as in systematic."""
+    hearing = hearing_of(known.walls, known.body, known.sonar, known.gate)
+    stds = constants if belief is None else tuple(belief.std[POSE:].tolist())
+
+    def atlas() -> Atlas:
+        return draw_atlas(known.walls, known.body, known.sonar, known.clearance_in)
+
+    return Finder(belief, hearing, known.odometry, atlas, known.body.sonar_angles_rad, stds)
 
 
 def likelihood_of(known: Surroundings) -> Likelihood:
