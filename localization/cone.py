@@ -20,10 +20,13 @@ from math import radians
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from localization.belief import HEADING, Floats, wrap_angle
 from localization.reflectors import Reflectors
 from worlds.raycast import cast_rays
+
+Indices = npt.NDArray[np.intp]
 
 FOOT_STD_IN: Final = 0.5
 """How softly a wall ends: a foot this far beyond its end is heard in one of six cries."""
@@ -102,10 +105,31 @@ def cone_returns(poses: Floats, heading_std_rad: Floats, ear: Ear, around: Refle
     heard = np.where(likely, heard, 0.0)
     rows = np.nonzero(likely)
     heard[rows] *= _free(face[rows[:-1]], toward[rows], ranges[rows], around.walls)
-    jacobian = np.empty((*ranges.shape, 3))
+    return Returns(ranges, _by_pose(toward, arm[..., None, :]), _first_heard(ranges, heard))
+
+
+def expected(poses: Floats, ear: Ear, around: Reflectors, which: Indices) -> tuple[Floats, Floats]:
+    """Ranges (..., k) of the reflectors numbered `which` (k,), heard or not, and their derivatives (..., k, 3), from
+    poses (..., k, 3), one each, or (..., 1, 3), one for all."""
+    axis = poses[..., HEADING] + ear.direction_rad
+    arm = ear.ring_in * np.stack((np.cos(axis), np.sin(axis)), axis=-1)
+    way = np.concatenate((around.corners, around.vertices))[which] - poses[..., :2] - arm
+    walls = which < len(around.walls)
+    normals = np.zeros((len(which), 2))
+    normals[walls] = around.normals[which[walls]]
+    height = (way * normals).sum(axis=-1)
+    ranges = np.where(walls, np.abs(height), np.hypot(way[..., 0], way[..., 1]))
+    to_vertices = way / np.maximum(ranges, 1e-9)[..., None]
+    toward = np.where(walls[:, None], np.where(height < 0.0, -1.0, 1.0)[..., None] * normals, to_vertices)
+    return ranges, _by_pose(toward, arm)
+
+
+def _by_pose(toward: Floats, arm: Floats) -> Floats:
+    """The derivative (..., k, 3) of ranges towards unit vectors (..., k, 2) from the end of arms (..., k or 1, 2)."""
+    jacobian = np.empty((*toward.shape[:-1], 3))
     jacobian[..., :2] = -toward
-    jacobian[..., 2] = toward[..., 0] * arm[..., None, 1] - toward[..., 1] * arm[..., None, 0]
-    return Returns(ranges, jacobian, _first_heard(ranges, heard))
+    jacobian[..., 2] = toward[..., 0] * arm[..., 1] - toward[..., 1] * arm[..., 0]
+    return jacobian
 
 
 def _nearest_points(face: Floats, around: Reflectors) -> tuple[Floats, Floats, Floats]:

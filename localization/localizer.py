@@ -9,6 +9,7 @@ clock, no socket. Each echo counts once; limits (6, 255) are never ranges. The s
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -16,8 +17,8 @@ import numpy as np
 
 from localization.belief import Belief, Floats
 from localization.echoes import Firing, FiringSchedule
-from localization.filters.hearing import pose_of
-from localization.filters.method import Filter
+from localization.filters.method import Filter, Smoothing
+from localization.filters.sense import pose_of
 from localization.filters.table import DEFAULT_METHOD, make
 from localization.motion import step_between
 from localization.observation import Refusal
@@ -59,14 +60,23 @@ class Echo(NamedTuple):
     bad_share: float = 0.0
 
 
+class Smoothed(NamedTuple):
+    """Where the robot is believed to have been at `clock_s`, some time ago, by all that was heard until now."""
+
+    clock_s: float
+    belief: Belief
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Where the robot is believed to be at `clock_s` of its own clock, and the echoes heard since the last one."""
+    """Where the robot is believed to be at `clock_s` of its own clock, and the echoes heard since the last one;
+    of a method that smooths, where it was a while ago besides."""
 
     clock_s: float
     belief: Belief
     echoes: tuple[Echo, ...]
     verdict: Verdict = ALL_WELL
+    smoothed: Smoothed | None = None
 
     @property
     def pose(self) -> Floats:
@@ -95,6 +105,8 @@ class Localizer:
         self._history = PoseHistory()
         self._settled: EncoderPose | None = None
         self._heard_s = -np.inf
+        self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
+        self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
     def update(self, report: Report) -> Estimate:
         """Take in one state and say where the robot is. A state no later than the one before changes nothing.
@@ -107,6 +119,7 @@ class Localizer:
         if self._settled is None:
             self._settled = now
             self._heard_s = now.clock_s
+            self._instants.append(now.clock_s)
             self._history.add(now)
         elif now.clock_s > self._history.latest.clock_s:
             self._history.add(now)
@@ -114,7 +127,8 @@ class Localizer:
         firings = self._schedule.readable(self._heard_s, latest.clock_s)
         echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
-        return Estimate(latest.clock_s, self._filter.ahead(step), echoes, self._filter.verdict)
+        smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
+        return Estimate(latest.clock_s, self._filter.ahead(step), echoes, self._filter.verdict, smoothed)
 
     def _hear(self, firing: Firing, reading_in: int) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""
@@ -122,6 +136,7 @@ class Localizer:
         there = self._history.at(firing.instant_s)
         self._filter.move(step_between(self._settled.pose, there.pose))
         self._settled, self._heard_s = there, firing.instant_s
+        self._instants.append(firing.instant_s)
         judgement = self._filter.hear(firing.sonar, there.turret_offset_rad, float(reading_in))
         refusal, innovation_in, nis, bad_share = judgement
         return Echo(*firing, reading_in, refusal, innovation_in, nis, bad_share)

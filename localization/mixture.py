@@ -8,6 +8,8 @@ The gaussian with the first two moments of the mixture of all hypotheses: probab
 and Tse 1975) with a reflector a hypothesis. bad' = bad + (1 - bad) (1 - sum p_j): what is heard of none is bad as
 well. A bad reading pulls little and leaves the covariance larger: no gate decides between all and nothing.
 
+K_j, S_j and d_j come from a rule of correction: linear (the above), iterated or unscented (updates).
+
 Rules: pure; one belief, one scalar reading; states of any length n >= 3, the derivative by their constants being 0.
 """
 
@@ -18,15 +20,16 @@ from typing import NamedTuple
 import numpy as np
 
 from localization.belief import Belief, Floats, add
-from localization.cone import ConeModel, Returns
+from localization.candidates import Candidates
+from localization.updates import Rule, linear
 
 
 class Absorbed(NamedTuple):
     """A belief that a reading has corrected, and how it was understood.
 
-    shares            (k + 1,) how likely it was each reflector's, the last: bad
+    shares            (k + 1,) how likely it was each candidate's, the last: bad
     likelihood        of the reading under the belief before it, per inch
-    innovation_in     reading less what its likeliest reflector gives; nis its square over its variance. NaN for none
+    innovation_in     reading less what its likeliest candidate gives; nis its square over its variance. NaN for none
     """
 
     belief: Belief
@@ -41,34 +44,22 @@ class Absorbed(NamedTuple):
         return float(self.shares[-1])
 
 
-def absorb(belief: Belief, reading_in: float, returns: Returns, model: ConeModel) -> Absorbed:
-    """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of the returns (k,) or a bad one."""
-    able = np.flatnonzero(returns.probability)
-    size = belief.mean.shape[-1]
-    jacobian = np.zeros((len(able), size))
-    jacobian[:, :3] = returns.jacobian[able]
-    ranges = returns.ranges_in[able]
-    innovation = reading_in - ranges
-    pull = jacobian @ belief.cov
-    spread = (pull * jacobian).sum(axis=-1) + model.variance(ranges)
-    nis = innovation * innovation / spread
-    good = 1.0 - model.bad_share
-    probability = returns.probability[able]
-    bad = model.bad_density * (1.0 - good * probability.sum())
-    weight = good * probability * np.exp(-0.5 * nis) / np.sqrt(2.0 * np.pi * spread)
-    weight /= (total := float(weight.sum()) + bad)
-    gains = pull / spread[:, None]
-    moves = gains * innovation[:, None]
+def absorb(belief: Belief, reading_in: float, heard: Candidates, rule: Rule = linear) -> Absorbed:
+    """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of k candidates or a bad one."""
+    moves, gains, spread, innovation, nis = rule(belief, reading_in, heard)
+    good = 1.0 - heard.bad_share
+    bad = heard.bad_density * (1.0 - good * heard.probability.sum())
+    weight = good * heard.probability * np.exp(-0.5 * nis) / np.sqrt(2.0 * np.pi * spread)
+    total = float(weight.sum()) + bad
+    weight /= total
     change = weight @ moves
     away = moves - change
     cov = belief.cov - (gains * (weight * spread)[:, None]).T @ gains
     cov += (away * weight[:, None]).T @ away + (bad / total) * np.outer(change, change)
-    shares = np.zeros(len(returns.probability) + 1)
-    shares[able], shares[-1] = weight, bad / total
-    best = int(np.argmax(weight)) if len(able) else None
+    best = int(np.argmax(weight)) if len(weight) else None
     return Absorbed(
         Belief(add(belief.mean, change), 0.5 * (cov + cov.T)),
-        shares,
+        np.append(weight, bad / total),
         total,
         float("nan") if best is None else float(innovation[best]),
         float("nan") if best is None else float(nis[best]),

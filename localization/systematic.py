@@ -61,21 +61,28 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     mean' = move(mean, true_step), P' = F P F' + Q. With G the derivative of the pose by the true step, the columns of F
     for the constants are G times the derivative of the true step by them. Raises ValueError for other n.
     """
-    count = belief.mean.shape[-1]
-    if not POSE <= count <= LARGEST:
-        raise ValueError(f"a state has {POSE} to {LARGEST} coordinates, not {count}")
     made = true_step(belief.mean, step)
-    by_pose, by_step = step_jacobian(belief.mean[..., :POSE], made)
-    by_state = np.zeros((*by_pose.shape[:-2], count, count))
-    by_state[...] = np.eye(count)
-    by_state[..., :POSE, :POSE] = by_pose
-    by_state[..., :POSE, POSE:] = by_step @ _by_constants(step, count)
+    by_state, by_step = step_jacobians(belief.mean, step)
     scaled = by_step * np.sqrt(step_variance(step, noise))[..., None, :]
     cov = by_state @ belief.cov @ by_state.swapaxes(-1, -2)
     cov[..., :POSE, :POSE] += scaled @ scaled.swapaxes(-1, -2)
     mean = belief.mean.copy()
     mean[..., :POSE] = move(belief.mean[..., :POSE], made)
     return Belief(mean, 0.5 * (cov + cov.swapaxes(-1, -2)))
+
+
+def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
+    """F and G of `predict`: derivatives of `move_states` by the state, (..., n, n), and of its pose by the true step,
+    (..., 3, 2). Raises ValueError for other n than 3 to 6."""
+    count = states.shape[-1]
+    if not POSE <= count <= LARGEST:
+        raise ValueError(f"a state has {POSE} to {LARGEST} coordinates, not {count}")
+    by_pose, by_step = step_jacobian(states[..., :POSE], true_step(states, step))
+    by_state = np.zeros((*by_pose.shape[:-2], count, count))
+    by_state[...] = np.eye(count)
+    by_state[..., :POSE, :POSE] = by_pose
+    by_state[..., :POSE, POSE:] = by_step @ _by_constants(step, count)
+    return by_state, by_step
 
 
 def with_constants(belief: Belief, stds: tuple[float, ...]) -> Belief:

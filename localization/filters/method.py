@@ -9,7 +9,7 @@ a seed. No robot, no clock, no map file. Echoes come in order of time, each with
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from localization.belief import Belief, Floats
 from localization.observation import Refusal
@@ -49,4 +49,18 @@ class Filter(Protocol):
 
     def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
         """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
+        ...
+
+
+@runtime_checkable
+class Smoothing(Protocol):
+    """What a method has besides that looks back: readings since then have their say about where the robot was."""
+
+    @property
+    def lag(self) -> int:
+        """How many moves back it looks."""
+        ...
+
+    def smoothed(self) -> Belief:
+        """The belief over the state `lag` moves ago (at the first, where there were fewer), its readings included."""
         ...

@@ -8,15 +8,17 @@ from typing import Final
 
 import numpy as np
 
+from localization import sigma_points, updates
 from localization.atlas import Atlas, draw_atlas
 from localization.belief import Belief
 from localization.cone import ConeModel
 from localization.filters.finder import Finder
-from localization.filters.hearing import hearing_of
+from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.kalman import KalmanFilter
 from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.method import Filter
 from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
+from localization.filters.smoother import FixedLagSmoother
 from localization.surroundings import Surroundings
 from localization.systematic import POSE
 
@@ -24,9 +26,20 @@ Maker = Callable[[Surroundings, Belief, int], Filter]
 """Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
 
 
-def _kalman(known: Surroundings, belief: Belief, _seed: int) -> Filter:
-    hearing = hearing_of(known.walls, known.body, known.sonar, known.gate)
-    return KalmanFilter(belief, hearing, known.odometry)
+def _extended(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _hearing(known), known.odometry)
+
+
+def _iterated(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _hearing(known, updates.iterated), known.odometry)
+
+
+def _unscented(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _hearing(known, updates.unscented), known.odometry, sigma_points.predict)
+
+
+def _smoother(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return FixedLagSmoother(belief, _hearing(known), known.odometry)
 
 
 def _particles(known: Surroundings, belief: Belief, seed: int) -> Filter:
@@ -40,7 +53,16 @@ def _finder(known: Surroundings, belief: Belief, _seed: int) -> Filter:
     return finder(known, belief)
 
 
-METHODS: Final[Mapping[str, Maker]] = MappingProxyType({"ekf": _kalman, "mcl": _particles, "finder": _finder})
+METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
+    {
+        "ekf": _extended,
+        "iekf": _iterated,
+        "ukf": _unscented,
+        "smoother": _smoother,
+        "mcl": _particles,
+        "finder": _finder,
+    }
+)
 """Every method by its name."""
 DEFAULT_METHOD: Final = "ekf"
 
@@ -54,13 +76,16 @@ def make(method: str, known: Surroundings, belief: Belief, seed: int = 0) -> Fil
 
 def finder(known: Surroundings, belief: Belief | None, constants: tuple[float, ...] = ()) -> Finder:
     """The method that finds itself again, and that may begin with no belief at all; `constants` as in systematic."""
-    hearing = hearing_of(known.walls, known.body, known.sonar, known.gate)
     stds = constants if belief is None else tuple(belief.std[POSE:].tolist())
 
     def atlas() -> Atlas:
         return draw_atlas(known.walls, known.body, known.sonar, known.clearance_in)
 
-    return Finder(belief, hearing, known.odometry, atlas, known.body.sonar_angles_rad, stds)
+    return Finder(belief, _hearing(known), known.odometry, atlas, known.body.sonar_angles_rad, stds)
+
+
+def _hearing(known: Surroundings, rule: updates.Rule = updates.linear) -> Hearing:
+    return hearing_of(known.walls, known.body, known.sonar, known.gate, rule)
 
 
 def likelihood_of(known: Surroundings) -> Likelihood:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from localization import ekf
-from localization.belief import Belief
-from localization.cone import ConeModel, Returns
+from localization.belief import Belief, Floats
+from localization.candidates import Candidates
+from localization.cone import ConeModel
 from localization.mixture import absorb
 from localization.observation import Observation
 
@@ -17,9 +18,13 @@ MODEL = ConeModel(bad_share=0.2)
 BELIEF = Belief(np.array([0.0, 0.0, 0.0]), np.diag([1.5**2, 0.4**2, 0.02**2]))
 
 
-def returns(*found: tuple[float, tuple[float, float, float], float]) -> Returns:
-    ranges, rows, chances = zip(*found, strict=True)
-    return Returns(np.array(ranges), np.array(rows), np.array(chances))
+def unknown(_: Floats) -> tuple[Floats, Floats]:
+    raise AssertionError("the linear rule asks for nothing elsewhere")
+
+
+def returns(*found: tuple[float, tuple[float, float, float], float], model: ConeModel = MODEL) -> Candidates:
+    ranges, rows, chances = (np.array(column) for column in zip(*found, strict=True))
+    return Candidates(ranges, rows, model.variance(ranges), chances, unknown, model.bad_share, model.bad_density)
 
 
 TWO = returns((40.0, (-1.0, 0.0, 0.0), 0.6), (43.0, (-1.0, 0.0, 0.0), 0.3))
@@ -36,7 +41,7 @@ def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
         likelihood += 0.8 * chance * np.exp(-0.5 * (reading - (at - x)) ** 2 / variance) / np.sqrt(2 * np.pi * variance)
     posterior = prior * likelihood / (prior * likelihood).sum()
     mean = (posterior * x).sum()
-    taken = absorb(BELIEF, reading, TWO, MODEL)
+    taken = absorb(BELIEF, reading, TWO)
     assert taken.belief.mean[0] == pytest.approx(mean, abs=1e-6)
     assert taken.belief.cov[0, 0] == pytest.approx((posterior * (x - mean) ** 2).sum(), rel=1e-5)
     assert taken.shares.sum() == pytest.approx(1.0)
@@ -44,8 +49,8 @@ def test_moments_of_the_mixture_by_quadrature(reading: float) -> None:
 
 def test_one_sure_reflector_and_no_bad_readings_is_the_kalman_filter() -> None:
     sure = replace(MODEL, bad_share=0.0)
-    one = returns((40.0, (-0.8, 0.6, 2.0), 1.0))
-    taken = absorb(BELIEF, 41.0, one, sure)
+    one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
+    taken = absorb(BELIEF, 41.0, one)
     variance = sure.variance(np.array([40.0]))
     plain = ekf.correct(BELIEF, Observation(np.array([1.0]), one.jacobian, variance, np.zeros(1, np.int8)))
     np.testing.assert_allclose(taken.belief.mean, plain.mean, atol=1e-12)
@@ -54,15 +59,17 @@ def test_one_sure_reflector_and_no_bad_readings_is_the_kalman_filter() -> None:
 
 
 def test_a_reading_of_nothing_in_the_map_changes_nothing() -> None:
-    taken = absorb(BELIEF, 200.0, TWO, MODEL)
+    taken = absorb(BELIEF, 200.0, TWO)
     np.testing.assert_allclose(taken.belief.mean, BELIEF.mean, atol=1e-12)
     np.testing.assert_allclose(taken.belief.cov, BELIEF.cov, atol=1e-12)
     assert taken.bad_share == pytest.approx(1.0)
 
 
 def test_where_nothing_can_be_heard_every_reading_is_bad() -> None:
-    taken = absorb(BELIEF, 50.0, returns((40.0, (-1.0, 0.0, 0.0), 0.0)), MODEL)
+    none = Candidates(np.zeros(0), np.zeros((0, 3)), np.zeros(0), np.zeros(0), unknown, 0.2, MODEL.bad_density)
+    taken = absorb(BELIEF, 50.0, none)
     assert taken.bad_share == 1.0
+    assert taken.likelihood == MODEL.bad_density
     assert np.isnan(taken.nis)
     np.testing.assert_array_equal(taken.belief.mean, BELIEF.mean)
 
@@ -70,7 +77,7 @@ def test_where_nothing_can_be_heard_every_reading_is_bad() -> None:
 def test_constants_are_corrected_through_their_correlation() -> None:
     cov = np.diag([1.0, 1.0, 0.01, 0.0025])
     cov[0, 3] = cov[3, 0] = 0.04
-    taken = absorb(Belief(np.zeros(4), cov), 39.0, returns((40.0, (-1.0, 0.0, 0.0), 1.0)), MODEL)
+    taken = absorb(Belief(np.zeros(4), cov), 39.0, returns((40.0, (-1.0, 0.0, 0.0), 1.0)))
     assert taken.belief.mean[0] > 0.5
     assert taken.belief.mean[3] == pytest.approx(0.04 * taken.belief.mean[0])
     assert taken.belief.cov[3, 3] < cov[3, 3]
