@@ -8,7 +8,7 @@ not forked: a fork would copy a process that has threads (the progress bar's).
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Final, TypeVar
 
@@ -45,7 +45,7 @@ def here(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> It
 
 
 def on_cluster(
-    work: Callable[[Item], Result], items: Sequence[Item], address: str, code: Callable[[], str]
+    work: Callable[[Item], Result], items: Sequence[Item], address: str, code: Callable[[], object]
 ) -> Iterator[Result]:
     """On the workers of the Dask scheduler at an address (host:port). `code` tells what a process would run: it must be
     the same everywhere. Raises ClusterExtraMissing, ClusterError."""
@@ -55,7 +55,7 @@ def on_cluster(
         message = "a cluster needs Dask distributed: pip install 'nomad-nserver[cluster]', or work here with --jobs"
         raise ClusterExtraMissing(message) from error
     try:
-        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+        client = Client(address, timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
         raise ClusterError(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
@@ -65,7 +65,7 @@ def on_cluster(
             yield result
 
 
-def _check(codes: dict[str, str], address: str, mine: str) -> None:
+def _check(codes: Mapping[str, object], address: str, mine: object) -> None:
     """Whether there are workers, and all would run what this process would."""
     if not codes:
         raise ClusterError(f"the scheduler at {address} has no workers: start some with `dask worker {address}`")

@@ -7,6 +7,8 @@ Backwards over the last moves (Rauch, Tung, Striebel 1965), from the present bel
 
     G = P_k F' P_k+1-^-1     mean_k^s = mean_k + G (mean_k+1^s - mean_k+1-)     P_k^s = P_k + G (P_k+1^s - P_k+1-) G'
 
+(with the pseudo-inverse: a coordinate that is certain stays so.)
+
 For maps, surveys and ground truth of what has been driven; whoever steers needs the present. Rules: as KalmanFilter's.
 """
 
@@ -28,11 +30,11 @@ LAG: Final = 32
 
 
 class Knot(NamedTuple):
-    """A move: the belief it began with, what it was predicted to become, and the covariance of the two, P F'."""
+    """A move: the belief it began with, what it was predicted to become, and G, how one answers to the other."""
 
     filtered: Belief
     predicted: Belief
-    across: Floats
+    gain: Floats
 
 
 class FixedLagSmoother(KalmanFilter):
@@ -49,7 +51,8 @@ class FixedLagSmoother(KalmanFilter):
         before = self.belief
         super().move(step)
         by_state, _ = step_jacobians(before.mean, step)
-        self._knots.append(Knot(before, self.belief, before.cov @ by_state.T))
+        gain = before.cov @ by_state.T @ np.linalg.pinv(self.belief.cov, hermitian=True)
+        self._knots.append(Knot(before, self.belief, gain))
 
     def smoothed(self) -> Belief:
         """The belief over the state `lag` moves ago (at the first, where there were fewer), its readings included."""
@@ -60,8 +63,7 @@ class FixedLagSmoother(KalmanFilter):
 
 
 def _smoothed(knot: Knot, later: Belief) -> Belief:
-    """The belief before a move, the one after it being known as `later`. Pseudo-inverse: what is certain stays."""
-    gain = knot.across @ np.linalg.pinv(knot.predicted.cov, hermitian=True)
-    mean = add(knot.filtered.mean, gain @ difference(later.mean, knot.predicted.mean))
-    cov = knot.filtered.cov + gain @ (later.cov - knot.predicted.cov) @ gain.T
+    """The belief before a move, the one after it being known as `later`."""
+    mean = add(knot.filtered.mean, knot.gain @ difference(later.mean, knot.predicted.mean))
+    cov = knot.filtered.cov + knot.gain @ (later.cov - knot.predicted.cov) @ knot.gain.T
     return Belief(mean, 0.5 * (cov + cov.T))

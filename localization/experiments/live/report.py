@@ -109,7 +109,7 @@ def _draw(matrix: Matrix, path: Path) -> None:
         axes.set_xticks(range(len(across)), [f"{scenario}\n{figure}" for scenario, figure in across], fontsize=7)
         axes.set_yticks(range(len(down)), down if number % 4 == 0 else [""] * len(down))
     runs = next(iter(matrix.values()))["seeds"]
-    picture.suptitle(f"Live localization, {runs} runs a cell: methods, noise, paths")
+    picture.suptitle(f"Live localization, {runs} seeds a cell: methods, noise, paths")
     save(picture, path)
 
 

@@ -127,14 +127,14 @@ def _follow(
 
 
 def _record(seed: int, reached: bool, moments: Sequence[Moment]) -> Record:
-    """The trial in columns; of estimates that look back, each instant once."""
+    """The trial in columns; of estimates that look back, each instant once, as told last."""
     polled_s = np.array([moment.estimate.clock_s for moment in moments])
     truth = np.stack([moment.truth for moment in moments])
     encoders = np.stack([moment.encoders for moment in moments])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     spent = np.array([moment.spent_s for moment in moments])
     told = [_told(moment.estimate) for moment in moments]
-    fresh = [k for k in range(len(told)) if k == 0 or told[k].clock_s > told[k - 1].clock_s]
+    fresh = [k for k in range(len(told)) if k == len(told) - 1 or told[k + 1].clock_s > told[k].clock_s]
     clock = np.array([told[k].clock_s for k in fresh])
     means = np.stack([told[k].belief.mean[:3] for k in fresh])
     covs = np.stack([told[k].belief.cov[:3, :3] for k in fresh])
