@@ -15,6 +15,7 @@ from pathlib import Path
 
 from localization.belief import independent
 from localization.cone import ConeModel
+from localization.filters.table import DEFAULT_METHOD, METHODS
 from localization.measurement import WIRE_SONAR
 from localization.motion import OdometryNoise
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
@@ -62,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scale-std", type=_constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
                              "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
+    parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD,
+                        help="the filter: extended, iterated or unscented Kalman filter, particles, one that finds "
+                             "itself again (default %(default)s); a smoother drives as ekf")
     parser.add_argument("--smooth", type=_seconds, default=0.0, metavar="S",
                         help="spread corrections over S seconds for the steering; the estimate stays as it is "
                              "(default %(default)s)")
@@ -117,7 +121,7 @@ def _drive(
     seen = _sighting(robot) if simulated else None
     done, told_s = Run(points), -math.inf
     steady = SteadyPose(options.smooth)
-    for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep, steady):
+    for progress in follow(robot, begin(robot, known, belief, options.method), navigator, time.sleep, steady):
         clock_s = progress.estimate.clock_s
         truth = None
         if seen:

@@ -17,6 +17,7 @@ import numpy as np
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
 from localization.echoes import FiringSchedule
+from localization.filters.table import DEFAULT_METHOD
 from localization.localizer import Estimate, Localizer
 from localization.steadying import SteadyPose
 from localization.surroundings import Surroundings
@@ -94,11 +95,12 @@ class Progress(NamedTuple):
     passed: int
 
 
-def begin(robot: Robot, known: Surroundings, belief: Belief) -> Localizer:
-    """Restart the robot's ring, so that its firing instants are known, and start a filter on it."""
+def begin(robot: Robot, known: Surroundings, belief: Belief, method: str = DEFAULT_METHOD) -> Localizer:
+    """Restart the robot's ring, so that its firing instants are known, and start a filter on it: a name of
+    filters.table."""
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
-    localizer = Localizer(known, belief, FiringSchedule(state.clock_s))
+    localizer = Localizer(known, belief, FiringSchedule(state.clock_s), method)
     localizer.update(state)
     return localizer
 

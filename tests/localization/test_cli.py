@@ -46,6 +46,14 @@ def test_a_ring_that_mishears_and_wheels_that_err_are_no_error(setup: str, capsy
     assert result["end_error_in"] < 2.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.parametrize("method", ["iekf", "ukf", "mcl"])
+def test_other_filters_drive_as_well(method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--method", method, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+
+
 def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize("sim:centre_vertex?start=10,10", "--map", "centre_vertex", "--path", "5.9", "--json") == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 3
