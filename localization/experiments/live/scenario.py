@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 
 from localization.cone import ConeModel
-from localization.measurement import SonarModel
+from localization.measurement import WIRE_SONAR, SonarModel
 from localization.motion import OdometryNoise
+from localization.surroundings import THESIS_ODOMETRY
 
 COURSES: Final[Mapping[str, str]] = MappingProxyType(
     {"5.4": "thesis_room", "5.8": "several_walls", "5.9": "centre_vertex"}
@@ -81,8 +82,10 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         scenario.name: scenario
         for scenario in (
             Scenario("exact", "ideal", EXACT_RAYS),
+            Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
             Scenario("measured", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0),
         )
     }
 )
-"""`exact`: exact rays. `measured`: a real ring's sonars, a fifth of its readings bad besides, and a scale to find."""
+"""`exact`: exact rays. `noisy`: rays and odometry as noisy as the figures'. `measured`: a real ring's sonars, a fifth
+of its readings bad besides, and a scale to find."""

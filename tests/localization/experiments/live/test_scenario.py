@@ -7,7 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from localization.experiments.live.scenario import COURSES, QUIET, SCENARIOS
+from localization.experiments.live.scenario import COURSES, SCENARIOS
 from worlds.files import load_world
 
 
@@ -17,8 +17,9 @@ def test_a_setup_says_how_the_robot_errs(name: str) -> None:
     setup = tomllib.loads(scenario.setup(5))
     assert setup["base"] == scenario.base
     assert setup["odometry"]["scales"] == [scenario.scale(5), 1.0, 1.0]
+    noise = scenario.odometry
     variances = [setup["motion"][key] for key in ("alpha1", "alpha2", "alpha3")]
-    assert variances == pytest.approx([QUIET.rotation_std**2, QUIET.drift_std**2, QUIET.translation_std**2])
+    assert variances == pytest.approx([noise.rotation_std**2, noise.drift_std**2, noise.translation_std**2])
 
 
 def test_scales_are_drawn_for_each_seed_as_the_filter_is_told() -> None:
