@@ -1,5 +1,5 @@
 """`python -m localization.experiments 5.4`: drive figures of the thesis and say what came of it. `... live`: methods
-side by side on live robots (live.command).
+side by side on live robots (live.command). `... all`: every figure, then that.
 
 Rules: words and files only; what is driven is in settings, trial and pool. With --json the numbers are alone on stdout;
 the progress bar (extra `plot`: tqdm) and the names of files go to stderr.
@@ -27,21 +27,30 @@ from nclient.errors import NomadError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 if it could not be run, 130 if it was interrupted."""
-    given = sys.argv[1:] if arguments is None else arguments
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        if given[:1] == ["live"]:
-            return live.main(given[1:])
-        options = _parser().parse_args(given)
-        if options.pictures:
-            require_matplotlib()
-        for name in options.figures:
-            _drive_figure(FIGURES[name], options)
+        match given[:1]:
+            case ["live"]:
+                live.main(given[1:])
+            case ["all"]:
+                _drive_figures([*FIGURES, *given[1:]])
+                live.main(given[1:])
+            case _:
+                _drive_figures(given)
     except (NomadError, OSError) as error:
         print(f"localization.experiments: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
     return 0
+
+
+def _drive_figures(arguments: Sequence[str]) -> None:
+    options = _parser().parse_args(arguments)
+    if options.pictures:
+        require_matplotlib()
+    for name in options.figures:
+        _drive_figure(FIGURES[name], options)
 
 
 def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
@@ -72,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Drive figures of the thesis with many seeds at once: a simulated robot with ideal sonars and "
         "gaussian noise, an extended Kalman filter (but for 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
-        "`live` instead of figures: methods side by side on live robots, see `live --help`",
+        "instead of figures: `live`, methods side by side on live robots (`live --help`); `all`, all figures, then that",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", choices=list(FIGURES), metavar="FIGURE", help="one or more, see below")

@@ -28,8 +28,8 @@ from localization.filters.table import METHODS
 Crew = Callable[[Sequence[Job]], Iterator[Done]]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command; 0 if all went well. Raises what the crew and the files raise."""
+def main(arguments: Sequence[str]) -> None:
+    """Run the command. Raises what the crew and the files raise."""
     options = _parser().parse_args(arguments)
     if options.pictures:
         require_matplotlib()
@@ -41,7 +41,6 @@ def main(arguments: Sequence[str]) -> int:
     written = report.write(found, options.out, picture=options.pictures)
     print(json.dumps(report.rows(found)) if options.json else report.table(found), flush=True)
     print(f"written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
-    return 0
 
 
 def collect(
