@@ -14,10 +14,15 @@ from dataclasses import astuple
 from pathlib import Path
 
 from localization.belief import independent
-from localization.localizer import THESIS_ODOMETRY, Surroundings
+from localization.cone import ConeModel
+from localization.filters.table import DEFAULT_METHOD, METHODS
+from localization.measurement import WIRE_SONAR
 from localization.motion import OdometryNoise
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.run import Moment, Run, Sighting
+from localization.steadying import SteadyPose
+from localization.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.systematic import LARGEST, POSE, with_constants
 from nclient import ReplyTimeout, Robot, WorldFileError, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world
@@ -52,6 +57,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--odometry-noise", type=_noise, default=THESIS_ODOMETRY, metavar="A,B,C",
                         help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
+    parser.add_argument("--sonars", choices=("rays", "cones"),
+                        help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
+                             "with bad readings among them (default: rays of a simulation, cones of a robot)")
+    parser.add_argument("--scale-std", type=_constants, default=(), metavar="A[,B[,C]]",
+                        help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
+                             "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
+    parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD,
+                        help="the filter: extended, iterated or unscented Kalman filter, particles, one that finds "
+                             "itself again (default %(default)s); a smoother drives as ekf")
+    parser.add_argument("--smooth", type=_seconds, default=0.0, metavar="S",
+                        help="spread corrections over S seconds for the steering; the estimate stays as it is "
+                             "(default %(default)s)")
     parser.add_argument("--time-limit", type=_positive, default=300.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
@@ -95,12 +112,16 @@ def _drive(
         robot.set_position(x_in=x, y_in=y)
         turret_rad = heading + state.turret_rad - state.steering_rad
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
-    belief = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
-    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise)
+    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
+    belief = with_constants(pose, options.scale_std)
+    rays = options.sonars == "rays" if options.sonars else simulated
+    sonar = WIRE_SONAR if rays else ConeModel()
+    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar)
     navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius)
     seen = _sighting(robot) if simulated else None
     done, told_s = Run(points), -math.inf
-    for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep):
+    steady = SteadyPose(options.smooth)
+    for progress in follow(robot, begin(robot, known, belief, options.method), navigator, time.sleep, steady):
         clock_s = progress.estimate.clock_s
         truth = None
         if seen:
@@ -158,6 +179,20 @@ def _noise(text: str) -> OdometryNoise:
     if not all(0 <= number <= MOST_NOISE for number in numbers):
         raise argparse.ArgumentTypeError(f"three numbers from 0 to {MOST_NOISE}, not {text!r}")
     return OdometryNoise(*numbers)
+
+
+def _constants(text: str) -> tuple[float, ...]:
+    stds = tuple(_numbers(text, text.count(",") + 1))
+    if len(stds) > LARGEST - POSE or min(stds) < 0:
+        raise argparse.ArgumentTypeError(f"one to {LARGEST - POSE} numbers of 0 or more, not {text!r}")
+    return stds
+
+
+def _seconds(text: str) -> float:
+    (number,) = _numbers(text, 1)
+    if number < 0:
+        raise argparse.ArgumentTypeError("seconds are 0 or more")
+    return number
 
 
 def _positive(text: str) -> float:

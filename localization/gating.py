@@ -84,7 +84,15 @@ def observe(
     belief: Belief, beams: Beams, readings_in: Floats, walls: WallMap, sonar: SonarModel, gate: Gate = STRICT
 ) -> Observation:
     """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3)."""
-    _, seen, jacobian, refusals = associate(belief, beams, walls, gate)
+    return judged(associate(belief, beams, walls, gate), belief, readings_in, sonar, gate)
+
+
+def judged(
+    paired: Association, belief: Belief, readings_in: Floats, sonar: SonarModel, gate: Gate = STRICT
+) -> Observation:
+    """What readings (..., n) of beams that are paired with walls say; `paired` is left as it was."""
+    _, seen, by_pose, known = paired
+    jacobian, refusals = by_pose.copy(), known.copy()
     innovation = readings_in - seen.ranges_in
     variance = sonar.variance(seen.ranges_in)
     spread = ((jacobian @ belief.cov) * jacobian).sum(axis=-1) + variance

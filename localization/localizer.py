@@ -1,7 +1,7 @@
 """The filter live: states of a robot in, estimates out. It sees what the robot's API reports and nothing else.
 
     state ──> pose history ──┐
-    state ──> new echoes ────┴─> for each, at the pose of its firing instant: predict, gate, correct ──> estimate
+    state ──> new echoes ────┴─> for each, at the pose of its firing instant: move, hear ──> estimate
 
 Rules: odometry from the encoder pose, readings from State's sonars, time from the robot's clock; no truth, no wall
 clock, no socket. Each echo counts once; limits (6, 255) are never ranges. The same object runs on every address.
@@ -9,23 +9,22 @@ clock, no socket. Each echo counts once; limits (6, 255) are never ranges. The s
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from localization.belief import Belief, Floats
 from localization.echoes import Firing, FiringSchedule
-from localization.ekf import correct, predict
-from localization.gating import STRICT, Gate, observe
-from localization.measurement import WIRE_SONAR, SonarModel, SonarRing, pick, ring, wall_map
-from localization.motion import OdometryNoise, step_between
+from localization.filters.method import Filter, Smoothing
+from localization.filters.sense import pose_of
+from localization.filters.table import DEFAULT_METHOD, make
+from localization.motion import step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
-
-THESIS_ODOMETRY = OdometryNoise()
-"""What the experiments take the encoders to miss."""
+from localization.surroundings import Surroundings
+from localization.watch import ALL_WELL, Verdict
 
 
 class Report(Protocol):
@@ -46,51 +45,68 @@ class Report(Protocol):
 
 
 class Echo(NamedTuple):
-    """One reading and what became of it: `innovation_in` is reading less expectation (0 where it was refused)."""
+    """One reading and what became of it.
+
+    innovation_in   reading less expectation (0 where nothing was expected), and `nis`, its square over its variance
+    bad_share       how likely it was a bad reading: 0 or 1 where a gate decides
+    """
 
     sonar: int
     instant_s: float
     reading_in: int
     refusal: Refusal
     innovation_in: float
+    nis: float = 0.0
+    bad_share: float = 0.0
+
+
+class Smoothed(NamedTuple):
+    """Where the robot is believed to have been at `clock_s`, some time ago, by all that was heard until now."""
+
+    clock_s: float
+    belief: Belief
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Where the robot is believed to be at `clock_s` of its own clock, and the echoes heard since the last one."""
+    """Where the robot is believed to be at `clock_s` of its own clock, and the echoes heard since the last one;
+    of a method that smooths, where it was a while ago besides."""
 
     clock_s: float
     belief: Belief
     echoes: tuple[Echo, ...]
+    verdict: Verdict = ALL_WELL
+    smoothed: Smoothed | None = None
 
     @property
     def pose(self) -> Floats:
         """x_in, y_in and the heading of the steering in radians, (3,)."""
-        return self.belief.mean
-
-
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What the filter knows beforehand: walls (m, 4) in inches, the robot's ring, and how motion and sonars err."""
-
-    walls: npt.ArrayLike
-    body: SonarRing
-    odometry: OdometryNoise = THESIS_ODOMETRY
-    sonar: SonarModel = WIRE_SONAR
-    gate: Gate = STRICT
+        return pose_of(self.belief).mean
 
 
 class Localizer:
-    """An extended Kalman filter on one robot. `belief`: where it is thought to stand when the first state comes."""
+    """A filter on one robot, fed with its states.
 
-    def __init__(self, known: Surroundings, belief: Belief, schedule: FiringSchedule) -> None:
-        self._known = known
-        self._walls = wall_map(known.walls)
-        self._belief = belief
+    `belief`: where it is thought to stand when the first state comes, over poses, or over longer states (systematic)
+    where the encoders' own errors are to be found out as well. `method`: a name of filters.table, `seed` its chance;
+    or a filter that is made already.
+    """
+
+    def __init__(
+        self,
+        known: Surroundings,
+        belief: Belief,
+        schedule: FiringSchedule,
+        method: str | Filter = DEFAULT_METHOD,
+        seed: int = 0,
+    ) -> None:
+        self._filter = make(method, known, belief, seed) if isinstance(method, str) else method
         self._schedule = schedule
         self._history = PoseHistory()
         self._settled: EncoderPose | None = None
         self._heard_s = -np.inf
+        self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
+        self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
     def update(self, report: Report) -> Estimate:
         """Take in one state and say where the robot is. A state no later than the one before changes nothing.
@@ -103,6 +119,7 @@ class Localizer:
         if self._settled is None:
             self._settled = now
             self._heard_s = now.clock_s
+            self._instants.append(now.clock_s)
             self._history.add(now)
         elif now.clock_s > self._history.latest.clock_s:
             self._history.add(now)
@@ -110,22 +127,16 @@ class Localizer:
         firings = self._schedule.readable(self._heard_s, latest.clock_s)
         echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
-        return Estimate(latest.clock_s, predict(self._belief, step, self._known.odometry), echoes)
+        smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
+        return Estimate(latest.clock_s, self._filter.ahead(step), echoes, self._filter.verdict, smoothed)
 
     def _hear(self, firing: Firing, reading_in: int) -> Echo:
-        self._settle(self._history.at(firing.instant_s))
+        """Bring the filter to where the encoders were at that instant, and let it hear."""
         assert self._settled is not None
-        self._heard_s = firing.instant_s
-        beam = pick(ring(self._known.body, self._settled.turret_offset_rad), firing.sonar)
-        reading = np.array([float(reading_in)])
-        seen = observe(self._belief, beam, reading, self._walls, self._known.sonar, self._known.gate)
-        if seen.used[0]:
-            self._belief = correct(self._belief, seen)
-        return Echo(*firing, reading_in, seen.reasons()[0], float(seen.innovation[0]))
-
-    def _settle(self, there: EncoderPose) -> None:
-        """Move the belief to where the encoders were at that instant."""
-        assert self._settled is not None
-        step = step_between(self._settled.pose, there.pose)
-        self._belief = predict(self._belief, step, self._known.odometry)
-        self._settled = there
+        there = self._history.at(firing.instant_s)
+        self._filter.move(step_between(self._settled.pose, there.pose))
+        self._settled, self._heard_s = there, firing.instant_s
+        self._instants.append(firing.instant_s)
+        judgement = self._filter.hear(firing.sonar, there.turret_offset_rad, float(reading_in))
+        refusal, innovation_in, nis, bad_share = judgement
+        return Echo(*firing, reading_in, refusal, innovation_in, nis, bad_share)

@@ -64,6 +64,13 @@ def transition(pose: Floats, step: Floats, noise: OdometryNoise) -> Transition:
 
     Q = G diag(step_variance) G' with G (..., 3, 2), the derivative by the step.
     """
+    by_pose, by_step = step_jacobian(pose, step)
+    by_step *= np.sqrt(step_variance(step, noise))[..., None, :]
+    return Transition(move(pose, step), by_pose, by_step @ by_step.swapaxes(-1, -2))
+
+
+def step_jacobian(pose: Floats, step: Floats) -> tuple[Floats, Floats]:
+    """Derivatives of `move` at poses (..., 3) and steps (..., 2): by the pose (..., 3, 3), by the step (..., 3, 2)."""
     ahead = _ahead(pose, part(step, 1))
     drho = part(step, 0)
     by_heading = drho * -part(ahead, 1), drho * part(ahead, 0)
@@ -74,8 +81,7 @@ def transition(pose: Floats, step: Floats, noise: OdometryNoise) -> Transition:
     by_step[..., :2, 0] = ahead
     by_step[..., 0, 1], by_step[..., 1, 1] = 0.5 * by_heading[0], 0.5 * by_heading[1]
     by_step[..., 2, 1] = 1.0
-    by_step *= np.sqrt(step_variance(step, noise))[..., None, :]
-    return Transition(_moved(pose, step, ahead), by_pose, by_step @ by_step.swapaxes(-1, -2))
+    return by_pose, by_step
 
 
 def step_between(before: Floats, after: Floats) -> Floats:

@@ -17,7 +17,10 @@ import numpy as np
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
 from localization.echoes import FiringSchedule
-from localization.localizer import Estimate, Localizer, Surroundings
+from localization.filters.table import DEFAULT_METHOD
+from localization.localizer import Estimate, Localizer
+from localization.steadying import SteadyPose
+from localization.surroundings import Surroundings
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
@@ -92,28 +95,36 @@ class Progress(NamedTuple):
     passed: int
 
 
-def begin(robot: Robot, known: Surroundings, belief: Belief) -> Localizer:
-    """Restart the robot's ring, so that its firing instants are known, and start a filter on it."""
+def begin(robot: Robot, known: Surroundings, belief: Belief, method: str = DEFAULT_METHOD) -> Localizer:
+    """Restart the robot's ring, so that its firing instants are known, and start a filter on it: a name of
+    filters.table."""
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
-    localizer = Localizer(known, belief, FiringSchedule(state.clock_s))
+    localizer = Localizer(known, belief, FiringSchedule(state.clock_s), method)
     localizer.update(state)
     return localizer
 
 
 def follow(
-    robot: Robot, localizer: Localizer, navigator: Navigator, wait: Callable[[float], None]
+    robot: Robot,
+    localizer: Localizer,
+    navigator: Navigator,
+    wait: Callable[[float], None],
+    steady: SteadyPose | None = None,
 ) -> Generator[Progress, None, None]:
     """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends.
 
     `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
+    `steady`: what makes the pose to steer by of the estimates; the estimates themselves where there is none.
     """
+    steady = steady or SteadyPose(0.0)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     try:
         while True:
             estimate = localizer.update(state)
-            command = navigator.command(estimate.pose)
+            encoders = np.array([state.x_in, state.y_in, state.steering_rad])
+            command = navigator.command(steady.update(estimate.clock_s, estimate.pose, encoders))
             yield Progress(estimate, state, navigator.passed)
             if command is None:
                 return

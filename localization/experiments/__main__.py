@@ -1,4 +1,5 @@
-"""`python -m localization.experiments 5.4`: drive figures of the thesis and say what came of it.
+"""`python -m localization.experiments 5.4`: drive figures of the thesis and say what came of it. `... live`: methods
+side by side on live robots (live.command). `... all`: every figure, then that.
 
 Rules: words and files only; what is driven is in settings, trial and pool. With --json the numbers are alone on stdout;
 the progress bar (extra `plot`: tqdm) and the names of files go to stderr.
@@ -8,29 +9,34 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from localization.drawing import require_matplotlib
 from localization.experiments import figures
-from localization.experiments.pool import Tally, drive
+from localization.experiments.live import command as live
+from localization.experiments.options import add_shared
+from localization.experiments.pool import drive, drive_on_cluster
+from localization.experiments.progress import progress
 from localization.experiments.report import table
 from localization.experiments.results import summarize
-from localization.experiments.settings import FIGURES, Course, Figure, course_of
+from localization.experiments.settings import FIGURES, Figure, course_of
 from nclient.errors import NomadError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 if it could not be run, 130 if it was interrupted."""
-    options = _parser().parse_args(arguments)
+    given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        if options.pictures:
-            require_matplotlib()
-        for name in options.figures:
-            _drive_figure(FIGURES[name], options)
+        match given[:1]:
+            case ["live"]:
+                live.main(given[1:])
+            case ["all"]:
+                _drive_figures([*FIGURES, *given[1:]])
+                live.main(given[1:])
+            case _:
+                _drive_figures(given)
     except (NomadError, OSError) as error:
         print(f"localization.experiments: {error}", file=sys.stderr)
         return 2
@@ -39,10 +45,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _drive_figures(arguments: Sequence[str]) -> None:
+    options = _parser().parse_args(arguments)
+    if options.pictures:
+        require_matplotlib()
+    for name in options.figures:
+        _drive_figure(FIGURES[name], options)
+
+
 def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
     course = course_of(figure)
-    with _progress(figure, course, options.seeds) as report:
-        outcome = drive(figure, range(options.seeds), options.jobs, report)
+    total = options.seeds * course.least_steps
+    with progress(total, f"figure {figure.name}", "steps") as report:
+        if options.cluster:
+            outcome = drive_on_cluster(figure, range(options.seeds), options.cluster, report)
+        else:
+            outcome = drive(figure, range(options.seeds), options.jobs, report)
+        report(total)
     summary = summarize(figure, outcome.results)
     text = json.dumps(summary)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -55,62 +74,19 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
     print(f"  written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-@contextmanager
-def _progress(figure: Figure, course: Course, seeds: int) -> Iterator[Tally]:
-    """A bar over the steps of all seeds, of which each takes about `least_steps`; nothing where tqdm is missing."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        yield lambda _: None
-        return
-    total = seeds * course.least_steps
-    with tqdm(total=total, desc=f"figure {figure.name}", unit=" steps", unit_scale=True, file=sys.stderr) as bar:
-
-        def advance(done: int) -> None:
-            bar.update(min(done, total) - bar.n)
-
-        yield advance
-        advance(total)
-
-
 def _parser() -> argparse.ArgumentParser:
     titles = "\n".join(f"  {figure.name}  {figure.title} ({figure.world})" for figure in FIGURES.values())
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments",
         description="Drive figures of the thesis with many seeds at once: a simulated robot with ideal sonars and "
         "gaussian noise, an extended Kalman filter (but for 5.2), the thesis' control law.",
-        epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out",
+        epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
+        "instead of figures: `live`, methods side by side on live robots (`live --help`); `all`, all figures, then that",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", choices=list(FIGURES), metavar="FIGURE", help="one or more, see below")
-    parser.add_argument("--seeds", type=_positive, default=100, metavar="N", help="runs a figure (default 100)")
-    parser.add_argument(
-        "--jobs", type=_positive, default=_cores(), metavar="N", help="processes; the numbers are the same (all cores)"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/experiments"), metavar="DIR", help="for PNG and JSON (out/experiments)"
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object a figure, and nothing else, on stdout"
-    )
-    parser.add_argument(
-        "--no-pictures", dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
-    )
+    add_shared(parser, Path("out/experiments"), "figure")
     return parser
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{number} is not 1 or more")
-    return number
-
-
-def _cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 if __name__ == "__main__":

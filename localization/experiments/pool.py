@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from typing import TYPE_CHECKING, ClassVar, Final
 
+from localization.experiments.crew import on_cluster
+from localization.experiments.fingerprint import fingerprint
+from localization.experiments.progress import Tally
 from localization.experiments.results import Outcome, joined, outcome_of
 from localization.experiments.settings import Figure, course_of
 from localization.experiments.trial import run
@@ -20,11 +23,11 @@ from localization.experiments.trial import run
 if TYPE_CHECKING:
     from multiprocessing.sharedctypes import Synchronized
 
-Tally = Callable[[int], None]
-"""Told how many steps of all robots together are done so far."""
-
 _LARGEST_PART: Final = 125
 """Seeds at once: larger batches save nothing and keep some 0.5 MB a seed."""
+
+_CLUSTER_PART: Final = 25
+"""Seeds at once on a cluster: some seconds of work, so that none waits long for the slowest."""
 
 _LOOK_EVERY_S: Final = 0.2
 
@@ -61,6 +64,23 @@ def drive(figure: Figure, seeds: Sequence[int], jobs: int, report: Tally = lambd
             waiting = wait(waiting, timeout=_LOOK_EVERY_S).not_done
             report(odometer.value)
         return joined([future.result() for future in futures])
+
+
+def drive_on_cluster(
+    figure: Figure, seeds: Sequence[int], address: str, report: Tally = lambda _: None
+) -> Outcome:
+    """Drive a figure with all seeds on a Dask cluster, in parts of equal length."""
+    items = [(figure, seeds[first : first + _CLUSTER_PART]) for first in range(0, len(seeds), _CLUSTER_PART)]
+    parts = []
+    tick = _counting(report)
+    for part in on_cluster(_drive_item, items, address, fingerprint):
+        parts.append(part)
+        tick(sum(result.steps for result in part.results))
+    return joined(sorted(parts, key=lambda part: part.results[0].seed))
+
+
+def _drive_item(item: tuple[Figure, Sequence[int]]) -> Outcome:
+    return drive_part(*item)
 
 
 def _counting(report: Tally) -> Tally:

@@ -46,6 +46,14 @@ def test_a_ring_that_mishears_and_wheels_that_err_are_no_error(setup: str, capsy
     assert result["end_error_in"] < 2.0 < result["odometry_end_error_in"]
 
 
+@pytest.mark.parametrize("method", ["iekf", "ukf", "mcl"])
+def test_other_filters_drive_as_well(method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--method", method, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+
+
 def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> None:
     assert localize("sim:centre_vertex?start=10,10", "--map", "centre_vertex", "--path", "5.9", "--json") == 0
     assert json.loads(capsys.readouterr().out)["reached"] == 3
@@ -71,6 +79,16 @@ def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str])
     assert "1 of 2 way-points reached in 2" in capsys.readouterr().out
 
 
+def test_a_measured_ring_is_heard_as_cones_and_the_encoders_scale_is_found(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = [*TO_GOAL, "--sonars", "cones", "--scale-std", "0.05", "--smooth", "0.5", "--json"]
+    assert localize("sim:thesis_room?setup=measured&seed=1", *words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+    assert result["echoes_used"] > 50
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -83,6 +101,10 @@ def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str])
         ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1"],
         ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1,-1,0"],
         ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "1e300,0,0"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--scale-std", "0.1,-0.1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--scale-std", "0.1,0.1,0.1,0.1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--smooth", "-1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--sonars", "lines"],
     ],
 )
 def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,9 @@ import pytest
 
 from localization.belief import Belief, independent
 from localization.echoes import FiringSchedule
-from localization.localizer import Localizer, Surroundings
+from localization.localizer import Localizer
 from localization.observation import Refusal
+from localization.surroundings import Surroundings
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
@@ -128,3 +129,22 @@ def test_the_estimate_is_carried_to_the_clock_of_the_state_by_odometry() -> None
         estimate = filtered.update(robot.report(0.1 * k))
         assert estimate.clock_s == pytest.approx(0.1 * k)
         assert estimate.pose[:2] == pytest.approx(robot.pose(0.1 * k), abs=0.4)
+
+
+def test_a_method_that_smooths_tells_where_the_robot_was_a_while_ago() -> None:
+    robot = Robot(5.0)
+    belief = independent([20.4, 29.7, 0.52], [0.5, 0.5, 0.03])
+    looking_back = Localizer(Surroundings(ROOM, N150), belief, FiringSchedule(0.0), "smoother")
+    plain = localizer(belief)
+    looks = []
+    for k in range(101):
+        estimate = looking_back.update(robot.report(0.1 * k))
+        np.testing.assert_array_equal(estimate.pose, plain.update(robot.report(0.1 * k)).pose)
+        looks.append(estimate.smoothed)
+    first, last = looks[5], looks[-1]
+    assert first is not None
+    assert last is not None
+    assert first.clock_s == 0.0
+    assert last.clock_s == pytest.approx(0.06 * (math.floor((10.0 - 0.0164) / 0.06) - 32))
+    assert np.hypot(*(last.belief.mean[:2] - robot.pose(last.clock_s))) < 0.3
+    assert plain.update(robot.report(10.2)).smoothed is None

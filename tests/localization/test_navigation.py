@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from localization.belief import independent
-from localization.localizer import Surroundings
 from localization.navigation import PERIOD_S, Navigator, Progress, Speeds, begin, follow
+from localization.surroundings import Surroundings
 from nclient import connect
 from worlds.bodies import N150
 from worlds.files import load_world

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from localization.experiments import __main__ as command
+from localization.experiments.live import command as live
 from localization.experiments.results import Summary
+from localization.experiments.settings import FIGURES
 
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
@@ -39,6 +41,14 @@ def test_several_figures_give_an_object_a_line(capsys: pytest.CaptureFixture[str
     assert command.main(["5.6", "5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     first, second = capsys.readouterr().out.splitlines()
     assert json.loads(first) == json.loads(second)
+
+
+def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    driven: list[str] = []
+    monkeypatch.setattr(command, "_drive_figure", lambda figure, _: driven.append(figure.name))
+    monkeypatch.setattr(live, "main", lambda arguments: driven.append(f"live {' '.join(arguments)}"))
+    assert command.main(["all", "--seeds", "3", "--no-pictures"]) == 0
+    assert driven == [*FIGURES, "live --seeds 3 --no-pictures"]
 
 
 def test_without_tqdm_there_is_no_bar_and_the_same_numbers(

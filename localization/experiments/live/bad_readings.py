@@ -1,0 +1,54 @@
+"""Readings made bad on purpose: of each echo decided once, as it is first shown, whether it is replaced and by what.
+
+Rules: the filter sees the same interface; all chance is the seed's. Which echo a state shows is the schedule's to tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from localization.echoes import FiringSchedule
+from localization.localizer import Report
+
+LOWEST_IN, HIGHEST_IN = 6, 255
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A report whose sonars may not be what the robot said."""
+
+    clock_s: float | None
+    x_in: float
+    y_in: float
+    steering_rad: float
+    turret_rad: float
+    sonars_in: tuple[int, ...]
+
+
+class BadReadings:
+    """Replaces a share of all echoes by whole inches anywhere from 6 to 255."""
+
+    def __init__(self, share: float, schedule: FiringSchedule, chance: np.random.Generator) -> None:
+        self._share, self._schedule, self._chance = share, schedule, chance
+        self._replaced: dict[int, tuple[int, int | None]] = {}
+
+    def of(self, report: Report) -> Report:
+        """The report as the filter is shown it."""
+        if not self._share or report.clock_s is None:
+            return report
+        readings = [self._reading(sonar, report.clock_s, heard) for sonar, heard in enumerate(report.sonars_in)]
+        return Shown(
+            report.clock_s, report.x_in, report.y_in, report.steering_rad, report.turret_rad, tuple(readings)
+        )
+
+    def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
+        schedule = self._schedule
+        since_s = clock_s - schedule.start_s - schedule.order.index(sonar) * schedule.interval_s
+        turn = int(since_s // schedule.round_s)
+        if self._replaced.get(sonar, (None, None))[0] != turn:
+            bad, instead = self._chance.random() < self._share, int(self._chance.integers(LOWEST_IN, HIGHEST_IN + 1))
+            self._replaced[sonar] = turn, instead if bad else None
+        instead_in = self._replaced[sonar][1]
+        return heard_in if instead_in is None else instead_in

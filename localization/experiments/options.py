@@ -1,0 +1,40 @@
+"""Options that all commands of the experiments have."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+
+def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
+    """--seeds, --jobs, --cluster, --out, --json, --no-pictures; `unit` is what one JSON object is about."""
+    parser.add_argument("--seeds", type=positive, default=100, metavar="N", help=f"runs a {unit} (default 100)")
+    who = parser.add_mutually_exclusive_group()
+    who.add_argument(
+        "--jobs", type=positive, default=cores(), metavar="N", help="processes; the numbers are the same (all cores)"
+    )
+    who.add_argument(
+        "--cluster", metavar="ADDRESS", help="work on the Dask cluster whose scheduler is there, host:port (extra "
+        "`cluster`); the numbers are the same"
+    )
+    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"for PNG and numbers ({out})")
+    parser.add_argument("--json", action="store_true", help=f"print JSON, an object a {unit}, alone on stdout")
+    parser.add_argument(
+        "--no-pictures", dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
+    )
+
+
+def positive(text: str) -> int:
+    """A whole number of 1 or more."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not 1 or more")
+    return number
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

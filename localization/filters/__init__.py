@@ -1,0 +1,1 @@
+"""Filters of one interface: motion and echoes go in, a belief comes out. `table.make` names them all."""

@@ -1,0 +1,63 @@
+"""How a gaussian filter takes one reading in: a sense finds what it may be of, a rule of correction says what each of
+that would make of the belief, the mixture puts it together.
+
+Rules: pure; a belief in, a belief out, and the reason where a reading said nothing. Whoever hands them over has brought
+the belief to the instant at which the sonar fired. States may be longer than a pose (see systematic).
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy.typing as npt
+
+from localization.belief import Belief
+from localization.cone import ConeModel
+from localization.filters.method import Judgement
+from localization.filters.sense import SPAN_IN, Sense, sense_of
+from localization.gating import STRICT, Gate
+from localization.measurement import SonarModel, SonarRing
+from localization.mixture import absorb
+from localization.observation import Refusal
+from localization.updates import Rule, linear
+
+MOSTLY_BAD: Final = 0.5
+"""A reading that is bad with more than this probability is told as refused by the gate."""
+
+
+class Heard(NamedTuple):
+    """What a reading left: the belief, what became of it, and how well the belief before it explains it: a density per
+    inch for a range, a chance for a limit; the same kind for the same reading, whatever the belief."""
+
+    belief: Belief
+    judgement: Judgement
+    likelihood: float
+
+
+class Hearing:
+    """A kind of sonar, in a map, on a body, with a rule of correction."""
+
+    def __init__(self, sense: Sense, rule: Rule = linear) -> None:
+        self._sense, self._rule = sense, rule
+
+    def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
+        """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading."""
+        sensed = self._sense.sense(belief, sonar, turret_offset_rad, reading_in)
+        if sensed.candidates is None:
+            return Heard(belief, Judgement(sensed.refusal, 0.0, 0.0, 1.0), sensed.likelihood)
+        taken = absorb(belief, reading_in, sensed.candidates, self._rule)
+        refusal = Refusal.GATE if taken.bad_share > MOSTLY_BAD else Refusal.NONE
+        judgement = Judgement(refusal, taken.innovation_in, taken.nis, taken.bad_share)
+        likelihood = (1.0 - sensed.besides) * taken.likelihood + sensed.besides / SPAN_IN
+        return Heard(taken.belief, judgement, likelihood)
+
+
+def hearing_of(
+    walls: npt.ArrayLike,
+    body: SonarRing,
+    sonar: SonarModel | ConeModel,
+    gate: Gate = STRICT,
+    rule: Rule = linear,
+) -> Hearing:
+    """How sonars of this model are taken in."""
+    return Hearing(sense_of(walls, body, sonar, gate), rule)

@@ -1,0 +1,48 @@
+"""Kalman filters as methods: prediction by the encoders, one echo at a time through a hearing.
+
+    extended    systematic.predict, updates.linear           iterated    systematic.predict, updates.iterated
+    unscented   sigma_points.predict, updates.unscented
+
+Rules: holds a belief and hands out new ones; all arithmetic is the prediction's and the hearing's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from localization.belief import Belief, Floats
+from localization.filters.hearing import Hearing
+from localization.filters.method import Judgement
+from localization.motion import OdometryNoise
+from localization.systematic import predict
+from localization.watch import ALL_WELL, Verdict
+
+Predict = Callable[[Belief, Floats, OdometryNoise], Belief]
+"""The belief after a step (2,) that the encoders tell."""
+
+
+class KalmanFilter:
+    """A gaussian belief over poses, or longer states."""
+
+    def __init__(
+        self, belief: Belief, hearing: Hearing, odometry: OdometryNoise, prediction: Predict = predict
+    ) -> None:
+        self.belief = belief
+        self._hearing = hearing
+        self._odometry = odometry
+        self._predict = prediction
+
+    @property
+    def verdict(self) -> Verdict:
+        return ALL_WELL
+
+    def move(self, step: Floats) -> None:
+        self.belief = self._predict(self.belief, step, self._odometry)
+
+    def ahead(self, step: Floats) -> Belief:
+        return self._predict(self.belief, step, self._odometry)
+
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+        heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in)
+        self.belief = heard.belief
+        return heard.judgement

@@ -1,0 +1,97 @@
+"""How well many poses explain one reading: what Monte Carlo localization weighs its particles with.
+
+    RayLikelihood     z_hit N(z; ray, sigma) + z_rand / range        the beam model (Thrun, Burgard, Fox 2005, 6.3)
+    ConeLikelihood    the same over all reflectors in the cone       the densities of mixture
+
+Rules: pure arrays; a pose a row, a likelihood a row, never 0; no particle is changed here. `widened` by what the number
+of particles cannot resolve: a likelihood sharper than the distance between particles kills all but one.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.belief import Floats
+from localization.cone import ConeModel, Ear, cone_returns
+from localization.measurement import SonarModel, SonarRing, pick, rays, ring, wall_map
+from localization.reflectors import reflectors
+from worlds.raycast import cast_rays
+
+SPAN_IN: Final = 249.0
+"""Bad readings of a ray lie anywhere from 6 to 255 inches."""
+
+
+class Likelihood(Protocol):
+    """A kind of sonar, in a map, on a body."""
+
+    def is_range(self, reading_in: float) -> bool:
+        """Whether a reading tells a range at all."""
+        ...
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+        """The likelihoods (n,) of a reading at poses (n, 3), per inch."""
+        ...
+
+
+class RayLikelihood:
+    """One exact ray a sonar; `bad_share` of the readings spread over all ranges; `widen_std_in` beside the sonar's."""
+
+    def __init__(
+        self,
+        walls: npt.ArrayLike,
+        body: SonarRing,
+        sonar: SonarModel,
+        *,
+        bad_share: float = 0.05,
+        widen_std_in: float = 0.5,
+    ) -> None:
+        self._walls, self._body, self._sonar = wall_map(walls), body, sonar
+        self._bad_share, self._widen = bad_share, widen_std_in**2
+
+    def is_range(self, reading_in: float) -> bool:
+        return self._sonar.lowest_in < reading_in < self._sonar.highest_in
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+        beam = pick(ring(self._body, turret_offset_rad), sonar)
+        aimed = rays(poses[:, None, :], beam)
+        from_axis = cast_rays(aimed.axes_in, aimed.directions, self._walls.segments)[0][:, 0]
+        seen = np.isfinite(from_axis)
+        expected = np.where(seen, from_axis, 0.0) - beam.standoff_in
+        variance = self._sonar.variance(expected) + self._widen
+        hit = np.exp(-0.5 * (reading_in - expected) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        likelihood: Floats = (1.0 - self._bad_share) * np.where(seen, hit, 0.0) + self._bad_share / SPAN_IN
+        return likelihood
+
+
+class ConeLikelihood:
+    """All reflectors in the cone; `heading_std_rad` makes its rim soft, `widen_std_in` its ranges."""
+
+    def __init__(
+        self,
+        walls: npt.ArrayLike,
+        body: SonarRing,
+        model: ConeModel,
+        *,
+        heading_std_rad: float = 0.03,
+        widen_std_in: float = 0.5,
+    ) -> None:
+        self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
+        self._heading_std, self._widen = np.array(heading_std_rad), widen_std_in**2
+
+    def is_range(self, reading_in: float) -> bool:
+        return self._model.lowest_in < reading_in < self._model.highest_in
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+        model = self._model
+        ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        returns = cone_returns(poses, np.broadcast_to(self._heading_std, poses.shape[:-1]), ear, self._around, model)
+        variance = model.variance(returns.ranges_in) + self._widen
+        hits = np.exp(-0.5 * (reading_in - returns.ranges_in) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        good = 1.0 - model.bad_share
+        heard = returns.probability.sum(axis=-1)
+        likelihood: Floats = good * (returns.probability * hits).sum(axis=-1)
+        likelihood += model.bad_density * (1.0 - good * heard)
+        return likelihood

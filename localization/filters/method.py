@@ -1,0 +1,66 @@
+"""The seam between the live localizer and its method: what each method must have.
+
+    move(step)      the encoders told of a step          hear(sonar, turret, reading)    an echo, at this very instant
+    belief          what is held to be true              ahead(step)                     the same a step on, not taken
+
+Rules: a method is made from what is known beforehand and a first belief (table.make); one with chance in it is handed
+a seed. No robot, no clock, no map file. Echoes come in order of time, each with the filter at its instant.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from localization.belief import Belief, Floats
+from localization.observation import Refusal
+from localization.watch import Verdict
+
+
+class Judgement(NamedTuple):
+    """What became of a reading: why it said nothing (NONE: it did), reading less expectation (0 where nothing was
+    expected) with its normalised square, and how likely it was a bad one."""
+
+    refusal: Refusal
+    innovation_in: float
+    nis: float
+    bad_share: float
+
+
+class Filter(Protocol):
+    """A belief about a robot, kept up to date."""
+
+    @property
+    def belief(self) -> Belief:
+        """Mean (n,) and covariance (n, n), n >= 3: a pose and what else is found out (systematic)."""
+        ...
+
+    @property
+    def verdict(self) -> Verdict:
+        """How far it can be believed; a method that does not look on says that all is well."""
+        ...
+
+    def move(self, step: Floats) -> None:
+        """The encoders told of a step (2,): inches rolled, radians turned."""
+        ...
+
+    def ahead(self, step: Floats) -> Belief:
+        """The belief after such a step, which is not taken."""
+        ...
+
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+        """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
+        ...
+
+
+@runtime_checkable
+class Smoothing(Protocol):
+    """What a method has besides that looks back: readings since then have their say about where the robot was."""
+
+    @property
+    def lag(self) -> int:
+        """How many moves back it looks."""
+        ...
+
+    def smoothed(self) -> Belief:
+        """The belief over the state `lag` moves ago (at the first, where there were fewer), its readings included."""
+        ...

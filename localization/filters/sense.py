@@ -1,0 +1,131 @@
+"""What a reading may be of, seen from a belief: the map's answer for each kind of sonar, and why there may be none.
+
+    RaySense     one exact ray a sonar: the wall it meets, or a refusal by the gate      setups `ideal` and `noisy`
+    ConeSense    all that the cone may hear, each with its chance, and bad readings      setup `measured`, a real ring
+
+Rules: pure; looks at belief and reading and changes neither. What a candidate makes of the belief is a rule of
+correction's to say (updates). States may be longer than a pose (see systematic).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.belief import Belief, Floats
+from localization.candidates import Candidates
+from localization.cone import ConeModel, Ear, cone_returns, expected
+from localization.gating import STRICT, Gate, associate, judged
+from localization.measurement import Beams, SonarModel, SonarRing, pick, range_jacobian, rays, ring, sight, wall_map
+from localization.observation import Refusal
+from localization.reflectors import reflectors
+from localization.systematic import POSE
+
+BAD_RAYS, SPAN_IN = 0.05, 249.0
+"""What is taken for bad of exact rays' readings, anywhere from 6 to 255 in: for likelihoods alone, the gate decides."""
+SURE: Final = np.ones(1)
+
+
+class Sensed(NamedTuple):
+    """What a reading may be of, or why it says nothing.
+
+    likelihood    where it is refused: how well the belief explains that
+    besides       share of readings that are bad beside those the candidates tell of; for the likelihood alone
+    """
+
+    refusal: Refusal
+    likelihood: float
+    candidates: Candidates | None = None
+    besides: float = 0.0
+
+
+class Sense(Protocol):
+    """A kind of sonar, in a map, on a body."""
+
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+        """What sonar number `sonar` may have heard, the turret being turned by so much against the heading."""
+        ...
+
+
+class RaySense:
+    """Each reading is the range along one ray, or it is refused."""
+
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel, gate: Gate = STRICT) -> None:
+        self._walls, self._body, self._sonar, self._gate = wall_map(walls), body, sonar, gate
+
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+        beam = pick(ring(self._body, turret_offset_rad), sonar)
+        pose = pose_of(belief)
+        met = associate(pose, beam, self._walls, self._gate)
+        seen = judged(met, pose, np.array([reading_in]), self._sonar, self._gate)
+        refusal = seen.reasons()[0]
+        if refusal is not Refusal.NONE:
+            return Sensed(refusal, _unexplained(refusal))
+        return Sensed(
+            Refusal.NONE,
+            1.0,
+            Candidates(
+                met.seen.ranges_in, seen.jacobian, seen.variance, SURE, partial(_along, beam, met.lines), 0.0, 0.0
+            ),
+            BAD_RAYS,
+        )
+
+
+class ConeSense:
+    """Each reading is the first echo out of a cone, or a bad one, with probabilities."""
+
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeModel) -> None:
+        self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
+
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+        model = self._model
+        if reading_in <= model.lowest_in:
+            return Sensed(Refusal.LIMIT, 1.0)
+        ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        pose = pose_of(belief)
+        returns = cone_returns(pose.mean, pose.std[..., 2], ear, self._around, model)
+        if reading_in >= model.highest_in:
+            return Sensed(Refusal.LIMIT, 1.0 - (1.0 - model.bad_share) * float(returns.probability.sum()))
+        able = np.flatnonzero(returns.probability)
+        if not len(able):
+            return Sensed(Refusal.NO_WALL, model.bad_density)
+        ranges = returns.ranges_in[able]
+        return Sensed(
+            Refusal.NONE,
+            1.0,
+            Candidates(
+                ranges,
+                returns.jacobian[able],
+                model.variance(ranges),
+                returns.probability[able],
+                partial(expected, ear=ear, around=self._around, which=able),
+                model.bad_share,
+                model.bad_density,
+            ),
+        )
+
+
+def sense_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Sense:
+    """How sonars of this model are understood."""
+    if isinstance(sonar, ConeModel):
+        return ConeSense(walls, body, sonar)
+    return RaySense(walls, body, sonar, gate)
+
+
+def pose_of(belief: Belief) -> Belief:
+    """The part of a belief (..., n) that is about the pose."""
+    return Belief(belief.mean[..., :POSE], belief.cov[..., :POSE, :POSE])
+
+
+def _along(beam: Beams, lines: Floats, poses: Floats) -> tuple[Floats, Floats]:
+    """Ranges (..., 1) along a beam to a line (1, 3), and their derivatives, from poses (..., 1, 3)."""
+    seen = sight(rays(poses, beam), lines)
+    return seen.ranges_in, range_jacobian(seen, lines)
+
+
+def _unexplained(refusal: Refusal) -> float:
+    """The likelihood of a reading that a ray refused: that of a bad one where it was not met, else of any."""
+    return 1.0 if refusal is Refusal.LIMIT else BAD_RAYS / SPAN_IN if refusal is Refusal.GATE else 1.0 / SPAN_IN

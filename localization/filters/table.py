@@ -1,0 +1,95 @@
+"""The table of methods: by name, what makes each from what is known beforehand and a first belief."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from localization import sigma_points, updates
+from localization.atlas import Atlas, draw_atlas
+from localization.belief import Belief
+from localization.cone import ConeModel
+from localization.filters.finder import Finder
+from localization.filters.hearing import Hearing, hearing_of
+from localization.filters.kalman import KalmanFilter
+from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikelihood
+from localization.filters.method import Filter
+from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
+from localization.filters.smoother import FixedLagSmoother
+from localization.surroundings import Surroundings
+from localization.systematic import POSE
+
+Maker = Callable[[Surroundings, Belief, int], Filter]
+"""Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
+
+
+def _extended(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _hearing(known), known.odometry)
+
+
+def _iterated(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _hearing(known, updates.iterated), known.odometry)
+
+
+def _unscented(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return KalmanFilter(belief, _hearing(known, updates.unscented), known.odometry, sigma_points.predict)
+
+
+def _smoother(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return FixedLagSmoother(belief, _hearing(known), known.odometry)
+
+
+def _particles(known: Surroundings, belief: Belief, seed: int) -> Filter:
+    chance = np.random.default_rng(seed)
+    parameters = MonteCarlo()
+    states = drawn_from(belief, parameters.particles, chance)
+    return ParticleFilter(states, likelihood_of(known), known.odometry, chance, parameters)
+
+
+def _finder(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    return finder(known, belief)
+
+
+METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
+    {
+        "ekf": _extended,
+        "iekf": _iterated,
+        "ukf": _unscented,
+        "smoother": _smoother,
+        "mcl": _particles,
+        "finder": _finder,
+    }
+)
+"""Every method by its name."""
+DEFAULT_METHOD: Final = "ekf"
+
+
+def make(method: str, known: Surroundings, belief: Belief, seed: int = 0) -> Filter:
+    """The filter of a name in METHODS. Raises ValueError for any other name."""
+    if method not in METHODS:
+        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    return METHODS[method](known, belief, seed)
+
+
+def finder(known: Surroundings, belief: Belief | None, constants: tuple[float, ...] = ()) -> Finder:
+    """The method that finds itself again, and that may begin with no belief at all; `constants` as in systematic."""
+    stds = constants if belief is None else tuple(belief.std[POSE:].tolist())
+
+    def atlas() -> Atlas:
+        return draw_atlas(known.walls, known.body, known.sonar, known.clearance_in)
+
+    return Finder(belief, _hearing(known), known.odometry, atlas, known.body.sonar_angles_rad, stds)
+
+
+def _hearing(known: Surroundings, rule: updates.Rule = updates.linear) -> Hearing:
+    return hearing_of(known.walls, known.body, known.sonar, known.gate, rule)
+
+
+def likelihood_of(known: Surroundings) -> Likelihood:
+    """How particles are weighed with sonars of this kind."""
+    if isinstance(known.sonar, ConeModel):
+        return ConeLikelihood(known.walls, known.body, known.sonar)
+    return RayLikelihood(known.walls, known.body, known.sonar)

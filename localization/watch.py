@@ -1,0 +1,127 @@
+"""Whether an estimate can be believed, judged by what is heard: OK, DEGRADED, LOST, and why.
+
+    evidence    for each reading ln( p(reading | estimate) / p(reading | anywhere in the map) ): above 0 it speaks for
+                the estimate, below against it. A robot somewhere else hears what could be heard anywhere
+    LOST        the evidence has fallen by `lost_nats` from the highest it ever stood at: a CUSUM test (Page 1954)
+    DEGRADED    the matched share or the NIS of the last readings, or the estimate's own spread, is beyond its bound
+
+The CUSUM decides between two hypotheses, here or anywhere. Were readings independent, a false alarm would come about
+once in exp(lost_nats) of them; they are not, where a place hides its walls, so the bound is chosen higher.
+Rules: pure; numbers of readings in, a verdict out; no filter, no robot.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from math import log
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+
+from localization import chi_square
+from localization.belief import Belief
+
+
+class Trust(Enum):
+    """How far an estimate can be believed."""
+
+    OK = "OK"
+    DEGRADED = "DEGRADED"
+    LOST = "LOST"
+
+
+class Verdict(NamedTuple):
+    """How far, and why in words; "" where all is well."""
+
+    trust: Trust
+    reason: str
+
+
+class Taken(Protocol):
+    """What a filter made of a range; filters.method.Judgement has it."""
+
+    @property
+    def bad_share(self) -> float: ...
+    @property
+    def nis(self) -> float: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What is beyond belief.
+
+    lost_nats         fall of the evidence that says lost; one reading takes or gives most_bad_nats, most_good_nats
+    window            readings that share and NIS are looked at over
+    least_matched     share of them that is explained
+    nis_probability   with which the window's NIS stays in its bound
+    most_std_in       spread of the position along its worst direction
+    """
+
+    lost_nats: float = 45.0
+    most_bad_nats: float = 4.0
+    most_good_nats: float = 4.0
+    window: int = 48
+    least_matched: float = 0.35
+    nis_probability: float = 0.999
+    most_std_in: float = 3.0
+
+
+MOSTLY: Final = 0.5
+"""NIS is looked at of readings that are not mostly taken for bad."""
+ALL_WELL: Final = Verdict(Trust.OK, "")
+
+
+class Watch:
+    """Looks on while a filter hears; see the head of this file."""
+
+    def __init__(self, bounds: Bounds | None = None) -> None:
+        self.bounds = bounds or Bounds()
+        self._fall = 0.0
+        self._matched: deque[float] = deque(maxlen=self.bounds.window)
+        self._nis: deque[float] = deque(maxlen=self.bounds.window)
+
+    @property
+    def fall_nats(self) -> float:
+        """How far the evidence has fallen from its highest."""
+        return self._fall
+
+    def reset(self) -> None:
+        """A new estimate begins."""
+        self._fall = 0.0
+        self._matched.clear()
+        self._nis.clear()
+
+    def hear(self, likelihood: float, anywhere: float, taken: Taken | None) -> None:
+        """A reading: how the estimate explains it, how the map as a whole does, and what the filter made of it, where
+        it was a range."""
+        evidence = log(likelihood / anywhere)
+        self._fall = max(0.0, self._fall - max(-self.bounds.most_bad_nats, min(self.bounds.most_good_nats, evidence)))
+        if taken is None:
+            return
+        self._matched.append(1.0 - taken.bad_share)
+        if taken.bad_share < MOSTLY:
+            self._nis.append(taken.nis)
+
+    def verdict(self, belief: Belief) -> Verdict:
+        """What is to be thought of the estimate now."""
+        bounds = self.bounds
+        if self._fall >= bounds.lost_nats:
+            return Verdict(Trust.LOST, f"what is heard fits anywhere better than here, by e^{self._fall:.0f}")
+        spread = float(np.sqrt(np.linalg.eigvalsh(belief.cov[:2, :2])[-1]))
+        if spread > bounds.most_std_in:
+            return Verdict(Trust.DEGRADED, f"the position is known to {spread:.1f} in only")
+        if len(self._matched) < bounds.window:
+            return ALL_WELL
+        matched = sum(self._matched) / len(self._matched)
+        if matched < bounds.least_matched:
+            return Verdict(Trust.DEGRADED, f"only {matched:.0%} of the last {bounds.window} echoes are explained")
+        return self._nis_verdict()
+
+    def _nis_verdict(self) -> Verdict:
+        count, total = len(self._nis), sum(self._nis)
+        bound = chi_square.quantile(self.bounds.nis_probability, count) if count else 0.0
+        if total <= bound:
+            return ALL_WELL
+        return Verdict(Trust.DEGRADED, f"innovations are {total / count:.1f} times as large as they should be, squared")

@@ -1,0 +1,56 @@
+"""Experiments on a Dask cluster of two worker processes: the same numbers to the bit as in this process."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from localization.experiments import __main__ as experiments
+from localization.experiments.crew import ClusterError, on_cluster
+from localization.experiments.fingerprint import fingerprint
+from localization.experiments.live import matrix
+from localization.experiments.live.matrix import Job, trials
+from localization.experiments.live.store import Store
+from localization.experiments.pool import drive_on_cluster, drive_part
+from localization.experiments.settings import FIGURES
+
+distributed = pytest.importorskip("distributed")
+
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_live_trials_are_the_same_to_the_bit(address: str, tmp_path: Path) -> None:
+    arguments = ["--scenario", "exact", "measured", "--figures", "5.4", "--methods", "ekf", "mcl", "--seeds", "2"]
+    whole = ["live", *arguments, "--periods", "12", "--no-pictures", "--out", str(tmp_path), "--cluster", address]
+    assert experiments.main(whole) == 0
+    store = Store(tmp_path / "trials", fingerprint())
+    for trial in trials(["exact", "measured"], ["5.4"], ["ekf", "mcl"], 2, 12):
+        there = store.get(trial)
+        assert there is not None
+        assert matrix.run(Job(trial)).result.same_numbers(there)
+
+
+def test_figures_are_the_same_to_the_bit(address: str) -> None:
+    reports: list[int] = []
+    there = drive_on_cluster(FIGURES["5.6"], range(30), address, reports.append)
+    here = drive_part(FIGURES["5.6"], range(30))
+    assert there.results == here.results
+    assert all((mine.cov == theirs.cov).all() for mine, theirs in zip(here.tracks, there.tracks, strict=True))
+    assert reports[-1] == sum(result.steps for result in here.results)
+
+
+def test_workers_that_would_run_other_code_are_refused_by_their_names(address: str) -> None:
+    with pytest.raises(ClusterError, match=r"other code or another numpy than here on tcp://127.0.0.1"):
+        list(on_cluster(math.factorial, [3], address, os.getpid))
+    assert list(on_cluster(math.factorial, [3], address, fingerprint)) == [6]

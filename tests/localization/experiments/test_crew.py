@@ -1,0 +1,39 @@
+"""Who does the work: all of it, once, and failures told. Clusters are in tests/integration."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import pytest
+
+from localization.experiments.crew import ClusterError, ClusterExtraMissing, _check, here, on_cluster
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_item_is_worked_on_once(jobs: int) -> None:
+    assert sorted(here(math.factorial, range(6), jobs)) == [1, 1, 2, 6, 24, 120]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_the_work_raises_is_raised(jobs: int) -> None:
+    with pytest.raises(ValueError, match="negative"):
+        list(here(math.factorial, [1, -1], jobs))
+
+
+def test_nothing_to_do_is_nothing_done() -> None:
+    assert list(here(math.factorial, [], 2)) == []
+
+
+def test_without_distributed_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterExtraMissing, match=r"nomad-nserver\[cluster\]"):
+        next(on_cluster(math.factorial, [1], "somewhere:1", str))
+
+
+def test_a_cluster_without_workers_or_with_other_code_is_refused() -> None:
+    with pytest.raises(ClusterError, match="no workers: start some with `dask worker there:1`"):
+        _check({}, "there:1", "mine")
+    with pytest.raises(ClusterError, match="other code or another numpy than here on b, c"):
+        _check({"a": "mine", "c": "old", "b": "new"}, "there:1", "mine")
+    _check({"a": "mine"}, "there:1", "mine")

@@ -1,0 +1,26 @@
+"""What this process would run, in one number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.experiments import fingerprint as room
+from localization.experiments.fingerprint import fingerprint
+
+
+def test_it_is_the_same_until_code_or_numpy_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = fingerprint()
+    assert fingerprint() == before
+    sources = room._sources()
+    changed = {**sources, "localization/ekf.py": sources["localization/ekf.py"] + b"#"}
+    monkeypatch.setattr(room, "_sources", lambda: changed)
+    other_code = fingerprint()
+    monkeypatch.setattr(np, "__version__", "0.0")
+    assert len({before, other_code, fingerprint()}) == 3
+
+
+def test_it_reads_code_and_worlds_of_all_packages() -> None:
+    sources = room._sources()
+    for name in ("nserver_emu/simulation/robot.py", "worlds/thesis_room.toml", "nclient/robot.py"):
+        assert name in sources

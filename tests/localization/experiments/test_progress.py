@@ -1,0 +1,25 @@
+"""A bar where it can be drawn."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from localization.experiments.progress import progress
+
+
+def test_a_bar_fills_up_and_never_over(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress(4, "work", "parts") as tally:
+        tally(1)
+        tally(9)
+    told = capsys.readouterr().err
+    assert "work: 100%" in told
+    assert "4.00/4.00" in told
+
+
+def test_without_tqdm_nothing_is_drawn(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    with progress(4, "work", "parts") as tally:
+        tally(4)
+    assert capsys.readouterr().err == ""

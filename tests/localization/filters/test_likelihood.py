@@ -1,0 +1,52 @@
+"""Likelihoods: as densities over all readings, and against a reading by hand."""
+
+from __future__ import annotations
+
+from math import exp, pi, sqrt
+
+import numpy as np
+import pytest
+
+from localization.cone import ConeModel
+from localization.filters.likelihood import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
+from localization.measurement import WIRE_SONAR
+from worlds.bodies import N150
+from worlds.files import load_world
+
+ROOM = load_world("several_walls").walls
+RAYS = RayLikelihood(ROOM, N150, WIRE_SONAR)
+CONES = ConeLikelihood(ROOM, N150, ConeModel())
+POSES = np.array([[20.0, 20.0, 0.3], [5.0, 60.0, -2.0], [80.0, 60.0, 1.2], [70.0, 5.0, 0.0]])
+
+
+@pytest.mark.parametrize("kind", [RAYS, CONES])
+@pytest.mark.parametrize("sonar", [0, 5, 11])
+def test_over_all_ranges_it_is_a_density(kind: Likelihood, sonar: int) -> None:
+    readings = np.arange(-20.0, 300.0, 0.25)
+    sums = 0.25 * np.sum([kind.of(POSES, sonar, 0.4, float(reading)) for reading in readings], axis=0)
+    assert (sums >= 0.99).all()
+    assert (sums <= 320.0 / SPAN_IN + 0.01).all()  # bad readings are spread over less than is summed here
+
+
+def test_a_ray_by_hand() -> None:
+    pose = np.array([[40.0, 60.0, 0.0]])
+    expected = 102.17 - 40.0 - N150.sonar_ring_radius_in
+    variance = (0.01 * expected) ** 2 + 1 / 12 + 0.25
+    by_hand = 0.95 * exp(-0.5 * (55.0 - expected) ** 2 / variance) / sqrt(2 * pi * variance) + 0.05 / SPAN_IN
+    assert RAYS.of(pose, 0, 0.0, 55.0)[0] == pytest.approx(by_hand)
+
+
+@pytest.mark.parametrize("kind", [RAYS, CONES])
+def test_where_it_stands_explains_a_reading_best(kind: Likelihood) -> None:
+    poses = np.array([[40.0 + off, 60.0, 0.0] for off in (-6.0, -2.0, 0.0, 3.0)])
+    assert int(np.argmax(kind.of(poses, 0, 0.0, round(102.17 - 40.0 - N150.sonar_ring_radius_in)))) == 2
+
+
+@pytest.mark.parametrize("kind", [RAYS, CONES])
+def test_limits_are_no_ranges(kind: Likelihood) -> None:
+    assert [kind.is_range(reading) for reading in (6.0, 7.0, 254.0, 255.0)] == [False, True, True, False]
+
+
+def test_a_ray_into_nothing_leaves_only_bad_readings() -> None:
+    alone = RayLikelihood([[50, -10, 50, 10]], N150, WIRE_SONAR)
+    assert alone.of(np.array([[0.0, 0.0, pi]]), 0, 0.0, 41.0)[0] == pytest.approx(0.05 / SPAN_IN)

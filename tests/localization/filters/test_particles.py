@@ -1,0 +1,121 @@
+"""Monte Carlo localization against the Kalman filter where both are right, and the resampler by its definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization import ekf
+from localization.belief import Belief, Floats, independent
+from localization.filters.likelihood import RayLikelihood
+from localization.filters.particles import ParticleFilter, drawn_from, low_variance, moments
+from localization.measurement import WIRE_SONAR
+from localization.motion import OdometryNoise, move
+from localization.observation import Observation, Refusal
+from worlds.bodies import N150
+from worlds.files import load_world
+from worlds.raycast import cast_rays
+
+BELIEF = independent([40.0, 45.0, 0.3], [0.8, 0.5, 0.03])
+ROOM = load_world("thesis_room").walls
+
+
+class Ruler:
+    """A sensor that reads x, with a standard deviation of 0.5 in: linear, so that the Kalman filter is exact."""
+
+    def is_range(self, reading_in: float) -> bool:
+        return reading_in >= 0.0
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+        del sonar, turret_offset_rad
+        likelihood: Floats = np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2)
+        return likelihood
+
+
+def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
+    chance = np.random.default_rng(seed)
+    return ParticleFilter(drawn_from(BELIEF, count, chance), Ruler(), OdometryNoise(), chance, **more)  # type: ignore[arg-type]
+
+
+def test_on_a_linear_problem_it_agrees_with_the_kalman_filter() -> None:
+    particles, gaussian = filter_of(200_000), BELIEF
+    step = np.array([1.0, 0.05])
+    for reading in (41.3, 42.0, 43.4):
+        particles.move(step)
+        gaussian = ekf.predict(gaussian, step, OdometryNoise())
+        particles.hear(0, 0.0, reading)
+        seen = Observation(
+            np.array([reading - gaussian.mean[0]]), np.array([[1.0, 0, 0]]), np.array([0.25]), np.zeros(1, np.int8)
+        )
+        gaussian = ekf.correct(gaussian, seen)
+    np.testing.assert_allclose(particles.belief.mean, gaussian.mean, atol=0.02)
+    np.testing.assert_allclose(particles.belief.std, gaussian.std, rtol=0.04)
+
+
+def test_looking_ahead_says_what_moving_then_does() -> None:
+    particles, step = filter_of(100_000), np.array([3.0, 0.4])
+    ahead = particles.ahead(step)
+    particles.move(step)
+    np.testing.assert_allclose(particles.belief.mean, ahead.mean, atol=0.01)
+    np.testing.assert_allclose(particles.belief.std, ahead.std, rtol=0.02)
+
+
+def test_limits_say_nothing() -> None:
+    particles = filter_of(100)
+    assert particles.hear(0, 0.0, -1.0).refusal is Refusal.LIMIT
+    assert (particles.weights == 0.01).all()
+
+
+@pytest.mark.parametrize("start", [0.0, 0.37, 0.999])
+def test_resampling_keeps_each_as_often_as_its_weight_says_to_less_than_one(start: float) -> None:
+    weights = np.random.default_rng(2).dirichlet(np.ones(50))
+    counts = np.bincount(low_variance(weights, start), minlength=50)
+    assert counts.sum() == 50
+    assert (np.abs(counts - 50 * weights) < 1.0).all()
+
+
+def test_moments_across_the_cut_of_the_heading() -> None:
+    states = np.array([[0.0, 0.0, np.pi - 0.1], [2.0, 4.0, -np.pi + 0.1]])
+    found = moments(states, np.array([0.5, 0.5]))
+    assert abs(found.mean[2]) == pytest.approx(np.pi)
+    np.testing.assert_allclose(np.diag(found.cov), [1.0, 4.0, 0.01])
+
+
+def test_the_same_seed_gives_the_same_particles() -> None:
+    runs = []
+    for _ in range(2):
+        particles = filter_of(500, seed=7)
+        for reading in (41.0, 41.5):
+            particles.move(np.array([0.5, 0.0]))
+            particles.hear(0, 0.0, reading)
+        runs.append(particles.states)
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+def test_drawn_particles_have_the_moments_they_are_drawn_from() -> None:
+    root = np.array([[0.5, 0, 0], [0.2, 0.4, 0], [0.01, 0.0, 0.02]])
+    belief = Belief(np.array([1.0, 2.0, 3.1]), root @ root.T)
+    states = drawn_from(belief, 100_000, np.random.default_rng(3))
+    found = moments(states, np.full(100_000, 1e-5))
+    np.testing.assert_allclose(found.mean[:2], belief.mean[:2], atol=0.01)
+    np.testing.assert_allclose(found.cov, belief.cov, atol=0.004)
+
+
+def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
+    chance, truth = np.random.default_rng(4), np.array([42.0, 44.0, 0.28])
+    wide = independent(BELIEF.mean, [3.0, 3.0, 0.1])
+    likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
+    cloud = ParticleFilter(drawn_from(wide, 2000, chance), likelihood, OdometryNoise(), chance)
+    for _ in range(4):
+        for sonar in range(16):
+            cloud.move(np.array([0.02, 0.0]))
+            truth = move(truth, np.array([0.02, 0.0]))
+            cloud.hear(sonar, 0.0, _reading(truth, sonar))
+    assert np.hypot(*(cloud.belief.mean - truth)[:2]) < 0.5
+    assert cloud.belief.std[:2].max() < 1.0
+
+
+def _reading(pose: Floats, sonar: int) -> float:
+    angle = pose[2] + N150.sonar_angles_rad[sonar]
+    ranges, _ = cast_rays(pose[:2], (np.cos(angle), np.sin(angle)), ROOM)
+    return float(round(float(ranges) - N150.sonar_ring_radius_in))

@@ -1,0 +1,121 @@
+"""The fixed-lag smoother against filterpy's Rauch-Tung-Striebel, and against the truth of drawn runs."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import pytest
+from filterpy.kalman import rts_smoother
+
+from localization.belief import Belief, Floats, add, difference, independent
+from localization.candidates import Candidates
+from localization.filters.hearing import Hearing
+from localization.filters.kalman import KalmanFilter
+from localization.filters.method import Smoothing
+from localization.filters.sense import Sensed
+from localization.filters.smoother import FixedLagSmoother
+from localization.motion import OdometryNoise, move, step_variance
+from localization.observation import Refusal
+from localization.systematic import step_jacobians, with_constants
+
+NOISE = OdometryNoise(0.05, 0.05, 0.002)
+ROWS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+VARIANCE = np.array([0.01, 0.01, 0.01, 1e-4])
+
+
+class Straight:
+    """A sense of readings linear in the pose: number `sonar` reads row `sonar`."""
+
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+        assert (turret_offset_rad, np.isfinite(reading_in)) == (0.0, True)
+        row, variance = ROWS[sonar], VARIANCE[sonar : sonar + 1]
+
+        def expect(poses: Floats) -> tuple[Floats, Floats]:
+            return (poses * row).sum(axis=-1), np.broadcast_to(row, (*poses.shape[:-1], 3))
+
+        return Sensed(
+            Refusal.NONE, 1.0, Candidates(*expect(belief.mean[None, :3]), variance, np.ones(1), expect, 0.0, 0.0)
+        )
+
+
+def steps(count: int) -> Floats:
+    return np.stack([np.full(count, 0.5), 0.05 * np.sin(np.arange(count))], axis=-1)
+
+
+def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
+    return FixedLagSmoother(belief, Hearing(Straight()), NOISE, lag)
+
+
+@pytest.mark.parametrize("lag", [1, 5, 12])
+@pytest.mark.parametrize("size", [3, 4])
+def test_it_is_filterpys_rts_over_the_last_moves(lag: int, size: int) -> None:
+    """filterpy smooths errors about the predicted way: x_k+1 - F x_k there is what `later - predicted` is here."""
+    rng = np.random.default_rng(7)
+    made = smoother(with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
+    filtered, predicted, by_state, noise = [made.belief], [made.belief], [], []
+    for number, step in enumerate(steps(12)):
+        by_state.append(step_jacobians(made.belief.mean, step)[0])
+        made.move(step)
+        predicted.append(made.belief)
+        noise.append(made.belief.cov - by_state[-1] @ filtered[-1].cov @ by_state[-1].T)
+        expected = ROWS[number % 4] @ made.belief.mean[:3]
+        made.hear(number % 4, 0.0, float(expected + 0.05 * rng.standard_normal()))
+        filtered.append(made.belief)
+    first = len(filtered) - 1 - lag
+    errors = [np.zeros(size)]
+    for k in range(first, len(filtered) - 1):
+        errors.append(by_state[k] @ errors[-1] + difference(filtered[k + 1].mean, predicted[k + 1].mean))
+    covs = np.stack([belief.cov for belief in filtered[first:]])
+    xs, ps, _, _ = rts_smoother(np.stack(errors), covs, by_state[first:], noise[first:])
+    smoothed = made.smoothed()
+    np.testing.assert_allclose(difference(smoothed.mean, filtered[first].mean), xs[0], atol=1e-10)
+    np.testing.assert_allclose(smoothed.cov, ps[0], atol=1e-10)
+
+
+def test_before_it_has_moved_it_says_what_it_knows() -> None:
+    belief = independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01])
+    made = smoother(belief, 3)
+    assert made.smoothed() is belief
+    made.hear(0, 0.0, 1.1)
+    assert made.smoothed() is made.belief
+    assert isinstance(made, Smoothing)
+    assert not isinstance(cast(object, KalmanFilter(belief, Hearing(Straight()), NOISE)), Smoothing)
+
+
+def test_a_coordinate_that_is_certain_stays() -> None:
+    made = smoother(with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.0,)), 4)
+    for number, step in enumerate(steps(6)):
+        made.move(step)
+        made.hear(number % 4, 0.0, float(ROWS[number % 4] @ made.belief.mean[:3] + 0.05))
+    smoothed = made.smoothed()
+    assert smoothed.mean[3] == 0.0
+    assert smoothed.cov[3, 3] == 0.0
+    assert np.linalg.eigvalsh(smoothed.cov).min() > -1e-15
+
+
+def test_a_lag_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="1 move or more, not 0"):
+        smoother(independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), 0)
+
+
+def test_looking_back_it_is_nearer_to_the_truth_than_the_filter_was_and_as_sure_as_it_says() -> None:
+    rng = np.random.default_rng(11)
+    start, lag = independent([0.0, 0.0, 0.0], [0.3, 0.3, 0.02]), 8
+    squared, normalised = np.zeros(2), []
+    for _ in range(150):
+        truths = [add(start.mean, start.std * rng.standard_normal(3))]
+        made, beliefs = smoother(start, lag), [start]
+        for number, step in enumerate(steps(20)):
+            truths.append(move(truths[-1], step + np.sqrt(step_variance(step, NOISE)) * rng.standard_normal(2)))
+            made.move(step)
+            row = number % 4
+            made.hear(row, 0.0, float(ROWS[row] @ truths[-1] + np.sqrt(VARIANCE[row]) * rng.standard_normal()))
+            beliefs.append(made.belief)
+        smoothed = made.smoothed()
+        error = difference(smoothed.mean, truths[-1 - lag])
+        squared += [float(error[:2] @ error[:2]), float(np.sum((beliefs[-1 - lag].mean - truths[-1 - lag])[:2] ** 2))]
+        normalised.append(float(error @ np.linalg.solve(smoothed.cov, error)))
+        assert (smoothed.std < beliefs[-1 - lag].std).all()
+    assert squared[0] < 0.8 * squared[1]
+    assert 2.4 < np.mean(normalised) < 3.6

@@ -1,0 +1,32 @@
+"""The table of methods."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.belief import independent
+from localization.filters.table import METHODS, make
+from localization.surroundings import Surroundings
+from worlds.bodies import N150
+from worlds.files import load_world
+
+KNOWN = Surroundings(load_world("thesis_room").walls, N150)
+BELIEF = independent([40.0, 45.0, 0.3], [0.5, 0.5, 0.02])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_starts_where_it_is_told_and_looks_ahead_without_going(method: str) -> None:
+    made = make(method, KNOWN, BELIEF, seed=3)
+    np.testing.assert_allclose(made.belief.mean, BELIEF.mean, atol=0.1)
+    before = made.belief
+    ahead = made.ahead(np.array([2.0, 0.1]))
+    assert np.hypot(*(ahead.mean - before.mean)[:2]) == pytest.approx(2.0, abs=0.2)
+    np.testing.assert_array_equal(made.belief.mean, before.mean)
+    made.move(np.array([2.0, 0.1]))
+    np.testing.assert_allclose(made.belief.mean, ahead.mean, atol=0.1)
+
+
+def test_an_unknown_method_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ValueError, match="no method 'kalman'; there are ekf"):
+        make("kalman", KNOWN, BELIEF)
