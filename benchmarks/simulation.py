@@ -5,6 +5,9 @@
 
 Yardstick: cast_rays of 16 rays against the 50 walls of the scene, timed in the same run, turn about. A ratio to it
 moves less from machine to machine than steps a second do. All times are of the processor, the best of some rounds.
+
+Where numba is installed (extra `fast`), crowds load machine code; with NOMAD_COMPILED=always the single robot does too,
+with NOMAD_COMPILED=never nobody. `compiled` tells.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from scenes import WALLS, alone, crowd, roam
 from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
+from worlds.compiled import FIRST_MET
 from worlds.geometry import FloatArray
 from worlds.raycast import cast_rays
 
@@ -36,6 +40,8 @@ CROWD_DT_S: Final = 0.12
 TARGET_STEPS_PER_S: Final = 10_000
 TARGETS: Final = {50: 10.0, 1000: 1.0}
 """How many times real time so many robots must reach."""
+GARBAGE: Final = 100_000
+"""So many new objects before Python looks for garbage, as in the daemon: a step of a crowd makes tens of thousands."""
 CASTS: Final = 30
 
 
@@ -70,6 +76,7 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
     step_s, cast_s = step_s / steps, cast_s / CASTS
     return {
         "setup": setup.name,
+        "compiled": FIRST_MET.run is not None,
         "walls": len(simulation.world.walls),
         "steps_per_s": round(1.0 / step_s),
         "step_us": round(step_s * 1e6, 1),
@@ -81,6 +88,8 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
 def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8, places_for: int = 0) -> Result:
     """How many times real time a crowd runs; every ring is read every so many steps, 0 never."""
     simulation, simulated_s = crowd(robots, setup, places_for), 8 * CROWD_DT_S
+    gc.collect()
+    gc.freeze()
     cast = yardstick(alone(IDEAL).world.walls)
     steps = round(simulated_s / CROWD_DT_S)
     run_s, cast_s = best_s((lambda: roam(simulation, steps, CROWD_DT_S, look_every), cast), rounds)
@@ -88,6 +97,7 @@ def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8
     return {
         "robots": robots,
         "setup": setup.name,
+        "compiled": FIRST_MET.run is not None,
         "times_real_time": round(simulated_s / run_s, 2),
         "us_a_robot_and_second": round(robot_s * 1e6),
         "yardstick_us": round(cast_s / CASTS * 1e6, 1),
@@ -170,7 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--growth", action="store_true", help="print the table of README.md and nothing else")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args(arguments)
-    gc.freeze()
+    gc.set_threshold(GARBAGE)
     if options.growth:
         print(growth(options.rounds))
         return 0

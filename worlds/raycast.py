@@ -13,29 +13,22 @@ side for both (or, within ON_LINE_IN, on the line for one of them), so no ray sl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, sqrt
+from math import inf
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from worlds.geometry import FloatArray
+from worlds.ray import ON_LINE_IN, ON_WALL_IN, WORTH_A_LOOK, meeting_before
 
 IndexArray = npt.NDArray[np.intp]
-
-ON_LINE_IN: Final = 1e-9
-"""A corner this near to a ray's line lies on it, inches. With coordinates up to 1e5 in rounding is some 1e-11, and
-the finest thing a robot tells apart is 1e-2: 1e-9 is far from both. So every answer is the exact one for walls whose
-corners were moved by no more than this."""
-
-ON_WALL_IN: Final = 1e-9
-"""A ray that starts this little behind a wall starts on it, inches; for the same reason."""
 
 NO_WALL: Final = -1
 """What stands in `walls_hit` where a ray meets nothing."""
 
-_WORTH_A_LOOK: Final = ON_LINE_IN * 4e5
-"""Two corners whose sides multiply to more than this are clearly both on one side: no side is beyond 4e5 in."""
+_BEHIND: Final = -2.0 * ON_WALL_IN
+"""A corner this far behind is clearly behind, however its product was rounded."""
 
 _NEVER_ZERO: Final = 1e-200
 """Added to a difference of sides: changes none but 0, which it keeps from being divided by."""
@@ -95,33 +88,22 @@ def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.Arr
     return ranges
 
 
-def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float]) -> float:
-    """`cast_discs` of a single ray from (x, y) along (dx, dy) and one disc (x, y, radius), to the same bit."""
-    to_x, to_y, radius = disc[0] - x, disc[1] - y, disc[2]
-    ahead, side = to_x * dx + to_y * dy, dx * to_y - dy * to_x
-    if abs(side) > radius:
-        return inf
-    half_chord = sqrt(radius * radius - side * side)
-    return inf if ahead + half_chord < 0.0 else max(ahead - half_chord, 0.0)
-
-
 def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
     """`cast_rays` of a single ray from (x, y) along (dx, dy), in numbers: the quickest way for one.
 
     walls       (m, 4) as there, contiguous
     returns     the range, and the row of the wall that is met
 
-    Sides and aheads of all corners in arrays, then one by one the few walls worth a look. A corner is the complex
-    number x + iy; times the conjugate of the direction it is ahead + i side.
+    Arrays only say which walls are worth a look. There a corner is the complex number x + iy; times the conjugate of
+    the direction it is ahead + i side. Some processors round such products once, others twice, so ranges are worked
+    out in plain numbers.
     """
-    seen = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).view(np.float64)
-    rows = (seen[:, 1] * seen[:, 3] <= _WORTH_A_LOOK).nonzero()[0]
+    sides = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).imag
+    rows = (sides[:, 0] * sides[:, 1] <= WORTH_A_LOOK).nonzero()[0]
     nearest, hit = inf, NO_WALL
-    for row, (ahead_1, side_1, ahead_2, side_2) in zip(rows.tolist(), seen.take(rows, axis=0).tolist(), strict=True):
-        if (ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN) or (ahead_1 >= nearest and ahead_2 >= nearest):
-            continue
-        met = _meeting(ahead_1, side_1, ahead_2, side_2)
-        if -ON_WALL_IN <= met < nearest:
+    for row, wall in zip(rows.tolist(), walls.take(rows, axis=0).tolist(), strict=True):
+        met = meeting_before(nearest, x, y, dx, dy, *wall)
+        if met < nearest:
             nearest, hit = met, row
     return max(nearest, 0.0), hit
 
@@ -132,38 +114,20 @@ def cast_each(origins: Sequence[complex], ways: Sequence[complex], walls: FloatA
     origins, ways   x + iy, and unit vectors dx + i dy
     walls           (m, 4) as there, contiguous
 
-    A product of complex numbers has no sum that another number of rays would cut another way, and what is worth a look
-    is looked at in plain numbers, in the order of the walls.
+    What is worth a look is looked at in plain numbers, in the order of the walls.
     """
     corners = walls.view(np.complex128).reshape(1, -1)
     seen = (corners - np.array(origins)[:, np.newaxis]) * np.array(ways).conj()[:, np.newaxis]
     frames = seen.view(np.float64).reshape(len(origins) * len(walls), 4)
-    rows = (frames[:, 1] * frames[:, 3] <= _WORTH_A_LOOK).nonzero()[0]
+    rows = (frames[:, 1] * frames[:, 3] <= WORTH_A_LOOK).nonzero()[0]
     if len(origins) > _FEW_RAYS:
-        rows = rows[(frames[rows, 0] >= -ON_WALL_IN) | (frames[rows, 2] >= -ON_WALL_IN)]
-    worth = frames.take(rows, axis=0)
+        rows = rows[(frames[rows, 0] >= _BEHIND) | (frames[rows, 2] >= _BEHIND)]
     ranges = [inf] * len(origins)
-    rays = (rows // len(walls)).tolist() if len(rows) else []
-    for ray, (ahead_1, side_1, ahead_2, side_2) in zip(rays, worth.tolist(), strict=True):
-        nearest = ranges[ray]
-        if (ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN) or (ahead_1 >= nearest and ahead_2 >= nearest):
-            continue
-        met = _meeting(ahead_1, side_1, ahead_2, side_2)
-        if -ON_WALL_IN <= met < nearest:
-            ranges[ray] = met
+    rays, which = np.divmod(rows, max(len(walls), 1))
+    for ray, wall in zip(rays.tolist(), walls[which].tolist(), strict=True):
+        origin, way = origins[ray], ways[ray]
+        ranges[ray] = meeting_before(ranges[ray], origin.real, origin.imag, way.real, way.imag, *wall)
     return [max(nearest, 0.0) for nearest in ranges]
-
-
-def _meeting(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> float:
-    """Where a ray's line meets a wall, from its two corners; negative behind the origin, inf for not at all."""
-    on_line_1, on_line_2 = abs(side_1) <= ON_LINE_IN, abs(side_2) <= ON_LINE_IN
-    if not (on_line_1 or on_line_2):
-        return inf if side_1 * side_2 > 0.0 else (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
-    nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
-    if on_line_1 and on_line_2:
-        return farther if farther < 0.0 else max(nearer, 0.0)
-    mean = (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
-    return min(max(mean, nearer), farther)
 
 
 def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, IndexArray]:
@@ -181,7 +145,7 @@ def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -
 
 
 def _meetings(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
-    """`_meeting` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
+    """`meeting` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
     (side_1, side_2), (ahead_1, ahead_2) = sides, _ = _in_ray_frames(origins, directions, walls)
     met: FloatArray = ahead_1 * side_2
     met -= ahead_2 * side_1

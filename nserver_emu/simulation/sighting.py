@@ -15,6 +15,7 @@ import numpy as np
 
 from nserver_emu.simulation.polaroid import NO_ROBOTS
 from worlds.geometry import FloatArray
+from worlds.ray import FAR_IN
 
 FARTHEST_IN: Final = 500.0
 """No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""
@@ -22,11 +23,8 @@ FARTHEST_IN: Final = 500.0
 GRAZING_IN: Final = 1e-6
 """So much farther from a line than its rim a robot still counts as met, until its range is worked out: rounding."""
 
-
-_FAR_IN: Final = 1e6
-"""Farther than any wall."""
-
-_NOBODY: Final[FloatArray] = np.zeros((0, 4))
+NOBODY_NEAR: Final[FloatArray] = np.zeros((0, 4))
+"""No rows x y radius row."""
 
 
 class Sighting:
@@ -47,29 +45,31 @@ class Sighting:
     def ahead(self, x_in: float, way_x_in: float) -> FloatArray:
         """Those of `near` that a ray from this x can meet before it has gone so far along x, and perhaps some more."""
         if len(self.discs) < 2:
-            return _NOBODY
-        beside = self._widest_in
+            return NOBODY_NEAR
+        beside = self.widest_in
         low, high = x_in + min(way_x_in, 0.0) - beside, x_in + max(way_x_in, 0.0) + beside
         return self._between(max(low, x_in - FARTHEST_IN), min(high, x_in + FARTHEST_IN))
 
     def _between(self, low_in: float, high_in: float) -> FloatArray:
         if len(self.discs) < 2:
-            return _NOBODY
+            return NOBODY_NEAR
         xs = self._xs
-        return self._sorted[bisect_left(xs, low_in) : bisect_right(xs, high_in)]
+        return self.sorted[bisect_left(xs, low_in) : bisect_right(xs, high_in)]
 
     @cached_property
-    def _widest_in(self) -> float:
+    def widest_in(self) -> float:
+        """No less than any robot's radius, and a little more."""
         return float(self.discs[:, 2].max()) + GRAZING_IN
 
     @cached_property
-    def _sorted(self) -> FloatArray:
+    def sorted(self) -> FloatArray:
+        """The robots (n, 4), rows x y radius row, sorted by x."""
         order = self.discs[:, 0].argsort(kind="stable")
         return np.column_stack((self.discs[order], order))
 
     @cached_property
     def _xs(self) -> list[float]:
-        xs: list[float] = self._sorted[:, 0].tolist()
+        xs: list[float] = self.sorted[:, 0].tolist()
         return xs
 
 
@@ -118,7 +118,7 @@ def on_lines(
     """
     if all(len(eye.seen.discs) < 2 for eye in eyes):
         return
-    to_wall = [min(far, _FAR_IN) for far in ranges]
+    to_wall = [min(far, FAR_IN) for far in ranges]
     near = [eye.seen.ahead(eye.x_in, far * way.real) for eye, way, far in zip(eyes, ways, to_wall, strict=True)]
     counts = [len(robots) for robots in near]
     robots = np.concatenate(near)

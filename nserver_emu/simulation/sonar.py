@@ -9,7 +9,7 @@ is an echo model's: SonarNoise, one exact ray with noise, or Polaroid (polaroid.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import cos, floor, inf, sin
 from typing import Final, NamedTuple
@@ -20,10 +20,12 @@ from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
 from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sighting import Eye, on_lines
+from nserver_emu.simulation.sighting import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
 from worlds.bodies import SONARS, Body
+from worlds.compiled import FIRST_MET
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_each, ray_to_disc
+from worlds.ray import ray_to_disc
+from worlds.raycast import cast_each
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -71,15 +73,28 @@ class SonarNoise:
 
         How many rays come at once changes no bit.
         """
+        if FIRST_MET.run is not None:
+            from_axis = [_met(FIRST_MET.run, cry, eye, walls) for cry, eye in zip(cries, eyes, strict=True)]
+            return self._from_ring(from_axis, cries, body)
         ways = [complex(cos(cry.direction_rad), sin(cry.direction_rad)) for cry in cries]
         from_axis = cast_each([complex(cry.x_in, cry.y_in) for cry in cries], ways, walls)
         for ray, disc in on_lines(eyes, ways, from_axis.copy()):
             met = ray_to_disc(cries[ray].x_in, cries[ray].y_in, ways[ray].real, ways[ray].imag, disc)
             from_axis[ray] = min(from_axis[ray], met)
+        return self._from_ring(from_axis, cries, body)
+
+    def _from_ring(self, from_axis: Sequence[float], cries: Sequence[Cry], body: Body) -> list[float]:
         return [self._misheard(far - body.sonar_ring_radius_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
 
     def _misheard(self, range_in: float, cry: Cry) -> float:
         return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
+
+
+def _met(first_met: Callable[..., float], cry: Cry, eye: Eye, walls: FloatArray) -> float:
+    """The range from the axis to the first wall or robot, by the machine code."""
+    way, seen = cry.direction_rad, eye.seen
+    robots, widest_in = (seen.sorted, seen.widest_in) if len(seen.discs) > 1 else (NOBODY_NEAR, 0.0)
+    return first_met(cry.x_in, cry.y_in, cos(way), sin(way), walls, robots, eye.own, widest_in, FARTHEST_IN)
 
 
 EchoModel = SonarNoise | Polaroid

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from worlds import raycast
 from worlds.geometry import polygon_segments
-from worlds.raycast import NO_WALL, ON_LINE_IN, ON_WALL_IN, cast_discs, cast_each, cast_ray, cast_rays, ray_to_disc
+from worlds.ray import ON_LINE_IN, ON_WALL_IN, first_wall, ray_to_disc
+from worlds.raycast import NO_WALL, cast_discs, cast_each, cast_ray, cast_rays
 
 Pair = tuple[float, float]
 Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]
@@ -303,6 +304,11 @@ def test_rays_cast_at_once_are_those_cast_one_by_one_to_the_bit(walls: int) -> N
         cuts = range(0, 40, count)
         at_once = [cast_each(places[cut : cut + count], ways[cut : cut + count], corners) for cut in cuts]
         assert [distance for batch in at_once for distance in batch] == alone
+    in_numbers = [
+        first_wall(place.real, place.imag, way.real, way.imag, corners)
+        for place, way in zip(places, ways, strict=True)
+    ]
+    assert in_numbers == alone
     assert (0.0 in alone) == (walls > 0)
     assert (inf in alone) == (walls < 4)
 

@@ -1,0 +1,39 @@
+"""A simulation with machine code and one without: the same to the bit."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+
+from nserver_emu.simulation import sonar
+from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from worlds.compiled import Kernel
+from worlds.world import Polygon, StartPose, World
+
+
+@pytest.mark.parametrize("setup", [IDEAL, NOISY], ids=lambda setup: setup.name)
+def test_machine_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    loaded = Kernel()
+    assert loaded.load()
+
+    def lived(kernel: Kernel) -> list[object]:
+        monkeypatch.setattr(sonar, "FIRST_MET", kernel)
+        square = Polygon(((-70.0, -70.0), (70.0, -70.0), (70.0, 70.0), (-70.0, 70.0)))
+        simulation = Simulation(World("square", rooms=(square,)), seed=9)
+        for number in range(3):
+            simulation.add_robot(number + 1, StartPose(-40.0 + 40.0 * number, 3.0 * number, number, 0.0), setup=setup)
+        told: list[object] = []
+        for step in range(60):
+            for number, robot in simulation.robots.items():
+                if step % 12 == 0:
+                    robot.set_velocities(14.0, 0.4 * (number - 2), 0.3)
+                told.append((robot.actual, robot.encoder, robot.sonar.readings_in, robot.sonar.stamps))
+            simulation.step(0.15)
+            if step == 30:
+                simulation = pickle.loads(pickle.dumps(simulation))
+        return told
+
+    assert lived(loaded) == lived(Kernel())

@@ -1,0 +1,154 @@
+"""Machine code against arrays, to the bit; and when it is loaded."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from math import cos, inf, sin
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from worlds import compiled, ray
+from worlds.compiled import CROWD, VARIABLE, Kernel, load_for
+from worlds.geometry import FloatArray, polygon_segments
+from worlds.raycast import cast_discs, cast_ray
+
+FARTHEST_IN = 500.0
+WHOLE = st.integers(-6, 6).map(float)
+"""Whole numbers let corners, ends and starts fall on rays exactly, where the branches are."""
+COORDINATE = WHOLE | st.floats(-300.0, 300.0)
+WALLS = st.lists(st.tuples(*[COORDINATE] * 4), max_size=8).map(lambda rows: np.array(rows).reshape(-1, 4))
+DISCS = st.lists(st.tuples(COORDINATE, COORDINATE, st.floats(1.0, 20.0)), max_size=6)
+WAY = st.sampled_from([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]) | st.floats(0.0, 6.3).map(
+    lambda angle: (cos(angle), sin(angle))
+)
+SQUARE = polygon_segments([(0, 0), (6, 0), (6, 6), (0, 6)])
+
+
+@pytest.fixture(scope="module")
+def kernel() -> Kernel:
+    """Machine code, of this module alone."""
+    pytest.importorskip("numba")
+    loaded = Kernel()
+    assert loaded.load()
+    return loaded
+
+
+def by_x(discs: list[tuple[float, float, float]]) -> FloatArray:
+    rows = np.array(discs).reshape(-1, 3)
+    order = rows[:, 0].argsort(kind="stable")
+    return np.column_stack((rows[order], order))
+
+
+@given(st.tuples(COORDINATE, COORDINATE), WAY, WALLS, DISCS, st.integers(0, 6))
+@example((0.0, 0.0), (1.0, 0.0), SQUARE, [], 0)
+@example((3.0, 3.0), (0.0, 1.0), SQUARE, [(3.0, 5.0, 1.0), (3.0, 3.0, 8.0)], 1)
+@example((0.0, 0.0), (1.0, 0.0), np.zeros((0, 4)), [(-400.0, 0.0, 5.0), (9.0, 0.0, 5.0), (600.0, 0.0, 5.0)], 1)
+@example((0.0, 0.0), (1.0, 0.0), np.zeros((0, 4)), [(600.0, 0.0, 5.0), (-600.0, 0.0, 20.0)], 6)
+def test_machine_code_numbers_and_arrays_are_the_same_to_the_bit(
+    kernel: Kernel,
+    place: tuple[float, float],
+    way: tuple[float, float],
+    walls: FloatArray,
+    discs: list[tuple[float, float, float]],
+    own: int,
+) -> None:
+    assert kernel.run is not None
+    robots = by_x(discs)
+    handed = *place, *way, walls, robots, own, 20.0, FARTHEST_IN
+    found, in_numbers = kernel.run(*handed), float(ray.first_met(*handed))
+    in_reach = np.abs(robots[:, 0] - place[0]) <= FARTHEST_IN
+    to_disc = float(cast_discs(place, way, robots[(robots[:, 3] != own) & in_reach, :3]))
+    to_wall = cast_ray(*place, *way, walls)[0] if len(walls) else inf
+    assert found.hex() == in_numbers.hex() == min(to_wall, to_disc).hex()
+
+
+def test_arrays_that_may_be_written_and_those_that_may_not_are_taken_by_the_same_code(kernel: Kernel) -> None:
+    assert kernel.run is not None
+    fixed = SQUARE.copy()
+    fixed.setflags(write=False)
+    nobody = np.zeros((0, 4))
+    for walls in (SQUARE.copy(), fixed):
+        assert kernel.run(2.0, 3.0, 1.0, 0.0, walls, nobody, 0, 0.0, FARTHEST_IN) == 4.0
+
+
+@pytest.fixture
+def fresh(monkeypatch: pytest.MonkeyPatch) -> Kernel:
+    """The process' own, not loaded."""
+    unloaded = Kernel()
+    monkeypatch.setattr(compiled, "FIRST_MET", unloaded)
+    monkeypatch.setattr(compiled, "_compile", lambda _: ray.first_met)
+    monkeypatch.setitem(sys.modules, "numba", SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "numba.extending", SimpleNamespace())
+    monkeypatch.delenv(VARIABLE, raising=False)
+    return unloaded
+
+
+@pytest.mark.parametrize(
+    ("word", "robots", "loads"),
+    [
+        (None, CROWD - 1, False),
+        (None, CROWD, True),
+        ("crowd", CROWD, True),
+        ("always", 1, True),
+        ("never", 10**6, False),
+    ],
+)
+def test_a_crowd_loads_it_or_who_wants_it(
+    fresh: Kernel, monkeypatch: pytest.MonkeyPatch, word: str | None, robots: int, loads: bool
+) -> None:
+    if word is not None:
+        monkeypatch.setenv(VARIABLE, word)
+    load_for(robots)
+    assert fresh.tried == loads
+    assert (fresh.run is not None) == loads
+
+
+def test_a_word_that_is_none_is_refused(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "yes")
+    with pytest.raises(ValueError, match="NOMAD_COMPILED is 'yes'; it can be always, crowd, never"):
+        load_for(1)
+    assert not fresh.tried
+
+
+def test_without_numba_there_is_none_and_it_is_sought_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    sought: list[str] = []
+    found = builtins.__import__
+
+    def without(name: str, *rest: object, **more: object) -> object:
+        if name.startswith("numba"):
+            sought.append(name)
+            raise ImportError(name)
+        return found(name, *rest, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    kernel = Kernel()
+    assert not kernel.load()
+    assert not kernel.load()
+    assert kernel.run is None
+    assert sought == ["numba"]
+
+
+def test_where_nothing_can_be_cached_it_is_compiled_all_the_same() -> None:
+    caches: list[bool] = []
+
+    def njit(signature: object, cache: bool = False) -> object:
+        del signature
+        caches.append(cache)
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return lambda function: function
+
+    numba = SimpleNamespace(
+        njit=njit,
+        float64=lambda *parts: parts,
+        int64=None,
+        types=SimpleNamespace(Array=lambda *what, **how: (what, how)),
+        extending=SimpleNamespace(register_jitable=lambda function: function),
+    )
+    assert compiled._compile(numba) is ray.first_met
+    assert caches == [True, False]
