@@ -81,7 +81,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Drive figures of the thesis with many seeds at once: a simulated robot with ideal sonars and "
         "gaussian noise, an extended Kalman filter (but for 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
-        "instead of figures: `live`, methods side by side on live robots (`live --help`); `all`, all figures, then that",
+        "instead of figures: `live`, methods side by side on live robots (`live --help`); `all`, all figures and that",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", choices=list(FIGURES), metavar="FIGURE", help="one or more, see below")

@@ -25,7 +25,7 @@ distributed = pytest.importorskip("distributed")
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
     ) as cluster:
         yield cluster.scheduler_address
 
@@ -48,6 +48,15 @@ def test_figures_are_the_same_to_the_bit(address: str) -> None:
     assert there.results == here.results
     assert all((mine.cov == theirs.cov).all() for mine, theirs in zip(here.tracks, there.tracks, strict=True))
     assert reports[-1] == sum(result.steps for result in here.results)
+
+
+def test_the_command_drives_figures_there(address: str, tmp_path: Path) -> None:
+    arguments = ["5.6", "--seeds", "2", "--no-pictures", "--json", "--out", str(tmp_path)]
+    numbers = []
+    for who in (["--cluster", address], ["--jobs", "1"]):
+        assert experiments.main([*arguments, *who]) == 0
+        numbers.append((tmp_path / "figure_5.6.json").read_bytes())
+    assert numbers[0] == numbers[1]
 
 
 def test_workers_that_would_run_other_code_are_refused_by_their_names(address: str) -> None:

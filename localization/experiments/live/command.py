@@ -85,7 +85,6 @@ def _parser() -> argparse.ArgumentParser:
         "say how good they are: RMSE, consistency, jitter, time, runs lost. Trials that are on disk are not driven "
         "again. `smoother` looks back: its numbers are of where the robot was some 2 s before.",
         epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--scenario", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS), metavar="NAME",
                         help=f"what errs and how: {', '.join(SCENARIOS)} (all)")
