@@ -3,7 +3,9 @@
     always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
                 robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same}}
     if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential"}}
-                world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], "obstacles": [{"name", "corners"} ...]}
+                world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the edges of the rooms first,
+                          "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
+                          degrees] ...], "paths": {name: [[x, y] ...]}}
                 graphics  [[figure, numbers, colour, xor] ...]
                 traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...
                 lasers    {id: [x, y, x, y ...]}    in the robot's frame
@@ -15,6 +17,7 @@ Rules: looking changes nothing in the simulation. Pictures are numbered from 1; 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Any, Final, NamedTuple
 
@@ -25,7 +28,7 @@ from nserver_emu.server.traces import Trace
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
-from worlds.world import World
+from worlds.world import Polygon, World
 
 REMEMBERED: Final = 64
 """Pictures since which it is known what changed; who has an older one gets everything."""
@@ -123,11 +126,19 @@ def ground(world: World) -> Plain:
     return {
         "name": world.name, "title": world.title,
         "walls": [[round(number, DIGITS) for number in row] for row in world.fixed_walls.tolist()],
-        "obstacles": [
-            {"name": thing.name, "corners": [[round(x, DIGITS), round(y, DIGITS)] for x, y in thing.corners_in]}
-            for thing in world.obstacles
+        "rooms": [_outline(room) for room in world.rooms],
+        "obstacles": [_outline(thing) for thing in world.obstacles],
+        "starts": [
+            [start.x_in, start.y_in, math.degrees(start.steering_rad), math.degrees(start.turret_rad)]
+            for start in world.starts
         ],
         "paths": {name: [list(point) for point in path.points_in] for name, path in world.paths.items()},
+    }  # fmt: skip
+
+
+def _outline(polygon: Polygon) -> Plain:
+    return {
+        "name": polygon.name, "corners": [[round(x, DIGITS), round(y, DIGITS)] for x, y in polygon.corners_in]
     }  # fmt: skip
 
 

@@ -5,9 +5,13 @@ import { readTheme } from './colours.js';
 import { openLink } from './link.js';
 import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
+import { driveWindow, timeWindow, worldWindow } from './doing_windows.js';
+import { setUpTools, drawWaypoints } from './tools.js';
+import { tenthsOf, angleTenths } from './units.js';
 import { element } from './parts.js';
 
-const WINDOWS = [robotWindow, shortWindow, longWindow];
+const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, timeWindow, worldWindow];
+const MOST_UNDO = 200;
 const WINDOWS_EVERY_MS = 100;
 
 const app = {
@@ -19,6 +23,24 @@ const app = {
     app.map.keepDrawing();
     refresh = true;
   },
+  undo: { steps: [], push(step) { this.steps.push(step); if (this.steps.length > MOST_UNDO) this.steps.shift(); }, pop() { return this.steps.pop(); } },
+  waypoints: [],
+  waypointsChanged() { app.link.send({ do: 'waypoints', points: app.waypoints }); app.map.keepDrawing(); },
+  selectRobot(id) {
+    if (app.robot !== id) driveWindow.release();
+    app.robot = id;
+    document.getElementById('robot-choice').value = id;
+    app.map.keepDrawing();
+    refresh = true;
+  },
+  givePose([x, y, steer, turret]) {
+    app.link.send({ do: 'click', robot: Number(app.robot), pose: [tenthsOf(x), tenthsOf(y), angleTenths(steer), angleTenths(turret)] });
+  },
+  stopAll() {
+    driveWindow.release();
+    for (const id of Object.keys(app.scene.robots)) app.link.ask({ do: 'call', robot: Number(id), call: 'st', args: [] });
+  },
+  drawEstimate(pen, scene, view, { theme }) { if (app.waypoints.length) drawWaypoints(pen, app.waypoints, view, theme); },
   layersChanged() { watch(); },
   notice(text) {
     const place = document.getElementById('notice');
@@ -31,6 +53,8 @@ let refresh = true, windowsDrawn = 0;
 function hear(message) {
   if (message.type === 'picture') takePicture(message);
   else if (message.type === 'hello') greet(message);
+  else if (message.type === 'asked') showAsked(message.robots);
+  else if (message.type === 'waypoints') { app.waypoints = message.points; app.map.keepDrawing(); }
   else if (message.type === 'answer' && !message.ok) app.notice(message.error);
   for (const window of WINDOWS) window.hear?.(message, app);
 }
@@ -41,6 +65,17 @@ function greet(message) {
   document.body.classList.toggle('only-looks', !message.may_act);
   app.scene = emptyScene();
   watch();
+}
+
+// A client waits for a pose: say so, choose its robot and the tool that gives one; back to the map when it is given.
+function showAsked(robots) {
+  const ids = Object.keys(robots);
+  app.asked = ids;
+  if (ids.length && app.mayAct) {
+    app.notice(`A program asks for a pose of robot ${ids[0]}: press on the map and drag to where it heads.`);
+    if (app.scene.robots[ids[0]]) app.selectRobot(ids[0]);
+    app.choose('pose');
+  } else if (app.toolName === 'pose') { app.notice(''); app.choose('pan'); }
 }
 
 function watch() { app.link.send({ do: 'watch', traffic: false, laser: app.map.shown.laser }); }
@@ -89,10 +124,13 @@ function buildWindows() {
 
 buildWindows();
 app.map = mapWindow(app);
-document.getElementById('robot-choice').addEventListener('change', (event) => {
-  app.robot = event.target.value;
-  app.map.keepDrawing();
-  refresh = true;
+setUpTools(app);
+document.getElementById('robot-choice').addEventListener('change', (event) => app.selectRobot(event.target.value));
+document.getElementById('stop').addEventListener('click', () => app.stopAll());
+document.addEventListener('keydown', (event) => {
+  if (event.key !== ' ' || event.target.closest('button, input, textarea, select, summary')) return;
+  event.preventDefault();
+  app.stopAll();
 });
 for (const query of ['(prefers-color-scheme: dark)', '(prefers-contrast: more)']) {
   matchMedia(query).addEventListener('change', () => { app.theme = readTheme(); app.map.keepDrawing(); refresh = true; });

@@ -140,5 +140,6 @@ export function mapWindow(app) {
 
   map.frame = () => { if (dirty) { dirty = false; draw(); } };
   map.screenOf = (x, y) => toScreen(view, x, y);
+  map.pixels = ([x1, y1], [x2, y2]) => Math.hypot(x2 - x1, y2 - y1) * view.scale;
   return map;
 }

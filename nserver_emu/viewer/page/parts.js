@@ -4,7 +4,8 @@ export function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith('on')) made.addEventListener(name.slice(2), value);
-    else if (name in made && name !== 'list') made[name] = value;
+    else if (name in made && name !== 'list' && name !== 'style') made[name] = value;
+    else if (name === 'style') made.style.cssText = value;
     else made.setAttribute(name, value);
   }
   made.append(...children);

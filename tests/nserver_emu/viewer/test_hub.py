@@ -71,9 +71,9 @@ def test_news_come_in_order_before_the_picture_and_the_oldest_are_left_out() -> 
 def test_traffic_is_for_those_who_watch_it() -> None:
     hub = a_hub()
     viewer, other = hub.join(may_act=False), hub.join(may_act=False)
-    assert not hub.watch_traffic
+    before = hub.watch_traffic
     viewer.traffic = True
-    assert hub.watch_traffic
+    assert (before, hub.watch_traffic) == (False, True)
     hub.tell("{}", traffic=True)
     assert (viewer.news(), other.news()) == (["{}"], [])
 
