@@ -9,10 +9,12 @@ import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
+from nclient.protocol.terms import Terms
 from nserver_emu.server.control import answer_line
 from nserver_emu.viewer.hand import Answer, Hands
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.protocol import LOOKING, VERSION, BadMessage, Message, from_page, to_page
+from nserver_emu.viewer.traffic import Listening
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -29,6 +31,8 @@ class Desk:
         self.waypoints_set = 0
         self._hands: dict[Viewer, Hands] = {}
         self._guests = 0
+        self.listening = Listening(daemon.recorder, self._terms_of, lambda: daemon.emulator.simulation.time_s)
+        daemon.recorder = self.listening
 
     def arrive(self, *, may_act: bool, watch_token: str = "") -> Viewer:
         """A page was opened."""
@@ -44,6 +48,7 @@ class Desk:
         """It is gone; what it drove stops."""
         self.hub.leave(viewer)
         self._hands.pop(viewer).close()
+        self.listening.watched = self.hub.watch_traffic
         self._open_clicks()
 
     def tick(self, now: float) -> None:
@@ -54,6 +59,12 @@ class Desk:
         if asked != self._asked:
             self._asked = asked
             self.hub.tell(to_page("asked", robots=asked))
+
+        self._tell_traffic()
+
+    def close(self) -> None:
+        """Nobody looks any more."""
+        self.daemon.recorder = self.listening.inner
 
     def hear(self, viewer: Viewer, text: str, now: float) -> None:
         """Do what a page says."""
@@ -71,6 +82,19 @@ class Desk:
         """What this viewer does things with."""
         return self._hands[viewer]
 
+    def _tell_traffic(self) -> None:
+        rows, missed, self.listening.missed = self.listening.rows(), self.listening.missed, 0
+        if rows:
+            self.hub.tell(to_page("traffic", rows=rows, missed=missed), traffic=True)
+
+    def _terms_of(self, name: str) -> Terms | None:
+        """What a connection has agreed, between two of its requests."""
+        for talker in self.daemon.connections:
+            session = talker.session
+            if session.name == name:
+                return None if session.unfinished or session.ready or session.waiting else session.visit.terms
+        return None
+
     def _open_clicks(self) -> None:
         self.daemon.emulator.clicks.open = any(viewer.may_act for viewer in self.hub.viewers)
 
@@ -79,8 +103,9 @@ def _seen(_desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
     viewer.saw(message["frame"])
 
 
-def _watch(_desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+def _watch(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
     viewer.traffic, viewer.laser = message["traffic"], message["laser"]
+    desk.listening.watched = desk.hub.watch_traffic
 
 
 def _call(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:

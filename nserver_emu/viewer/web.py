@@ -89,6 +89,7 @@ class Viewing:
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None
+        self.desk.close()
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()

@@ -6,11 +6,12 @@ import { openLink } from './link.js';
 import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
 import { driveWindow, timeWindow, worldWindow } from './doing_windows.js';
+import { trafficWindow } from './traffic_window.js';
 import { setUpTools, drawWaypoints } from './tools.js';
 import { tenthsOf, angleTenths } from './units.js';
 import { element } from './parts.js';
 
-const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, timeWindow, worldWindow];
+const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, timeWindow, worldWindow, trafficWindow];
 const MOST_UNDO = 200;
 const WINDOWS_EVERY_MS = 100;
 
@@ -42,6 +43,7 @@ const app = {
   },
   drawEstimate(pen, scene, view, { theme }) { if (app.waypoints.length) drawWaypoints(pen, app.waypoints, view, theme); },
   layersChanged() { watch(); },
+  watch() { watch(); },
   notice(text) {
     const place = document.getElementById('notice');
     place.textContent = text;
@@ -78,7 +80,7 @@ function showAsked(robots) {
   } else if (app.toolName === 'pose') { app.notice(''); app.choose('pan'); }
 }
 
-function watch() { app.link.send({ do: 'watch', traffic: false, laser: app.map.shown.laser }); }
+function watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser }); }
 
 function takePicture(picture) {
   applyPicture(app.scene, picture);
@@ -114,9 +116,9 @@ function frame(now) {
 function buildWindows() {
   for (const window of WINDOWS) {
     window.box = element('div');
-    const whole = element('details', { className: `window${window.acts ? ' acts' : ''}`, open: true, id: `window-${window.id}` },
+    const whole = element('details', { className: `window${window.acts ? ' acts' : ''}`, open: !window.closed, id: `window-${window.id}` },
       element('summary', {}, window.title), window.box);
-    whole.addEventListener('toggle', () => { refresh = true; });
+    whole.addEventListener('toggle', () => { refresh = true; window.toggled?.(whole.open, app); });
     document.getElementById('windows').append(whole);
     window.build(window.box, app);
   }

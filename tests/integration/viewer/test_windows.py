@@ -19,7 +19,7 @@ def inked(page: Opened, window: str, number: int = 0) -> int:
 
 
 def test_state_stands_there_in_words_and_numbers(browser: Browser) -> None:
-    with nserver("thesis_room", "--robot", "n200", "--start", "0,0,0,0") as program, opened(browser, program.url) as page:
+    with nserver("thesis_room", "--robot", "n200") as program, opened(browser, program.url) as page:
         with program.robot() as robot:
             robot.drive(translation_in_s=-10)
             page.wait("document.querySelector('#window-robot').innerText.includes('touched: 10')")
