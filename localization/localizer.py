@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from localization.belief import Belief, Floats
 from localization.echoes import Firing, FiringSchedule
-from localization.ekf import correct, predict
+from localization.ekf import correct, innovation_squared, predict
 from localization.gating import STRICT, Gate, observe
 from localization.measurement import WIRE_SONAR, SonarModel, SonarRing, pick, ring, wall_map
 from localization.motion import OdometryNoise, step_between
@@ -46,13 +46,15 @@ class Report(Protocol):
 
 
 class Echo(NamedTuple):
-    """One reading and what became of it: `innovation_in` is reading less expectation (0 where it was refused)."""
+    """One reading and what became of it: `innovation_in` is reading less expectation, `nis` its square over its
+    variance (0 where it was refused)."""
 
     sonar: int
     instant_s: float
     reading_in: int
     refusal: Refusal
     innovation_in: float
+    nis: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +121,11 @@ class Localizer:
         beam = pick(ring(self._known.body, self._settled.turret_offset_rad), firing.sonar)
         reading = np.array([float(reading_in)])
         seen = observe(self._belief, beam, reading, self._walls, self._known.sonar, self._known.gate)
+        nis = 0.0
         if seen.used[0]:
-            self._belief = correct(self._belief, seen)
-        return Echo(*firing, reading_in, seen.reasons()[0], float(seen.innovation[0]))
+            before, self._belief = self._belief, correct(self._belief, seen)
+            nis = float(innovation_squared(before, self._belief, seen))
+        return Echo(*firing, reading_in, seen.reasons()[0], float(seen.innovation[0]), nis)
 
     def _settle(self, there: EncoderPose) -> None:
         """Move the belief to where the encoders were at that instant."""

@@ -13,6 +13,7 @@ from nclient.protocol.terms import Terms
 from nserver_emu.server.control import answer_line
 from nserver_emu.viewer.hand import Answer, Hands
 from nserver_emu.viewer.hub import Hub, Viewer
+from nserver_emu.viewer.localization import published
 from nserver_emu.viewer.protocol import LOOKING, VERSION, BadMessage, Message, from_page, to_page
 from nserver_emu.viewer.traffic import Listening
 
@@ -31,6 +32,7 @@ class Desk:
         self.waypoints_set = 0
         self._hands: dict[Viewer, Hands] = {}
         self._guests = 0
+        self._published = ""
         self.listening = Listening(daemon.recorder, self._terms_of, lambda: daemon.emulator.simulation.time_s)
         daemon.recorder = self.listening
 
@@ -39,6 +41,8 @@ class Desk:
         viewer = self.hub.join(may_act=may_act)
         viewer.tell(to_page("hello", version=VERSION, may_act=may_act, watch_token=watch_token if may_act else None))
         viewer.tell(to_page("asked", robots=self._asked))
+        if self._published:
+            viewer.tell(self._published)
         self._guests += 1
         self._hands[viewer] = Hands(self.daemon, f"viewer {self._guests}")
         self._open_clicks()
@@ -77,6 +81,12 @@ class Desk:
             viewer.tell(to_page("answer", id=message.get("id"), ok=False, error="this link only looks"))
             return
         _DOES[message["do"]](self, viewer, message, now)
+
+    def publish(self, text: str) -> Message:
+        """What a localizer thinks, for all to see; where it is to go. Raises BadMessage."""
+        self._published = to_page("localization", **published(text))
+        self.hub.tell(self._published)
+        return {"waypoints": self.waypoints, "set": self.waypoints_set}
 
     def hands(self, viewer: Viewer) -> Hands:
         """What this viewer does things with."""

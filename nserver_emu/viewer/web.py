@@ -27,7 +27,7 @@ from nclient.errors import ConnectionLost
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.picture import Album
-from nserver_emu.viewer.protocol import MOST_TEXT
+from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -66,6 +66,7 @@ class Viewing:
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
         app.router.add_get("/ws", self._socket)
+        app.router.add_post("/publish", self._publish)
         app.router.add_static("/page/", PAGE)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
         await self._runner.setup()
@@ -115,6 +116,14 @@ class Viewing:
     async def _page(self, request: web.Request) -> web.StreamResponse:
         self._may(request)
         return web.FileResponse(PAGE / "index.html")
+
+    async def _publish(self, request: web.Request) -> web.StreamResponse:
+        if not self._may(request):
+            raise web.HTTPForbidden(text="this token only looks\n")
+        try:
+            return web.json_response(self.desk.publish(await request.text()))
+        except BadMessage as error:
+            raise web.HTTPBadRequest(text=f"{error}\n") from None
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         may_act = self._may(request)

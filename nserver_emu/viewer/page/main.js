@@ -7,11 +7,12 @@ import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
 import { driveWindow, timeWindow, worldWindow } from './doing_windows.js';
 import { trafficWindow } from './traffic_window.js';
+import { localizationWindow } from './localization_window.js';
 import { setUpTools, drawWaypoints } from './tools.js';
 import { tenthsOf, angleTenths } from './units.js';
 import { element } from './parts.js';
 
-const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, timeWindow, worldWindow, trafficWindow];
+const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, localizationWindow, timeWindow, worldWindow, trafficWindow];
 const MOST_UNDO = 200;
 const WINDOWS_EVERY_MS = 100;
 
@@ -41,7 +42,11 @@ const app = {
     driveWindow.release();
     for (const id of Object.keys(app.scene.robots)) app.link.ask({ do: 'call', robot: Number(id), call: 'st', args: [] });
   },
-  drawEstimate(pen, scene, view, { theme }) { if (app.waypoints.length) drawWaypoints(pen, app.waypoints, view, theme); },
+  changed() { refresh = true; },
+  drawEstimate(pen, scene, view, options) {
+    if (app.waypoints.length && !localizationWindow.latest) drawWaypoints(pen, app.waypoints, view, options.theme);
+    localizationWindow.draw(pen, scene, view, options);
+  },
   layersChanged() { watch(); },
   watch() { watch(); },
   notice(text) {

@@ -140,6 +140,6 @@ def test_everything_is_handed_on_to_the_real_recorder() -> None:
     listening.paced(2.0, False)
     listening.close()
     assert inner.told == [
-        ("open", "client", TCP, "n150", None), ("to_robot", 3), ("to_host", 2, True), "close", ("stepped", 0.1), ("paced", 2.0, False),
-        "close",
+        ("open", "client", TCP, "n150", None), ("to_robot", 3), ("to_host", 2, True), "close", ("stepped", 0.1),
+        ("paced", 2.0, False), "close",
     ]  # fmt: skip
