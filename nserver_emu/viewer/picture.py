@@ -34,6 +34,9 @@ REMEMBERED: Final = 64
 """Pictures since which it is known what changed; who has an older one gets everything."""
 LASER_EVERY: Final = 4
 """The laser is looked through at every so many pictures: its 482 rays cost more than all else."""
+MOST_NEW: Final = 25
+"""Points of a track that a picture adds: 12 in of way in a twentieth of a second, faster than any robot."""
+NOTHING_YET: Final = (0, 0)
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
 Plain = dict[str, Any]
@@ -107,7 +110,7 @@ class Album:
         return {
             str(n): {"actual": _newer(ways.actual[n], had[0]), "encoder": _newer(ways.encoder[n], had[1])}
             for n, has in new.items()
-            if (had := old.get(n, (0, 0))) != has
+            if (had := old.get(n, NOTHING_YET)) != has
         }
 
 
@@ -173,5 +176,10 @@ def _shape(shape: Shape) -> list[Any]:
     return [shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
 
 
-def _newer(trace: Trace, gone: int) -> Plain:
-    return {"gone": trace.gone, "points": [round(number, 2) for number in trace.newer(gone)]}
+def _newer(trace: Trace, had: int) -> Plain:
+    """What a track grew by; a viewer that follows a simulation at a hundred times real time gets every so many."""
+    points = trace.newer(had)
+    pairs = list(zip(points[::2], points[1::2], strict=True))
+    if had and len(pairs) > MOST_NEW:
+        pairs = pairs[:: -(-len(pairs) // MOST_NEW)]
+    return {"gone": trace.gone, "points": [round(number, 2) for pair in pairs for number in pair]}

@@ -28,8 +28,7 @@ export function applyPicture(scene, picture) {
 function newTrace() { return { gone: 0, points: [] }; }
 
 function growTrace(trace, more) {
-  const fresh = Math.min(more.points.length, 2 * Math.max(more.gone - trace.gone, 0));
-  if (fresh) trace.points.push(...more.points.slice(more.points.length - fresh));
+  trace.points.push(...more.points);
   if (trace.points.length > MOST_TRACE_NUMBERS) trace.points.splice(0, trace.points.length - MOST_TRACE_NUMBERS);
   trace.gone = more.gone;
 }

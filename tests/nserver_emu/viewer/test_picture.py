@@ -13,7 +13,7 @@ from nclient.protocol.commands import Call
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.viewer.picture import LASER_EVERY, REMEMBERED, Album
+from nserver_emu.viewer.picture import LASER_EVERY, MOST_NEW, REMEMBERED, Album
 from worlds.files import load_world
 from worlds.world import StartPose
 
@@ -86,6 +86,21 @@ def test_traces_are_told_on_from_where_a_viewer_has_them() -> None:
     assert len(more["points"]) == 2 * (more["gone"] - 1)
     whole = album.since(0)["traces"]["1"]["actual"]
     assert whole == {"gone": more["gone"], "points": first["points"] + more["points"]}
+
+
+def test_a_track_that_grows_too_fast_to_see_is_thinned_and_never_forgets_the_whole() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    client.ask("vm", 100, 300, 0)
+    emulator.pass_time(20.0)
+    album.take()
+    more, whole = (album.since(number)["traces"]["1"]["actual"] for number in (1, 0))
+    assert len(whole["points"]) == 2 * whole["gone"] > 4 * MOST_NEW
+    assert MOST_NEW <= len(more["points"]) <= 2 * MOST_NEW
+    kept = set(zip(whole["points"][::2], whole["points"][1::2], strict=True))
+    assert kept >= set(zip(more["points"][::2], more["points"][1::2], strict=True))
 
 
 @pytest.mark.parametrize("number", [-1, 0, 1, 2, REMEMBERED + 10, 10**9])
