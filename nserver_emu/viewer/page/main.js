@@ -3,6 +3,8 @@
 import { emptyScene, applyPicture } from './scene.js';
 import { readTheme } from './colours.js';
 import { openLink } from './link.js';
+import { openReplay } from './replay.js';
+import { newRun, keepMessage, savePng, saveSvg, saveRun } from './keeping.js';
 import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
 import { driveWindow, timeWindow, worldWindow } from './doing_windows.js';
@@ -26,7 +28,7 @@ const app = {
     refresh = true;
   },
   undo: { steps: [], push(step) { this.steps.push(step); if (this.steps.length > MOST_UNDO) this.steps.shift(); }, pop() { return this.steps.pop(); } },
-  waypoints: [],
+  run: newRun(), waypoints: [],
   waypointsChanged() { app.link.send({ do: 'waypoints', points: app.waypoints }); app.map.keepDrawing(); },
   selectRobot(id) {
     if (app.robot !== id) driveWindow.release();
@@ -58,6 +60,7 @@ const app = {
 let refresh = true, windowsDrawn = 0;
 
 function hear(message) {
+  if (!window.nserverRun) keepMessage(app.run, message);
   if (message.type === 'picture') takePicture(message);
   else if (message.type === 'hello') greet(message);
   else if (message.type === 'asked') showAsked(message.robots);
@@ -142,13 +145,23 @@ document.addEventListener('keydown', (event) => {
 for (const query of ['(prefers-color-scheme: dark)', '(prefers-contrast: more)']) {
   matchMedia(query).addEventListener('change', () => { app.theme = readTheme(); app.map.keepDrawing(); refresh = true; });
 }
-app.link = openLink(new URLSearchParams(location.search).get('token') ?? '', {
-  hear,
-  state(name) {
-    const place = document.getElementById('link-state');
-    place.textContent = name === 'live' ? 'live' : 'connection lost: trying again';
-    place.classList.toggle('lost', name !== 'live');
-  },
-});
+for (const [id, keep] of [['save-png', savePng], ['save-svg', saveSvg], ['save-run', saveRun]]) {
+  document.getElementById(id).addEventListener('click', () => keep(app));
+}
+
+const STATES = { live: 'live', lost: 'connection lost: trying again', replay: 'a run that was kept' };
+function showState(name) {
+  const place = document.getElementById('link-state');
+  place.textContent = STATES[name];
+  place.classList.toggle('lost', name === 'lost');
+}
+
+if (window.nserverRun) {
+  document.body.classList.add('only-looks', 'replays');
+  app.run = window.nserverRun;
+  app.link = openReplay(window.nserverRun, { hear, state: showState, reset() { app.scene = emptyScene(); } });
+} else {
+  app.link = openLink(new URLSearchParams(location.search).get('token') ?? '', { hear, state: showState });
+}
 requestAnimationFrame(frame);
 window.nserver = app;
