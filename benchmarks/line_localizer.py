@@ -23,9 +23,9 @@ from typing import Any
 
 from localization.belief import independent
 from localization.cli import START_STD
-from localization.localizer import THESIS_ODOMETRY, Surroundings
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.run import Moment, Run, Sighting
+from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient import Robot, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world

@@ -19,6 +19,7 @@ from localization.filters.table import DEFAULT_METHOD, METHODS
 from localization.measurement import WIRE_SONAR
 from localization.motion import OdometryNoise
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.publishing import Publisher, message
 from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
@@ -72,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time-limit", type=_positive, default=300.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
+    parser.add_argument("--publish", metavar="URL",
+                        help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
+                             "printed; way-points set there are gone to instead")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
 
 
@@ -83,15 +87,20 @@ def run(options: argparse.Namespace) -> int:
         from localization.drawing import require_matplotlib
 
         require_matplotlib()
+    publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = _open(options.address)
     with robot:
-        done = _drive(robot, world, points, options, simulated)
+        try:
+            done = _drive(robot, world, points, options, simulated, publisher)
+        finally:
+            if publisher:
+                publisher.close()
     if options.picture:
         from localization.drawing import draw_run
 
         draw_run(options.picture, world, done, BODIES[options.body])
     print(json.dumps(done.summary()) if options.json else done.verdict())
-    return 0 if done.reached == len(points) else 3
+    return 0 if done.reached == len(done.waypoints) else 3
 
 
 def _open(address: str | None) -> tuple[Robot, bool]:
@@ -104,8 +113,9 @@ def _open(address: str | None) -> tuple[Robot, bool]:
 
 
 def _drive(
-    robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace, simulated: bool
-) -> Run:
+    robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace, simulated: bool,
+    publisher: Publisher | None = None,
+) -> Run:  # fmt: skip
     state = robot.refresh()
     if options.start:
         x, y, heading = options.start
@@ -119,6 +129,7 @@ def _drive(
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar)
     navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius)
     seen = _sighting(robot) if simulated else None
+    number = robot.truth().robot_id if publisher and simulated else 1
     done, told_s = Run(points), -math.inf
     steady = SteadyPose(options.smooth)
     for progress in follow(robot, begin(robot, known, belief, options.method), navigator, time.sleep, steady):
@@ -130,6 +141,12 @@ def _drive(
         told = progress.state
         odometry = (told.x_in, told.y_in, told.steering_rad)
         done.add(Moment(progress.estimate, odometry, truth, progress.passed))
+        if publisher:
+            turret_rad = told.turret_rad - told.steering_rad
+            wanted = publisher.tell(message(number, done.moments[-1], turret_rad, done.waypoints))
+            if wanted:
+                navigator.go(wanted)
+                done.waypoints = wanted
         if not options.json and clock_s >= told_s + 1.0:
             told_s = clock_s
             print(done.line(), flush=True)

@@ -77,6 +77,11 @@ class Navigator:
         """Whether the last way-point was reached."""
         return self.passed == len(self._goals)
 
+    def go(self, waypoints: Sequence[tuple[float, float]]) -> None:
+        """Leave the way-points that are left, and go to these."""
+        self._goals = [np.array(point, dtype=np.float64) for point in waypoints]
+        self.passed = 0
+
     def command(self, pose: Floats) -> Command | None:
         """What to do at this pose (3,); None when there is nowhere left to go."""
         while not self.finished and distance_to(pose, self._goals[self.passed]) <= self._radius_in:

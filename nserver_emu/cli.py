@@ -50,6 +50,8 @@ from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
+from nserver_emu.viewer.options import add_options as add_viewer_options
+from nserver_emu.viewer.options import viewed
 from worlds.files import load_world, world_names
 from worlds.tables import nearest
 
@@ -129,8 +131,12 @@ async def _serve_with(
             numbers = {"port": port, "requests_a_turn": REQUESTS_A_TURN, "real_robots": len(sides)}
             daemon.record(options.record, header(beginning, _now(), **numbers))
         lines = await open_lines(daemon, options)
-        async with controlled(daemon, options) as control, kept(gateway, daemon, options.shadow_every):
-            for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control):
+        async with (
+            controlled(daemon, options) as control,
+            viewed(daemon, options) as page,
+            kept(gateway, daemon, options.shadow_every),
+        ):
+            for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control, *page):
                 print(line, flush=True)
             await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
     finally:
@@ -239,6 +245,7 @@ def _parser() -> argparse.ArgumentParser:
     add_line_options(parser)
     real_options.add_options(parser)
     add_control_options(parser)
+    add_viewer_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")

@@ -64,6 +64,10 @@ class Transcript:
         """Mask and laser shape as they are now; a caller who knows better may set them."""
         return self._ends.terms
 
+    def agree(self, terms: Terms) -> None:
+        """The two ends had come to these terms before anybody listened."""
+        self._ends.terms = terms.copy()
+
     def read(self, line: str) -> dict[str, Any]:
         """The object for one line of text: `>` or `<`, then the bytes of one frame in hex, blanks as you like."""
         direction, digits = line.strip()[:1], line.strip()[1:]

@@ -16,6 +16,7 @@ from nclient.protocol.hello import HELLO_SIZE
 from nclient.protocol.models import Model
 from nclient.protocol.serial_frame import HOST_LIMIT, SerialFramer
 from nclient.protocol.tcp_frame import Refused, TcpFrame, TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.terms import Terms
 from nclient.protocol.transcript import Transcript
 
 TCP, SERIAL, HELLO_FIRST = "tcp", "serial", "hello"
@@ -37,6 +38,7 @@ class Ears(Protocol):
     wide: bool
     """Whether the client is known to be one of 64 bits."""
 
+    def take_up(self, wide: bool) -> None: ...
     def to_robot(self, data: bytes) -> list[Frame]: ...
     def to_host(self, data: bytes) -> list[Frame]: ...
 
@@ -53,6 +55,11 @@ class Follower:
         self._ears = ears_for(line, model)
         self._line, self._model = line, model
         self._transcript: Transcript | None = None
+
+    def take_up(self, terms: Terms) -> None:
+        """Listen to a connection that went on unheard so far and has come to these terms; between two requests."""
+        self._ears.take_up(terms.wide)
+        self._whole().agree(terms)
 
     def to_robot(self, data: bytes) -> list[Decoded]:
         """What these bytes to the robot made whole."""
@@ -88,6 +95,9 @@ class _TcpEars:
         self._replies = TcpFramer(reply_bounds, wide=False)
         self.wide = False
 
+    def take_up(self, wide: bool) -> None:
+        self._requests.wide = self._replies.wide = self.wide = wide
+
     def to_robot(self, data: bytes) -> list[Frame]:
         items = self._requests.receive(data)
         self.wide = self._replies.wide = bool(self._requests.wide)
@@ -114,6 +124,10 @@ class _LineEars:
         self._requests = SerialFramer(HOST_LIMIT)
         self._answers = SerialFramer()
         self._hello: bytes | None = b"" if greets else None
+
+    def take_up(self, wide: bool) -> None:
+        del wide
+        self._hello = None
 
     def to_robot(self, data: bytes) -> list[Frame]:
         missed = self._answers.pending

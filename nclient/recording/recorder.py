@@ -141,4 +141,12 @@ class _Off:
 
 OFF: Final = _Off()
 """What whoever is not recorded hands things to."""
-AnyRecorder = Recorder | _Off
+
+
+class AnyRecorder(Protocol):
+    """What a daemon hands things to, whether they are written down, looked at, or neither."""
+
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape: ...
+    def stepped(self, dt_s: float) -> None: ...
+    def paced(self, factor: float | None, paused: bool) -> None: ...
+    def close(self) -> None: ...

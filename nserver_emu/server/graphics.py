@@ -58,6 +58,9 @@ class Shape(NamedTuple):
 class Graphics:
     """The client graphics, and how often each layer was to be redrawn."""
 
+    drawn: int = 0
+    """How often something was drawn: while it stays, so do the shapes."""
+
     def __init__(self) -> None:
         self.redrawn: dict[Layer, int] = dict.fromkeys(Layer, 0)
         self._shapes: dict[Shape, None] = {}
@@ -82,6 +85,7 @@ class Graphics:
             self.redrawn[layer] += 1
 
     def _put(self, shape: Shape) -> None:
+        self.drawn += 1
         if shape in self._shapes:
             del self._shapes[shape]
             if shape.xor:

@@ -15,8 +15,9 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.units import heading_tenths, rad_from_tenths, tenths
+from nserver_emu.server.clicks import ClickedPose
 from nserver_emu.server.collision import Arc, arc_hit, line_hit
-from nserver_emu.server.session import BAD_VALUES, REFUSED, Visit, error_reply
+from nserver_emu.server.session import BAD_VALUES, REFUSED, Later, Visit, error_reply
 from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import state_slots, with_laser
 from nserver_emu.simulation.company import discs_of
@@ -111,11 +112,27 @@ def get_rpx(stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
     return Reply("simple", values=(len(robots), *numbers))
 
 
-def get_robot_conf(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
-    """A pose clicked in the window; without one, where the actual robot is."""
-    at = stage.robot_of(visit).actual
-    pose = (tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad), heading_tenths(at.turret_rad))
-    return Reply("configuration", values=pose)
+def get_robot_conf(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply | Later:
+    """A pose clicked in the window; without one, where the actual robot is.
+
+    In lockstep nobody is waited for: time would run as long as it takes.
+    """
+    robot = stage.robot_of(visit)
+
+    def here() -> ClickedPose:
+        at = robot.actual
+        return tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad), heading_tenths(at.turret_rad)
+
+    if not stage.clicks.open or stage.pace.lockstep_s is not None:
+        return Reply("configuration", values=here())
+    assert visit.robot_id is not None
+    clicked = stage.clicks.ask(visit.robot_id, visit, here)
+
+    def later() -> Reply | None:
+        pose = clicked()
+        return None if pose is None else Reply("configuration", values=pose)
+
+    return later
 
 
 def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:

@@ -16,6 +16,7 @@ from nclient.protocol.models import model_named
 from nclient.protocol.replies import Reply
 from nclient.protocol.terms import Terms, line_terms
 from nserver_emu.server.arm import Arm
+from nserver_emu.server.clicks import Clicks
 from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.layers import layers
@@ -59,6 +60,7 @@ class Stage:
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
         self._line_terms: dict[int, Terms] = {}
+        self.clicks = Clicks()
         self._looked: dict[int, tuple[float, Look]] = {}
         self._promises = Promises()
 
@@ -66,6 +68,7 @@ class Stage:
         """A connection is gone: what moves by its commands stops."""
         self.look_anew()
         self._promises.drop(visit)
+        self.clicks.forget(visit)
         self.drivers.leave(visit, self.simulation.robots)
         for robot_id in self.drivers.leave_arms(visit):
             self.stop_arm(robot_id)

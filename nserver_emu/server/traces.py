@@ -7,6 +7,7 @@ MOST_POINTS is forgotten for a new one. Inches. Who drives and who looks is not 
 from __future__ import annotations
 
 from collections import deque
+from itertools import islice
 from math import floor, hypot
 from typing import Final
 
@@ -25,6 +26,9 @@ MOST_POINTS: Final = 4000
 class Trace:
     """A track as points; coordinates one after another, which a snapshot keeps in little room."""
 
+    gone: int = 0
+    """How many points there were so far, those forgotten as well."""
+
     def __init__(self) -> None:
         self._flat: deque[float] = deque(maxlen=2 * MOST_POINTS)
 
@@ -38,6 +42,11 @@ class Trace:
         """The robot is here."""
         if not self._flat or hypot(x_in - self._flat[-2], y_in - self._flat[-1]) >= POINT_IN:
             self._flat.extend((x_in, y_in))
+            self.gone += 1
+
+    def newer(self, gone: int) -> list[float]:
+        """The coordinates of the points after the first `gone`, as far as they are kept: x, y, x, y ... in inches."""
+        return list(islice(reversed(self._flat), 2 * max(self.gone - gone, 0)))[::-1]
 
 
 class Traces:

@@ -1,0 +1,90 @@
+"""Tells the page of an nserver what the filter thinks, and brings back where to go (`nomad localize --publish URL`).
+
+    moment ──> POST URL/publish ──> {"waypoints": ..., "set": n} ──> new way-points, once they were set anew
+
+Rules: the page's address is the one that nserver printed, its token in it. Inches and radians. A page that cannot be
+reached at the beginning is an error; one that is lost on the way is told of once, and the robot drives on.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import logging
+from collections.abc import Sequence
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from localization.run import Moment
+from nclient.errors import AddressError, ConnectionLost
+
+log = logging.getLogger(__name__)
+
+TIMEOUT_S: Final = 2.0
+Points = list[tuple[float, float]]
+
+
+def message(robot: int, moment: Moment, turret_rad: float, waypoints: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """What is published of a moment; `turret_rad`: the turret's direction against the steering's."""
+    estimate = moment.estimate
+    return {
+        "robot": robot, "clock_s": estimate.clock_s, "pose": estimate.pose.tolist(),
+        "turret": float(estimate.pose[2]) + turret_rad, "cov": estimate.belief.cov.tolist(),
+        "odometry": list(moment.odometry), "truth": None if moment.truth is None else list(moment.truth),
+        "echoes": [
+            {"sonar": echo.sonar, "reading_in": echo.reading_in, "refusal": echo.refusal.name.lower(),
+             "innovation_in": echo.innovation_in, "nis": echo.nis}
+            for echo in estimate.echoes
+        ],
+        "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
+    }  # fmt: skip
+
+
+class Publisher:
+    """The way to one page. Raises AddressError for a URL that is none of a page's."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        try:
+            port = parts.port
+        except ValueError:
+            port = None
+        if parts.scheme != "http" or not parts.hostname or not port or not parts.query.startswith("token="):
+            raise AddressError(f"{url!r} is no page: take the address that nserver --viewer printed, "
+                               "such as http://127.0.0.1:7080/?token=...")
+        self._place = f"{parts.hostname}:{port}"
+        self._path = f"/publish?{parts.query}"
+        self._connection = http.client.HTTPConnection(parts.hostname, port, timeout=TIMEOUT_S)
+        self._set: int | None = None
+        self._lost = False
+
+    def tell(self, said: dict[str, Any]) -> Points | None:
+        """Publish; way-points that were set at the page since. Raises ConnectionLost at the first time only."""
+        if self._lost:
+            return None
+        try:
+            answer = self._post(json.dumps(said))
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            self.close()
+            if self._set is None:
+                raise ConnectionLost(f"cannot publish to {self._place}: {error}") from error
+            self._lost = True
+            log.warning("publishing ends: %s is lost: %s", self._place, error)
+            return None
+        before, self._set = self._set, int(answer["set"])
+        if before is None or before == self._set or not answer["waypoints"]:
+            return None
+        return [(float(x), float(y)) for x, y in answer["waypoints"]]
+
+    def close(self) -> None:
+        """Let go of the connection. Twice is fine."""
+        self._connection.close()
+
+    def _post(self, text: str) -> dict[str, Any]:
+        self._connection.request("POST", self._path, text, {"Content-Type": "application/json"})
+        response = self._connection.getresponse()
+        body = response.read().decode()
+        if response.status != http.client.OK:
+            raise ValueError(body.strip() or str(response.status))
+        found: dict[str, Any] = json.loads(body)
+        return found

@@ -1,0 +1,155 @@
+"""Takes what a page says and has it done: the one table of what `do` does. No socket; real time is handed in.
+
+Rules: whoever only looks is told so when it wants more. What goes wrong is told to who asked, and costs nobody else.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+from nclient.protocol.terms import Terms
+from nserver_emu.server.control import answer_line
+from nserver_emu.viewer.hand import Answer, Hands
+from nserver_emu.viewer.hub import Hub, Viewer
+from nserver_emu.viewer.localization import published
+from nserver_emu.viewer.protocol import LOOKING, VERSION, BadMessage, Message, from_page, to_page
+from nserver_emu.viewer.traffic import Listening
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
+
+
+class Desk:
+    """What all viewers share: the daemon, who looks, what was clicked, where to go."""
+
+    def __init__(self, daemon: Daemon, hub: Hub) -> None:
+        self.daemon = daemon
+        self.hub = hub
+        self._asked: dict[int, int] = {}
+        self.waypoints: list[list[float]] | None = None
+        self.waypoints_set = 0
+        self._hands: dict[Viewer, Hands] = {}
+        self._guests = 0
+        self._published = ""
+        self.listening = Listening(daemon.recorder, self._terms_of, lambda: daemon.emulator.simulation.time_s)
+        daemon.recorder = self.listening
+
+    def arrive(self, *, may_act: bool, watch_token: str = "") -> Viewer:
+        """A page was opened."""
+        viewer = self.hub.join(may_act=may_act)
+        viewer.tell(to_page("hello", version=VERSION, may_act=may_act, watch_token=watch_token if may_act else None))
+        viewer.tell(to_page("asked", robots=self._asked))
+        if self._published:
+            viewer.tell(self._published)
+        self._guests += 1
+        self._hands[viewer] = Hands(self.daemon, f"viewer {self._guests}")
+        self._open_clicks()
+        return viewer
+
+    def leave(self, viewer: Viewer) -> None:
+        """It is gone; what it drove stops."""
+        self.hub.leave(viewer)
+        self._hands.pop(viewer).close()
+        self.listening.watched = self.hub.watch_traffic
+        self._open_clicks()
+
+    def tick(self, now: float) -> None:
+        """Real time has passed."""
+        for hands in self._hands.values():
+            hands.tick(now)
+        asked = self.daemon.emulator.clicks.asked()
+        if asked != self._asked:
+            self._asked = asked
+            self.hub.tell(to_page("asked", robots=asked))
+
+        self._tell_traffic()
+
+    def close(self) -> None:
+        """Nobody looks any more."""
+        self.daemon.recorder = self.listening.inner
+
+    def hear(self, viewer: Viewer, text: str, now: float) -> None:
+        """Do what a page says."""
+        try:
+            message = from_page(text)
+        except BadMessage as error:
+            viewer.tell(to_page("answer", id=None, ok=False, error=str(error)))
+            return
+        if message["do"] not in LOOKING and not viewer.may_act:
+            viewer.tell(to_page("answer", id=message.get("id"), ok=False, error="this link only looks"))
+            return
+        _DOES[message["do"]](self, viewer, message, now)
+
+    def publish(self, text: str) -> Message:
+        """What a localizer thinks, for all to see; where it is to go. Raises BadMessage."""
+        self._published = to_page("localization", **published(text))
+        self.hub.tell(self._published)
+        return {"waypoints": self.waypoints, "set": self.waypoints_set}
+
+    def hands(self, viewer: Viewer) -> Hands:
+        """What this viewer does things with."""
+        return self._hands[viewer]
+
+    def _tell_traffic(self) -> None:
+        rows, missed, self.listening.missed = self.listening.rows(), self.listening.missed, 0
+        if rows:
+            self.hub.tell(to_page("traffic", rows=rows, missed=missed), traffic=True)
+
+    def _terms_of(self, name: str) -> Terms | None:
+        """What a connection has agreed, between two of its requests."""
+        for talker in self.daemon.connections:
+            session = talker.session
+            if session.name == name:
+                return None if session.unfinished or session.ready or session.waiting else session.visit.terms
+        return None
+
+    def _open_clicks(self) -> None:
+        self.daemon.emulator.clicks.open = any(viewer.may_act for viewer in self.hub.viewers)
+
+
+def _seen(_desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    viewer.saw(message["frame"])
+
+
+def _watch(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    viewer.traffic, viewer.laser = message["traffic"], message["laser"]
+    desk.listening.watched = desk.hub.watch_traffic
+
+
+def _call(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    desk.hands(viewer).call(message["robot"], message["call"], message["args"], _teller(viewer, message["id"]))
+
+
+def _drive(desk: Desk, viewer: Viewer, message: Message, now: float) -> None:
+    desk.hands(viewer).drive(message["robot"], message["args"], now, _teller(viewer, message["id"]))
+
+
+def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    request = json.dumps({"command": message["command"], "argument": message.get("argument")})
+    answer: dict[str, Any] = json.loads(answer_line(desk.daemon, request.encode()))
+    _teller(viewer, message["id"])(answer)
+
+
+def _click(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    x, y, steer, turret = message["pose"]
+    if not desk.daemon.emulator.clicks.answer(message["robot"], (x, y, steer, turret)):
+        viewer.tell(to_page("answer", id=None, ok=False, error=f"nobody asks for a pose of robot {message['robot']}"))
+
+
+def _waypoints(desk: Desk, _viewer: Viewer, message: Message, _now: float) -> None:
+    desk.waypoints = message["points"]
+    desk.waypoints_set += 1
+    desk.hub.tell(to_page("waypoints", points=desk.waypoints))
+
+
+def _teller(viewer: Viewer, number: int) -> Callable[[Answer], None]:
+    """Who tells the viewer the answer to what it asked under this number."""
+    return lambda answer: viewer.tell(to_page("answer", id=number, **answer))
+
+
+_DOES: Final[dict[str, Callable[[Desk, Viewer, Message, float], None]]] = {
+    "seen": _seen, "watch": _watch, "call": _call, "drive": _drive, "control": _control, "click": _click,
+    "waypoints": _waypoints,
+}  # fmt: skip

@@ -1,0 +1,139 @@
+"""A viewer's hand: what the page does to a robot is said as a client of that robot says it, so the same rules hold.
+
+    call(name, args, then) ──> bytes ──> Session ──> answer of simulation or real robot ──> bytes ──> then(answer)
+
+Rules: one connection a robot, made when it is first touched; it is on the recording as any client's is, and what it
+drives stops when the page is gone. Who drives by hand says so again and again: silence stops the robot.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from nclient.errors import REFUSALS, NomadError
+from nclient.faults.language import Language, TcpLanguage
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.terms import tcp_terms
+from nclient.recording.follower import TCP
+from nserver_emu.server.session import Session
+from nserver_emu.server.talker import Talker
+from nserver_emu.viewer.protocol import DEAD_MAN_S
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
+
+Answer = dict[str, Any]
+Then = Callable[[Answer], None]
+
+
+class Hand(Talker):
+    """One viewer's connection to one robot."""
+
+    line = "viewer"
+
+    def __init__(self, daemon: Daemon, name: str) -> None:
+        super().__init__(daemon)
+        self._behind = daemon.host
+        self.session = Session(daemon.host.answer, name)
+        self._tape = daemon.recorder.open(name, TCP, N150)
+        self._terms = tcp_terms(N150)
+        self._framer = TcpFramer(reply_bounds, wide=False)
+        self._waiting: deque[tuple[str, Then]] = deque()
+        daemon.connections.add(self)
+
+    def connect(self, robot_id: int) -> bool:
+        """Tie the hand to a robot; False where there is none of that number."""
+        found: list[Answer] = []
+        self.call("connect_robot", [robot_id, 0], found.append)
+        return bool(found and found[0]["ok"] and found[0]["values"][0])
+
+    def call(self, name: str, args: list[int], then: Then) -> None:
+        """Say a command; `then` gets the answer, at once or when it is there."""
+        try:
+            request = language.tcp_request(Call(name, tuple(args)))
+        except (NomadError, TypeError, ValueError) as error:
+            then({"ok": False, "error": f"{name}: {error}"})
+            return
+        self._waiting.append((name, then))
+        self._came(request)
+
+    def close(self) -> None:
+        """The page is gone, or the daemon ends: what moves by this hand stops. Twice is fine."""
+        if self not in self._daemon.connections:
+            return
+        self._silence()
+        self._daemon.connections.discard(self)
+        self._behind.leave(self.session.visit)
+        self._tape.close()
+        self.session.closing = True
+
+    def _send(self, data: bytes) -> None:
+        for frame in self._framer.receive(data):
+            assert isinstance(frame, TcpFrame)
+            name, then = self._waiting.popleft()
+            then(_answer(name, language.read_tcp_reply(BY_NAME[name], frame, self._terms)))
+
+    def _language(self) -> Language:
+        return TcpLanguage(False)
+
+    def _listen(self, on: bool) -> None:
+        """Nothing is read from anywhere: who calls is heard."""
+
+    def _hang_up(self) -> None:
+        self.close()
+
+    def _abort(self) -> None:
+        self.close()
+
+
+def _answer(name: str, reply: Reply) -> Answer:
+    if reply.kind == "error":
+        return {"ok": False, "code": reply.values[0], "error": f"{name}: {REFUSALS.get(reply.values[0], 'refused')}"}
+    return {"ok": True, "values": list(reply.values)}
+
+
+class Hands:
+    """The hands of one viewer. `now` is real time in seconds, handed in."""
+
+    def __init__(self, daemon: Daemon, name: str) -> None:
+        self._daemon = daemon
+        self._name = name
+        self._hands: dict[int, Hand] = {}
+        self._driven: dict[int, float] = {}
+
+    def call(self, robot_id: int, name: str, args: list[int], then: Then) -> None:
+        """Say a command to a robot."""
+        hand = self._hands.get(robot_id)
+        if hand is None or hand.session.closing:
+            hand = Hand(self._daemon, f"{self._name} on robot {robot_id}")
+            if not hand.connect(robot_id):
+                hand.close()
+                then({"ok": False, "error": f"there is no robot {robot_id}"})
+                return
+            self._hands[robot_id] = hand
+        self._driven.pop(robot_id, None)
+        hand.call(name, args, then)
+
+    def drive(self, robot_id: int, args: list[int], now: float, then: Then) -> None:
+        """Drive at these velocities, for as long as it is said again in time."""
+        self.call(robot_id, "vm", args, then)
+        if any(args):
+            self._driven[robot_id] = now + DEAD_MAN_S
+
+    def tick(self, now: float) -> None:
+        """Real time has passed: whoever fell silent lets go."""
+        for robot_id in [robot_id for robot_id, until in self._driven.items() if now >= until]:
+            self.call(robot_id, "st", [], lambda _: None)
+
+    def close(self) -> None:
+        """The page is gone."""
+        for hand in self._hands.values():
+            hand.close()
+        self._hands.clear()
+        self._driven.clear()

@@ -1,0 +1,242 @@
+// Draws a scene through a pen: the 2D context of a canvas, or svg.js that writes the same strokes down.
+// Rules: reads scene, view and options, changes none of them. World in inches, screen in CSS pixels.
+
+import { toScreen, toWorld, roundLength } from './view.js';
+import { sonarDirection } from './scene.js';
+import { clientColour } from './colours.js';
+import { unitIn, lengthText } from './units.js';
+
+export const LAYERS = {
+  grid: 'Grid', traces: 'Traces', encoder: 'Encoder robot', sonar: 'Sonar', infrared: 'Infrared', bumper: 'Bumpers',
+  laser: 'Laser', graphics: 'Client graphics', estimate: 'Estimate',
+};
+const CONE = 12.5 * Math.PI / 180;
+const NOTHING_IN = 255, NO_INFRARED = 15;
+
+export function drawScene(pen, scene, view, options) {
+  const { theme, shown } = options;
+  pen.fillStyle = theme.paper;
+  pen.fillRect(0, 0, view.width, view.height);
+  if (shown.grid) drawGrid(pen, view, options);
+  if (!scene.world) return;
+  drawWorld(pen, scene.world, view, options);
+  if (shown.graphics) options.graphics?.(pen, scene, view, options);
+  for (const [id, robot] of Object.entries(scene.robots)) {
+    const body = scene.bodies[id];
+    if (!body) continue;
+    if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
+    if (id === options.robot) drawSensors(pen, robot, body, scene.lasers[id], view, options);
+    if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
+    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id });
+    if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
+  }
+  if (shown.estimate) options.estimate?.(pen, scene, view, options);
+  options.tool?.(pen, scene, view, options);
+  drawScale(pen, view, options);
+}
+
+function line(pen, view, x1, y1, x2, y2) {
+  pen.beginPath();
+  pen.moveTo(...toScreen(view, x1, y1));
+  pen.lineTo(...toScreen(view, x2, y2));
+  pen.stroke();
+}
+
+export function circle(pen, view, x, y, radius_in) {
+  const [px, py] = toScreen(view, x, y);
+  pen.beginPath();
+  pen.arc(px, py, Math.max(radius_in * view.scale, 0.5), 0, 2 * Math.PI);
+}
+
+export function polygonPath(pen, view, corners) {
+  pen.beginPath();
+  corners.forEach(([x, y], k) => (k ? pen.lineTo : pen.moveTo).call(pen, ...toScreen(view, x, y)));
+  pen.closePath();
+}
+
+function drawGrid(pen, view, { theme, metric }) {
+  const step = roundLength(view.scale, 40, unitIn(metric));
+  const [left, top] = toWorld(view, 0, 0), [right, bottom] = toWorld(view, view.width, view.height);
+  pen.strokeStyle = theme.grid;
+  pen.lineWidth = 1;
+  pen.beginPath();
+  for (let k = Math.ceil(left / step); k * step <= right; k += 1) {
+    const [px] = toScreen(view, k * step, 0);
+    pen.moveTo(px, 0); pen.lineTo(px, view.height);
+  }
+  for (let k = Math.ceil(bottom / step); k * step <= top; k += 1) {
+    const [, py] = toScreen(view, 0, k * step);
+    pen.moveTo(0, py); pen.lineTo(view.width, py);
+  }
+  pen.stroke();
+}
+
+function drawWorld(pen, world, view, { theme }) {
+  for (const thing of world.obstacles) {
+    polygonPath(pen, view, thing.corners);
+    pen.fillStyle = theme.obstacle;
+    pen.globalAlpha = 0.35; pen.fill(); pen.globalAlpha = 1;
+    pen.strokeStyle = theme.wall; pen.lineWidth = 1.5; pen.stroke();
+  }
+  pen.strokeStyle = theme.wall;
+  pen.lineWidth = 2.5;
+  pen.beginPath();
+  for (const [x1, y1, x2, y2] of world.walls) {
+    pen.moveTo(...toScreen(view, x1, y1)); pen.lineTo(...toScreen(view, x2, y2));
+  }
+  pen.stroke();
+}
+
+function drawTraces(pen, traces, view, theme) {
+  if (!traces) return;
+  for (const [name, colour] of [['encoder', theme['encoder-trace']], ['actual', theme['actual-trace']]]) {
+    const points = traces[name].points;
+    pen.strokeStyle = colour;
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    for (let k = 0; k + 1 < points.length; k += 2) {
+      (k ? pen.lineTo : pen.moveTo).call(pen, ...toScreen(view, points[k], points[k + 1]));
+    }
+    pen.stroke();
+  }
+}
+
+export function bodyFrame(robot, body) { return body.differential ? robot.actual[2] : 0; }
+
+function drawSensors(pen, robot, body, laser, view, { theme, shown }) {
+  const [x, y, , turret] = robot.actual;
+  for (let k = 0; k < 16; k += 1) {
+    const direction = sonarDirection(robot, k);
+    if (shown.sonar) beam(pen, view, x, y, direction, body.ring_in, robot.state[17 + k], theme.sonar);
+    const near = robot.state[1 + k];
+    if (shown.infrared && body.sees && near < NO_INFRARED) {
+      pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
+      ray(pen, view, x, y, direction, body.radius_in, body.radius_in + near);
+    }
+  }
+  if (!shown.laser || !laser) return;
+  pen.fillStyle = theme.laser;
+  for (let k = 0; k + 1 < laser.length; k += 2) {
+    const [px, py] = toScreen(view, x + laser[k] * Math.cos(turret) - laser[k + 1] * Math.sin(turret),
+      y + laser[k] * Math.sin(turret) + laser[k + 1] * Math.cos(turret));
+    pen.fillRect(px - 1, py - 1, 2, 2);
+  }
+}
+
+function beam(pen, view, x, y, direction, ring, reading, colour) {
+  const far = ring + reading, nothing = reading >= NOTHING_IN;
+  const [px, py] = toScreen(view, x, y);
+  pen.globalAlpha = nothing ? 0.03 : 0.09;
+  pen.fillStyle = colour;
+  pen.beginPath();
+  pen.moveTo(px, py);
+  pen.arc(px, py, far * view.scale, -direction - CONE, -direction + CONE);
+  pen.closePath();
+  pen.fill();
+  pen.globalAlpha = nothing ? 0.25 : 0.9;
+  pen.strokeStyle = colour;
+  pen.lineWidth = 1;
+  ray(pen, view, x, y, direction, ring, far);
+  pen.globalAlpha = 1;
+}
+
+function ray(pen, view, x, y, direction, from, to) {
+  const c = Math.cos(direction), s = Math.sin(direction);
+  line(pen, view, x + from * c, y + from * s, x + to * c, y + to * s);
+}
+
+export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, name }) {
+  pen.strokeStyle = colour;
+  pen.fillStyle = colour;
+  pen.lineWidth = 2;
+  pen.setLineDash(dashed ? [5, 4] : []);
+  circle(pen, view, x, y, body.radius_in);
+  if (!dashed) { pen.globalAlpha = 0.18; pen.fill(); pen.globalAlpha = 1; }
+  pen.stroke();
+  pen.setLineDash([]);
+  arrow(pen, view, x, y, steer, body.radius_in);
+  if (!body.differential) {
+    circle(pen, view, x, y, body.radius_in * 0.55);
+    pen.lineWidth = 1;
+    pen.stroke();
+    ray(pen, view, x, y, turret, body.radius_in * 0.55, body.radius_in);
+  }
+  if (name !== undefined) {
+    pen.font = '12px system-ui, sans-serif';
+    pen.fillText(name, ...toScreen(view, x + body.radius_in * 0.75, y + body.radius_in * 0.85));
+  }
+}
+
+export function arrow(pen, view, x, y, direction, length_in) {
+  const [px, py] = toScreen(view, x + length_in * Math.cos(direction), y + length_in * Math.sin(direction));
+  line(pen, view, x, y, x + length_in * Math.cos(direction), y + length_in * Math.sin(direction));
+  const size = Math.max(6, length_in * view.scale * 0.25);
+  pen.beginPath();
+  pen.moveTo(px, py);
+  for (const turn of [2.6, -2.6]) pen.lineTo(px + size * Math.cos(direction + turn), py - size * Math.sin(direction + turn));
+  pen.closePath();
+  pen.fill();
+}
+
+function drawBumpers(pen, robot, body, view, theme) {
+  const [x, y] = robot.actual, [px, py] = toScreen(view, x, y), half = Math.PI / body.bumpers;
+  pen.strokeStyle = theme.hit;
+  pen.lineWidth = 5;
+  for (let k = 0; k < body.bumpers; k += 1) {
+    if (!(robot.state[33] >> k & 1)) continue;
+    const middle = bodyFrame(robot, body) + k * 2 * half;
+    pen.beginPath();
+    pen.arc(px, py, body.radius_in * view.scale, -middle - half, -middle + half);
+    pen.stroke();
+  }
+}
+
+function drawScale(pen, view, { theme, metric }) {
+  const length = roundLength(view.scale, 60, unitIn(metric)), wide = length * view.scale, y = view.height - 14;
+  pen.strokeStyle = theme.ink;
+  pen.fillStyle = theme.ink;
+  pen.lineWidth = 2;
+  pen.beginPath();
+  pen.moveTo(12, y - 4); pen.lineTo(12, y); pen.lineTo(12 + wide, y); pen.lineTo(12 + wide, y - 4);
+  pen.stroke();
+  pen.font = '12px system-ui, sans-serif';
+  pen.fillText(lengthText(length, metric, length < unitIn(metric) ? 2 : 0), 16, y - 5);
+}
+
+// What clients drew, on a sheet of its own: there two shapes in XOR cancel where they meet, as on the old screens.
+export function drawGraphics(pen, scene, view, { theme }) {
+  for (const [figure, numbers, colour, xor] of scene.graphics) {
+    pen.globalCompositeOperation = xor ? 'xor' : 'source-over';
+    pen.strokeStyle = clientColour(colour, theme);
+    pen.fillStyle = pen.strokeStyle;
+    pen.lineWidth = 2;
+    drawShape(pen, figure, numbers.map((n) => n / 10), view);
+  }
+  pen.globalCompositeOperation = 'source-over';
+}
+
+function drawShape(pen, figure, n, view) {
+  const radians = (degrees) => degrees * Math.PI / 180;
+  if (figure === 'line') line(pen, view, n[0], n[1], n[2], n[3]);
+  else if (figure === 'arc') drawArc(pen, n, view);
+  else if (figure === 'arrow') arrow(pen, view, n[0], n[1], radians(n[2]), 12);
+  else {
+    pen.beginPath();
+    const [px, py] = toScreen(view, n[0], n[1]), r = 9 * view.scale;
+    pen.arc(px, py, r, 0, 2 * Math.PI);
+    for (const [angle, length] of [[radians(n[2]), r], [radians(n[3]), r * 0.6]]) {
+      pen.moveTo(px, py);
+      pen.lineTo(px + length * Math.cos(angle), py - length * Math.sin(angle));
+    }
+    pen.stroke();
+  }
+}
+
+// The box's upper left corner, its width and height; from an angle, so many degrees on (as X draws arcs).
+function drawArc(pen, [x, y, w, h, from, extent], view) {
+  const [px, py] = toScreen(view, x + w / 2, y - h / 2), radians = (degrees) => degrees * Math.PI / 180;
+  pen.beginPath();
+  pen.ellipse(px, py, Math.abs(w / 2) * view.scale, Math.abs(h / 2) * view.scale, 0,
+    -radians(from), -radians(from + extent), extent > 0);
+  pen.stroke();
+}

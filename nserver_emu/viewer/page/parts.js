@@ -1,0 +1,66 @@
+// Small parts the windows are made of: tables of names and texts, canvases that are crisp, labelled buttons and fields.
+
+export function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith('on')) made.addEventListener(name.slice(2), value);
+    else if (name in made && name !== 'list' && name !== 'style') made[name] = value;
+    else if (name === 'style') made.style.cssText = value;
+    else made.setAttribute(name, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+export function table(box, label) {
+  const rows = element('tbody');
+  const made = element('table', {}, rows);
+  made.setAttribute('aria-label', label);
+  box.append(made);
+  return rows;
+}
+
+// Puts a text into the row of that name, which is made when it is first wanted; nothing is touched that stays.
+export function cell(rows, name, text) {
+  rows.cells ??= new Map();
+  if (!rows.cells.has(name)) {
+    const value = element('td');
+    rows.append(element('tr', {}, element('th', { scope: 'row' }, name), value));
+    rows.cells.set(name, value);
+  }
+  const value = rows.cells.get(name);
+  if (value.textContent !== text) value.textContent = text;
+}
+
+// The pen of a canvas as wide as its place, drawn in CSS pixels and crisp on a dense screen; null while it is hidden.
+export function sizedPen(canvas, ratio) {
+  const width = canvas.clientWidth, density = window.devicePixelRatio || 1;
+  const height = ratio ? Math.round(width * ratio) : canvas.clientHeight;
+  if (!width || !height) return null;
+  const w = Math.round(width * density), h = Math.round(height * density);
+  if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
+  const pen = canvas.getContext('2d');
+  pen.setTransform(density, 0, 0, density, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  pen.width = width;
+  pen.height = height;
+  pen.lineJoin = 'round';
+  pen.lineWidth = 1;
+  return pen;
+}
+
+export function button(text, press, attributes = {}) {
+  return element('button', { type: 'button', onclick: press, ...attributes }, text);
+}
+
+export function field(text, attributes = {}) {
+  const input = element('input', attributes);
+  return { input, label: element('label', {}, text, input) };
+}
+
+export function download(name, type, content) {
+  const url = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type }));
+  const link = element('a', { href: url, download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(url), 1000);
+}

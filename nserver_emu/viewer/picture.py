@@ -1,0 +1,185 @@
+"""What the page shows, as plain data, and what of it changed since a picture that a viewer has. Pure.
+
+    always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
+                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same}}
+    if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential"}}
+                world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the edges of the rooms first,
+                          "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
+                          degrees] ...], "paths": {name: [[x, y] ...]}}
+                graphics  [[figure, numbers, colour, xor] ...]
+                traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...
+                lasers    {id: [x, y, x, y ...]}    in the robot's frame
+                said      [[time_s, id, text] ...]
+
+Inches and radians, rounded to what a screen shows; State is in the wire's tenths. Keys of JSON are texts, so are ids.
+Rules: looking changes nothing in the simulation. Pictures are numbered from 1; who has picture 0 has nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, Final, NamedTuple
+
+from nserver_emu.server.graphics import Shape
+from nserver_emu.server.stage import Stage
+from nserver_emu.server.state_reply import Look
+from nserver_emu.server.traces import Trace
+from nserver_emu.simulation.laser import points
+from nserver_emu.simulation.poses import Pose
+from nserver_emu.simulation.robot import SimulatedRobot
+from worlds.world import Polygon, World
+
+REMEMBERED: Final = 64
+"""Pictures since which it is known what changed; who has an older one gets everything."""
+LASER_EVERY: Final = 4
+"""The laser is looked through at every so many pictures: its 482 rays cost more than all else."""
+MOST_NEW: Final = 25
+"""Points of a track that a picture adds: 12 in of way in a twentieth of a second, faster than any robot."""
+NOTHING_YET: Final = (0, 0)
+DIGITS: Final = 3
+ANGLE_DIGITS: Final = 5
+Plain = dict[str, Any]
+
+
+class Mark(NamedTuple):
+    """How far everything that grows or changes was at a picture."""
+
+    bodies: tuple[int, ...]
+    world: World
+    graphics: int
+    lasers: int
+    said: object
+    traces: dict[int, tuple[int, int]]
+
+
+class Album:
+    """The newest picture of a stage, and what it takes to come to it from an earlier one."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._marks: deque[Mark] = deque(maxlen=REMEMBERED)
+        self._lasers: dict[str, list[float]] = {}
+        self._lasers_taken = 0
+        self._now: Plain = {}
+        self.number = 0
+
+    def take(self, *, laser: bool = False) -> None:
+        """Take a new picture; `laser`: somebody looks at what the lasers see."""
+        self.number += 1
+        robots = self._stage.simulation.robots
+        if laser and self.number % LASER_EVERY == 0:
+            self._lasers = {str(number): _seen(robot) for number, robot in robots.items() if robot.model.sees}
+            self._lasers_taken += bool(self._lasers)
+        self._now = _now(self._stage)
+        self._marks.append(self._mark())
+
+    def since(self, number: int) -> Plain:
+        """The newest picture for who has that one: what is always there, and what changed."""
+        age = self.number - number
+        old = self._marks[-1 - age] if number > 0 and 0 <= age < len(self._marks) else None
+        new = self._marks[-1]
+        told: Plain = {"frame": self.number, "since": number if old else 0} | self._now
+        if old is None or old.bodies != new.bodies:
+            told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
+        if old is None or old.world is not new.world:
+            told["world"] = ground(new.world)
+        if old is None or old.graphics != new.graphics:
+            told["graphics"] = [_shape(shape) for shape in self._stage.graphics.shapes]
+        if old is None or old.lasers != new.lasers:
+            told["lasers"] = self._lasers
+        if old is None or old.said is not new.said:
+            told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
+        if grown := self._grown(old.traces if old else {}, new.traces):
+            told["traces"] = grown
+        return told
+
+    def _mark(self) -> Mark:
+        stage = self._stage
+        said = stage.transcript.said
+        ways = stage.traces
+        counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
+        simulation = stage.simulation
+        return Mark(
+            tuple(simulation.robots), simulation.world, stage.graphics.drawn, self._lasers_taken,
+            said[-1] if said else None, counts,
+        )  # fmt: skip
+
+    def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
+        ways = self._stage.traces
+        return {
+            str(n): {"actual": _newer(ways.actual[n], had[0]), "encoder": _newer(ways.encoder[n], had[1])}
+            for n, has in new.items()
+            if (had := old.get(n, NOTHING_YET)) != has
+        }
+
+
+def body(robot: SimulatedRobot) -> Plain:
+    """What a robot looks like."""
+    shape = robot.model.body
+    return {
+        "model": robot.model.name, "family": robot.model.family, "radius_in": shape.radius_in,
+        "ring_in": shape.sonar_ring_radius_in, "bumpers": len(shape.bumper_angles_rad),
+        "differential": robot.model.track_in is not None, "sees": robot.model.sees,
+    }  # fmt: skip
+
+
+def ground(world: World) -> Plain:
+    """What stands in a world."""
+    return {
+        "name": world.name, "title": world.title,
+        "walls": [[round(number, DIGITS) for number in row] for row in world.fixed_walls.tolist()],
+        "rooms": [_outline(room) for room in world.rooms],
+        "obstacles": [_outline(thing) for thing in world.obstacles],
+        "starts": [
+            [start.x_in, start.y_in, math.degrees(start.steering_rad), math.degrees(start.turret_rad)]
+            for start in world.starts
+        ],
+        "paths": {name: [list(point) for point in path.points_in] for name, path in world.paths.items()},
+    }  # fmt: skip
+
+
+def _outline(polygon: Polygon) -> Plain:
+    return {
+        "name": polygon.name, "corners": [[round(x, DIGITS), round(y, DIGITS)] for x, y in polygon.corners_in]
+    }  # fmt: skip
+
+
+def _now(stage: Stage) -> Plain:
+    pace = stage.pace
+    return {
+        "time_s": round(stage.simulation.time_s, DIGITS), "speed": pace.factor, "paused": pace.paused,
+        "lockstep_s": pace.lockstep_s,
+        "robots": {
+            str(number): {
+                "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
+                "encoder": _pose(robot.encoder),
+            }
+            for number, robot in stage.simulation.robots.items()
+        },
+    }  # fmt: skip
+
+
+def _pose(pose: Pose) -> list[float]:
+    return [
+        round(pose.x_in, DIGITS), round(pose.y_in, DIGITS),
+        round(pose.steering_rad, ANGLE_DIGITS), round(pose.turret_rad, ANGLE_DIGITS),
+    ]  # fmt: skip
+
+
+def _seen(robot: SimulatedRobot) -> list[float]:
+    seen = points(robot.look_with_laser(), robot.model.body)
+    return [round(number, 1) for point in seen.tolist() for number in point]
+
+
+def _shape(shape: Shape) -> list[Any]:
+    return [shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
+
+
+def _newer(trace: Trace, had: int) -> Plain:
+    """What a track grew by; a viewer that follows a simulation at a hundred times real time gets every so many."""
+    points = trace.newer(had)
+    pairs = list(zip(points[::2], points[1::2], strict=True))
+    if had and len(pairs) > MOST_NEW:
+        pairs = pairs[:: -(-len(pairs) // MOST_NEW)]
+    return {"gone": trace.gone, "points": [round(number, 2) for pair in pairs for number in pair]}

@@ -1,0 +1,129 @@
+"""What page and daemon say to each other over the websocket: JSON objects, one a message. Pure.
+
+to the page, by `type`
+    hello        version, may_act, watch_token (of a link that only looks; None for who only looks)
+    picture      picture.py
+    traffic      rows of what clients said and were answered (traffic.py), missed: how many were left out
+    localization what a localizer published last (localization.py)
+    asked        robot: a client waits for a click of a pose (get_robot_conf); waiting: how many do
+    answer       id, ok, and what was said: values, slots, or error
+
+from the page, by `do`
+    seen         frame: the picture that was drawn last
+    watch        traffic, laser: whether it wants them
+    call         id, robot, call (C name), args (wire units): what a client of that robot could say
+    drive        id, robot, args: a vm that ends by itself when the next does not come within DEAD_MAN_S
+    control      id, command, argument: pause, resume, speed, step, faults (control.py)
+    click        robot, pose: x, y, steer, turret in tenths
+    waypoints    points: [[x_in, y_in] ...] for who localizes
+
+Rules: whatever is not as here raises BadMessage, which says what would be right. A viewer that only looks may say
+seen and watch.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+VERSION: Final = 1
+MOST_TEXT: Final = 2_000_000
+"""Characters of a message from the page; a plan of faults is the longest."""
+MOST_ARGS: Final = 64
+MOST_POINTS: Final = 200
+DEAD_MAN_S: Final = 0.5
+"""Real seconds without a word from whoever drives by hand, after which the robot stops."""
+CALLS: Final = frozenset({
+    "st", "lp", "zr", "vm", "pr", "dp", "da", "conf_tm", "conf_sn", "place_robot", "add_obstacle", "delete_obstacle",
+    "move_obstacle", "new_world", "refresh_all", "create_robot",
+})  # fmt: skip
+CONTROLS: Final = frozenset({
+    "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts",
+})  # fmt: skip
+"""What the owner may do at the page: all of control.py but what writes files."""
+LOOKING: Final = frozenset({"seen", "watch"})
+Message = dict[str, Any]
+
+
+class BadMessage(ValueError):
+    """A message that is none of those above."""
+
+
+def from_page(text: str) -> Message:
+    """The message in a text, checked. Raises BadMessage."""
+    if len(text) > MOST_TEXT:
+        raise BadMessage(f"a message is at most {MOST_TEXT} characters")
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        raise BadMessage("a message is a JSON object") from None
+    kind = said.get("do") if isinstance(said, dict) else None
+    row = FIELDS.get(kind) if isinstance(kind, str) else None
+    if row is None:
+        raise BadMessage(f"do is one of {', '.join(FIELDS)}, not {kind!r}")
+    for name, (right, wanted) in row.items():
+        if not right(said.get(name)):
+            raise BadMessage(f"{kind}: {name} is {wanted}, not {said.get(name)!r}")
+    return {"do": kind} | {name: said[name] for name in row if name in said}
+
+
+def to_page(kind: str, **fields: Any) -> str:
+    """A message to the page."""
+    return json.dumps({"type": kind} | fields, separators=(",", ":"))
+
+
+def _is_int(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and -(2**31) <= value < 2**31
+
+
+def _is_id(value: object) -> bool:
+    return _is_int(value) and isinstance(value, int) and value >= 0
+
+
+def _are_ints(value: object, count: int | None = None) -> bool:
+    return (
+        isinstance(value, list) and len(value) <= MOST_ARGS and all(map(_is_int, value))
+        and (count is None or len(value) == count)
+    )  # fmt: skip
+
+
+def _are_points(value: object) -> bool:
+    return isinstance(value, list) and len(value) <= MOST_POINTS and all(map(_is_point, value))
+
+
+def _is_point(value: object) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(_is_number(number) for number in value)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_argument(value: object) -> bool:
+    return value is None or isinstance(value, str | dict) or _is_number(value)
+
+
+Field = tuple[Callable[[object], bool], str]
+_ID: Final[Field] = (_is_id, "a whole number of 0 or more")
+_FLAG: Final[Field] = (lambda value: isinstance(value, bool), "true or false")
+_ARGS: Final[Field] = (_are_ints, f"a list of at most {MOST_ARGS} whole numbers of 32 bits")
+FIELDS: Final[dict[str, dict[str, Field]]] = {
+    "seen": {"frame": _ID},
+    "watch": {"traffic": _FLAG, "laser": _FLAG},
+    "call": {
+        "id": _ID, "robot": _ID, "args": _ARGS,
+        "call": (lambda value: isinstance(value, str) and value in CALLS, f"one of {', '.join(sorted(CALLS))}"),
+    },
+    "drive": {"id": _ID, "robot": _ID, "args": (lambda value: _are_ints(value, 3), "three whole numbers")},
+    "control": {
+        "id": _ID, "argument": (_is_argument, "nothing, a number, a text or an object"),
+        "command": (
+            lambda value: isinstance(value, str) and value in CONTROLS, f"one of {', '.join(sorted(CONTROLS))}"
+        ),
+    },
+    "click": {"robot": _ID, "pose": (lambda value: _are_ints(value, 4), "x, y, steer and turret in whole tenths")},
+    "waypoints": {"points": (_are_points, f"a list of at most {MOST_POINTS} points [x, y] in inches")},
+}  # fmt: skip
+"""Every message from the page: its fields, whether a value is right, and what would be."""

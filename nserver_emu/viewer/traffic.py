@@ -1,0 +1,113 @@
+"""What clients say and are answered, for who watches: a recorder that listens in before it hands on to the real one.
+
+    row     {"time_s": simulated, "who": connection, "to": "robot" | "host", "what": C name or kind of reply,
+             "text": in words, "hex": the bytes it came in, "size": how many}
+
+Rules: while nobody watches, nothing is decoded. A connection is taken up between two requests, on the terms that its
+session has come to by then. No more than MOST_ROWS are told a picture: what is beyond is counted, and the
+connection taken up anew with the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from nclient.protocol.models import Model
+from nclient.protocol.terms import Terms
+from nclient.recording.follower import HELLO_FIRST, SERIAL, Decoded, Follower
+from nclient.recording.readable import told
+from nclient.recording.recorder import AnyRecorder, Tape
+
+MOST_ROWS: Final = 40
+MOST_HEX: Final = 512
+"""Bytes of a row that are shown."""
+TermsOf = Callable[[str], Terms | None]
+"""The terms of the connection of that name; None: it is in the middle of a request, or unknown."""
+Row = dict[str, Any]
+
+
+class Listening:
+    """See the head of this file. `watched`: whether anybody looks; `time_s`: simulated time."""
+
+    def __init__(self, inner: AnyRecorder, terms_of: TermsOf, time_s: Callable[[], float]) -> None:
+        self.inner = inner
+        self.watched = False
+        self.missed = 0
+        self.terms_of = terms_of
+        self._time_s = time_s
+        self._rows: list[Row] = []
+
+    def rows(self) -> list[Row]:
+        """What was said since this was asked last."""
+        rows, self._rows = self._rows, []
+        return rows
+
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+        """A tape that listens, before the real one's."""
+        return _Ear(self, name, line, model, self.inner.open(name, line, model, robot_id))
+
+    def stepped(self, dt_s: float) -> None:
+        """Handed on."""
+        self.inner.stepped(dt_s)
+
+    def paced(self, factor: float | None, paused: bool) -> None:
+        """Handed on."""
+        self.inner.paced(factor, paused)
+
+    def close(self) -> None:
+        """Handed on."""
+        self.inner.close()
+
+    @property
+    def full(self) -> bool:
+        """Whether no more rows are told until somebody has fetched those there are."""
+        return len(self._rows) >= MOST_ROWS
+
+    def note(self, who: str, to: str, data: bytes, found: list[Decoded]) -> None:
+        """These frames went by."""
+        for frame in found:
+            self._rows.append({
+                "time_s": round(self._time_s(), 3), "who": who, "to": to,
+                "what": frame.get("call") or frame.get("reply") or "error", "text": told(frame),
+                "hex": data[:MOST_HEX].hex(" "), "size": len(data),
+            })  # fmt: skip
+
+
+class _Ear:
+    """The tape of one connection."""
+
+    def __init__(self, listening: Listening, name: str, line: str, model: Model, inner: Tape) -> None:
+        self._listening, self._inner = listening, inner
+        self._name, self._line, self._model = name, line, model
+        self._follower: Follower | None = Follower(line, model)
+
+    def to_robot(self, data: bytes) -> None:
+        self._inner.to_robot(data)
+        if self._hears():
+            if self._follower is None:
+                self._take_up()
+            if self._follower is not None:
+                self._listening.note(self._name, "robot", data, self._follower.to_robot(data))
+
+    def to_host(self, data: bytes, by_time: bool = False) -> None:
+        self._inner.to_host(data, by_time)
+        if self._hears() and self._follower is not None:
+            self._listening.note(self._name, "host", data, self._follower.to_host(data))
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def _hears(self) -> bool:
+        if self._listening.watched and not self._listening.full:
+            return True
+        self._listening.missed += self._listening.watched
+        self._follower = None
+        return False
+
+    def _take_up(self) -> None:
+        terms = self._listening.terms_of(self._name)
+        if terms is None:
+            return
+        self._follower = Follower(SERIAL if self._line == HELLO_FIRST else self._line, self._model)
+        self._follower.take_up(terms)

@@ -1,0 +1,183 @@
+"""The page on the web: page and files over HTTP, pictures over a websocket, all from one asyncio loop with the daemon.
+
+    GET /?token=T      the page              GET /page/NAME     its files (no secret in them)
+    GET /ws?token=T    the websocket         POST /publish?token=T    what a localizer thinks (localization.py)
+
+Rules: nothing without the token, of which there are two, to act and to look only. A websocket is opened by a page
+that came from here: its Origin must be the Host asked, and that a number or a name of loopback, so that no other
+site's page gets in, whatever its name resolves to. Nothing is loaded from elsewhere, by Content-Security-Policy too.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import ipaddress
+import logging
+import secrets
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
+
+from aiohttp import WSMsgType, web
+
+from nclient.errors import ConnectionLost
+from nserver_emu.viewer.desk import Desk
+from nserver_emu.viewer.hub import Hub, Viewer
+from nserver_emu.viewer.picture import Album
+from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage
+
+if TYPE_CHECKING:
+    from nserver_emu.server.daemon import Daemon
+
+log = logging.getLogger(__name__)
+
+PAGE: Final = Path(__file__).with_name("page")
+PERIOD_S: Final = 0.05
+"""Twenty pictures a second."""
+LOOPBACK_NAME: Final = "localhost"
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS: Final = {
+    "Content-Security-Policy": POLICY, "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}  # fmt: skip
+
+
+class Viewing:
+    """The page of one daemon. `token` lets act, `watch_token` look."""
+
+    def __init__(self, daemon: Daemon, token: str = "", watch_token: str = "") -> None:
+        self.token = token or secrets.token_urlsafe(24)
+        self.watch_token = watch_token or secrets.token_urlsafe(24)
+        self.hub = Hub(Album(daemon.emulator))
+        self.desk = Desk(daemon, self.hub)
+        self._bells: dict[Viewer, asyncio.Event] = {}
+        self._runner: web.AppRunner | None = None
+        self._clock: asyncio.Task[None] | None = None
+
+    async def open(self, host: str, port: int) -> int:
+        """Serve; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
+        app = web.Application(client_max_size=MOST_TEXT)
+        app.on_response_prepare.append(_add_headers)
+        app.router.add_get("/", self._page)
+        app.router.add_get("/ws", self._socket)
+        app.router.add_post("/publish", self._publish)
+        app.router.add_static("/page/", PAGE)
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        await self._runner.setup()
+        try:
+            await web.TCPSite(self._runner, host, port).start()
+        except OSError as error:
+            await self._runner.cleanup()
+            raise ConnectionLost(
+                f"cannot serve the page on {host}:{port}: {error.strerror or error}; --viewer 0 takes a free port"
+            ) from error
+        self._clock = asyncio.create_task(self._run_clock())
+        return int(self._runner.addresses[0][1])
+
+    async def close(self) -> None:
+        """No page any more. Twice is fine."""
+        if self._clock is not None:
+            self._clock.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._clock
+            self._clock = None
+        if self._runner is not None:
+            await self._runner.cleanup()
+            self._runner = None
+        self.desk.close()
+
+    async def _run_clock(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(PERIOD_S)
+            if self.hub.viewers:
+                self.desk.tick(loop.time())
+                self.hub.take()
+                for bell in self._bells.values():
+                    bell.set()
+
+    def _may(self, request: web.Request) -> bool:
+        """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
+        if not known_host(request.host):
+            raise web.HTTPForbidden(text=f"this page is not known as {request.host}: ask by its number\n")
+        token = request.query.get("token", "")
+        if hmac.compare_digest(token.encode(), self.token.encode()):
+            return True
+        if hmac.compare_digest(token.encode(), self.watch_token.encode()):
+            return False
+        raise web.HTTPForbidden(text="the token is wrong: take the whole address that nserver printed\n")
+
+    async def _page(self, request: web.Request) -> web.StreamResponse:
+        self._may(request)
+        return web.FileResponse(PAGE / "index.html")
+
+    async def _publish(self, request: web.Request) -> web.StreamResponse:
+        if not self._may(request):
+            raise web.HTTPForbidden(text="this token only looks\n")
+        try:
+            return web.json_response(self.desk.publish(await request.text()))
+        except BadMessage as error:
+            raise web.HTTPBadRequest(text=f"{error}\n") from None
+
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        may_act = self._may(request)
+        origin = request.headers.get("Origin", "")
+        if urlsplit(origin).netloc != request.host:
+            raise web.HTTPForbidden(text=f"a page from {origin or 'nowhere'} is none of ours\n")
+        socket = web.WebSocketResponse(compress=False, heartbeat=20.0, max_msg_size=MOST_TEXT)
+        await socket.prepare(request)
+        viewer = self.desk.arrive(may_act=may_act, watch_token=self.watch_token)
+        self._bells[viewer] = asyncio.Event()
+        teller = asyncio.create_task(self._tell(viewer, socket))
+        try:
+            async for message in socket:
+                if message.type == WSMsgType.TEXT:
+                    self.desk.hear(viewer, message.data, asyncio.get_running_loop().time())
+        finally:
+            teller.cancel()
+            del self._bells[viewer]
+            self.desk.leave(viewer)
+        return socket
+
+    async def _tell(self, viewer: Viewer, socket: web.WebSocketResponse) -> None:
+        bell = self._bells[viewer]
+        with contextlib.suppress(ConnectionError):
+            while True:
+                await bell.wait()
+                bell.clear()
+                for text in self.hub.next_for(viewer):
+                    await socket.send_str(text)
+
+
+def known_host(host: str) -> bool:
+    """Whether a page asked for under this Host can be ours: a number, or the name of loopback."""
+    name = urlsplit(f"//{host}").hostname or ""
+    if name == LOOPBACK_NAME:
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+async def _add_headers(_request: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(_HEADERS)
+
+
+@contextlib.asynccontextmanager
+async def served(daemon: Daemon, host: str, port: int) -> AsyncIterator[list[str]]:
+    """The page, while it lasts; the line to print."""
+    viewing = Viewing(daemon)
+    port = await viewing.open(host, port)
+    name = f"[{host}]" if ":" in host else host
+    try:
+        yield [f"listening viewer http://{name}:{port}/?token={viewing.token}"]
+    finally:
+        await viewing.close()

@@ -1,0 +1,143 @@
+"""The map in a browser: the robot is drawn where State says it is, and who has no token sees nothing."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from browsing import nserver, opened
+from playwright.sync_api import Browser
+
+NEAR = 40
+"""How far apart two colours of the screen may be, of 255, and still be one."""
+
+
+def near(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    return all(abs(a - b) <= NEAR for a, b in zip(one, other, strict=True))
+
+
+def test_the_robot_moves_on_the_canvas_as_state_says(browser: Browser) -> None:
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
+        for layer in ("sonar", "grid", "encoder"):
+            page.page.evaluate(f"document.getElementById('layer-{layer}').click()")
+        body = page.pixel(20 - 4, 30 - 7)
+        floor = page.pixel(90, 90)
+        assert not near(body, (floor[0], floor[1], floor[2] - 60))
+        with program.robot() as robot:
+            robot.move(translation_in=40)
+            state = robot.wait_until_still(timeout_s=20)
+            assert state.x_in == pytest.approx(60, abs=0.2)
+            page.wait(f"nserver.scene.robots['1'].state[34] === {round(10 * state.x_in)}")
+            page.wait("(nserver.map.draw(), true)")
+        assert page.pixel(state.x_in - 4, state.y_in - 7) == body
+        assert page.pixel(20 - 4, 30 - 7) == floor
+        shown = page.value("nserver.scene.robots['1'].encoder")
+        assert shown[:2] == pytest.approx([state.x_in, state.y_in], abs=0.06)
+        trace = page.value("nserver.scene.traces['1'].actual.points")
+        assert trace[:2] == [20, 30]
+        assert trace[-2:] == pytest.approx([60, 30], abs=0.6)
+        assert page.pixel(30, 30) != floor
+
+
+def test_client_graphics_are_drawn_in_their_colours_and_xor_takes_them_away(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+        floor = page.pixel(75.3, 60)
+        for _ in range(2):
+            robot.draw_line(points_in=((70, 60), (90, 60)), mode=18)
+            page.wait("nserver.scene.graphics.length === 1")
+            page.wait("(nserver.map.draw(), true)")
+            assert page.pixel(75.3, 60)[0] > 200
+            assert page.pixel(75.3, 60)[1] < 130
+            robot.draw_line(points_in=((70, 60), (90, 60)), mode=18)
+            page.wait("nserver.scene.graphics.length === 0")
+            page.wait("(nserver.map.draw(), true)")
+            assert page.pixel(75.3, 60) == floor
+
+
+def test_zoom_pan_fit_follow_and_units_by_pointer_and_by_key(browser: Browser) -> None:
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
+        scale = page.value("nserver.map.view.scale")
+        x, y = page.at(20, 30)
+        page.page.mouse.move(x, y)
+        page.page.mouse.wheel(0, -300)
+        page.wait(f"nserver.map.view.scale > {scale * 1.5}")
+        assert page.at(20, 30) == pytest.approx((x, y), abs=1)
+        page.page.mouse.down()
+        page.page.mouse.move(x + 50, y + 30, steps=3)
+        page.page.mouse.up()
+        assert page.at(20, 30) == pytest.approx((x + 50, y + 30), abs=1)
+        page.page.locator("#map").focus()
+        page.page.keyboard.press("f")
+        page.wait("nserver.map.following")
+        page.wait("Math.abs(nserver.map.view.x - 20) < 0.1")
+        page.page.keyboard.press("f")
+        page.page.keyboard.press("ArrowRight")
+        page.wait("nserver.map.view.x > 20.5")
+        page.page.keyboard.press("0")
+        assert page.value("nserver.map.view.scale") == pytest.approx(scale)
+        page.page.keyboard.press("+")
+        page.page.keyboard.press("-")
+        assert page.value("nserver.map.view.scale") == pytest.approx(scale)
+        page.page.keyboard.press("u")
+        assert page.page.locator("#units").inner_text() == "centimetres"
+        page.wait("document.querySelector('#window-robot').innerText.includes('50.8 cm')")
+
+
+def test_a_dense_screen_is_drawn_at_its_own_density(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url, device_scale_factor=2) as page:
+        assert page.value("nserver.map.canvas.width / nserver.map.canvas.clientWidth") == pytest.approx(2, abs=0.01)
+
+
+@pytest.mark.parametrize("viewport", [(800, 600), (390, 780)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tuple[int, int], scheme: str) -> None:
+    width, height = viewport
+    with (
+        nserver("thesis_room") as program,
+        opened(browser, program.url, viewport={"width": width, "height": height}, color_scheme=scheme) as page,
+    ):
+        assert page.value("document.documentElement.scrollWidth") <= width
+        box = page.page.locator("#stop").bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] <= width
+        assert box["y"] + box["height"] <= height
+        canvas = page.page.locator("#map").bounding_box()
+        assert canvas is not None
+        assert min(canvas["width"], canvas["height"]) > 250
+        dark = sum(page.pixel(45, 90)) < 3 * 128
+        assert dark == (scheme == "dark")
+
+
+def test_a_wrong_token_shows_nothing(browser: Browser) -> None:
+    with nserver("thesis_room") as program, browser.new_context() as context:
+        page = context.new_page()
+        answer = page.goto(program.url[:-3] + "xxx")
+        assert answer is not None
+        assert answer.status == 403
+        assert "the token is wrong" in page.inner_text("body")
+
+
+def test_the_page_of_another_site_cannot_open_the_websocket(browser: Browser) -> None:
+    with nserver("thesis_room") as program, nserver("thesis_room") as other, opened(browser, other.url) as page:
+        address = program.url.replace("http", "ws").replace("/?", "/ws?")
+        opened_at_all = page.value(
+            f"""new Promise((done) => {{ const socket = new WebSocket('{address}');
+            socket.onopen = () => done(true); socket.onerror = () => done(false); }})"""
+        )
+        assert not opened_at_all
+        assert any("Content Security Policy" in said or "403" in said for said in page.troubles)
+        page.troubles.clear()
+
+
+def test_the_view_and_the_grid_are_right_in_numbers(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        round_length = "import('/page/view.js').then((m) => m.roundLength(%s, %s, 1))"
+        for scale, pixels, length in [(4, 40, 10), (4, 41, 20), (40, 40, 1), (0.1, 40, 500), (3, 60, 20)]:
+            assert page.value(round_length % (scale, pixels)) == pytest.approx(length)
+        back = page.value(
+            """import('/page/view.js').then((m) => { const v = {...m.newView(), x: 3, y: -7, scale: 2.5};
+            return m.toWorld(v, ...m.toScreen(v, 11, 13)); })"""
+        )
+        assert back == pytest.approx([11, 13])
+        degrees = page.value(f"import('/page/units.js').then((m) => m.degreesText({-math.pi / 2}))")
+        assert degrees == "270.0°"

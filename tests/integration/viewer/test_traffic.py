@@ -1,0 +1,35 @@
+"""The window Traffic in a browser: what a client says stands there, filtered, and a row opens to its bytes."""
+
+from __future__ import annotations
+
+from browsing import nserver, opened
+from playwright.sync_api import Browser
+
+LOG = "document.querySelector('#window-traffic .log')"
+
+
+def test_requests_and_replies_are_shown_filtered_and_opened(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+        robot.refresh()
+        page.page.click("#window-traffic > summary")
+        page.wait("nserver.link && document.querySelector('#window-traffic').open")
+        page.page.wait_for_timeout(300)
+        robot.drive(translation_in_s=5)
+        robot.refresh()
+        page.wait(f"{LOG}.innerText.includes('> vm 50 0 0')")
+        page.wait(f"{LOG}.innerText.includes('< state')")
+        page.page.click("text=> vm 50 0 0")
+        page.wait(f"{LOG}.innerText.includes('16 bytes: 00 0c 00 03 00 00 00 32')")
+        page.page.fill("#traffic-filter", "vm -gs")
+        page.wait(f"{LOG}.childElementCount === 1")
+        page.page.fill("#traffic-filter", "")
+        page.page.click("#traffic-hold")
+        count = page.value(f"{LOG}.childElementCount")
+        robot.refresh()
+        page.page.wait_for_timeout(300)
+        assert page.value(f"{LOG}.childElementCount") == count
+        page.page.click("#traffic-hold")
+        page.wait(f"{LOG}.childElementCount === {count + 2}")
+        page.page.focus("#pad")
+        page.page.keyboard.press("w")
+        page.wait(f"{LOG}.innerText.includes('viewer 1 on robot 1 > st')")

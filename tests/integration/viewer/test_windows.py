@@ -1,0 +1,58 @@
+"""The windows Robot, Short sensors and Long sensors in a browser: State in words, in numbers and over time."""
+
+from __future__ import annotations
+
+import pytest
+from browsing import Opened, nserver, opened
+from playwright.sync_api import Browser
+
+
+def inked(page: Opened, window: str, number: int = 0) -> int:
+    """How many pixels of a window's canvas are drawn."""
+    return int(
+        page.value(
+            f"""(() => {{ const canvas = document.querySelectorAll('#window-{window} canvas')[{number}];
+            const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+            let count = 0; for (let k = 3; k < data.length; k += 4) count += data[k] > 0; return count; }})()"""
+        )
+    )
+
+
+def test_state_stands_there_in_words_and_numbers(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "n200") as program, opened(browser, program.url) as page:
+        with program.robot() as robot:
+            robot.drive(translation_in_s=-10)
+            page.wait("document.querySelector('#window-robot').innerText.includes('touched: 10')")
+            slots = page.value("nserver.scene.robots['1'].state")
+            words = page.value("document.querySelector('#window-robot').innerText")
+            assert " ".join(map(str, slots)) in words
+            assert slots[33] == 1 << 10
+            readings = page.value("document.querySelector('#window-long td').innerText")
+            assert readings == " ".join(map(str, slots[17:33]))
+            assert page.value("document.querySelector('#window-short td').innerText") == " ".join(map(str, slots[1:17]))
+        page.page.locator("#window-long").scroll_into_view_if_needed()
+        before = inked(page, "long", 1)
+        page.wait("nserver.scene.history['1'].length > 40")
+        page.page.wait_for_timeout(300)
+        assert inked(page, "long", 1) > before
+        assert inked(page, "long") > 1000
+        assert inked(page, "short") > 1000
+
+
+def test_a_scout_has_wheels_and_a_second_robot_can_be_chosen(browser: Browser) -> None:
+    words = ("thesis_room", "--robot", "scout", "--robot", "n150")
+    with nserver(*words) as program, opened(browser, program.url) as page:
+        page.wait("document.querySelector('#window-robot').innerText.includes('0.0 in/s right, 0.0 in/s left')")
+        page.wait("document.querySelector('#window-short').innerText.includes('this robot has none')")
+        page.page.select_option("#robot-choice", "2")
+        page.wait("document.querySelector('#window-robot').innerText.includes('n150')")
+
+
+def test_the_laser_shows_what_a_client_is_told_and_a_layer_can_be_left_out(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "n200") as program, opened(browser, program.url) as page:
+        page.wait("(nserver.scene.lasers['1'] ?? []).length > 100")
+        x, y = page.value("nserver.scene.lasers['1'].slice(480, 482)")
+        assert (x, y) == pytest.approx((102.2, 0), abs=0.2)
+        page.page.click("text=Layers")
+        page.page.click("#layer-laser")
+        page.wait("!nserver.map.shown.laser")

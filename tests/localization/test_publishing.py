@@ -1,0 +1,114 @@
+"""Publishing an estimate: what is said, what comes back, and that a page that is lost stops nobody."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Any
+
+import numpy as np
+import pytest
+
+from localization.belief import Belief
+from localization.localizer import Echo, Estimate
+from localization.navigation import Navigator
+from localization.observation import Refusal
+from localization.publishing import Publisher, message
+from localization.run import Moment
+from nclient.errors import AddressError, ConnectionLost
+
+
+def a_moment(truth: tuple[float, float, float] | None = None) -> Moment:
+    belief = Belief(np.array([1.0, 2.0, 0.5]), np.diag([0.1, 0.2, 0.3]))
+    echoes = (Echo(3, 1.2, 40, Refusal.NONE, -0.5, 2.5), Echo(4, 1.3, 255, Refusal.LIMIT, 0.0))
+    return Moment(Estimate(1.4, belief, echoes), (1.1, 2.1, 0.4), truth, 1)
+
+
+@contextmanager
+def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
+    """A page that answers so; its address and what it was told."""
+    told: list[Any] = []
+    left = list(answers)
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_POST(self) -> None:  # http.server names it
+            told.append((self.path, json.loads(self.rfile.read(int(self.headers["Content-Length"])))))
+            status, body = left.pop(0)
+            self.send_response(status)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body.encode())
+
+        def log_message(self, *_: object) -> None: ...
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        serving.start()
+        yield f"http://127.0.0.1:{server.server_port}/?token=secret", told
+        server.shutdown()
+        serving.join()
+
+
+def test_a_moment_as_it_is_published() -> None:
+    said = message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
+    assert json.loads(json.dumps(said)) == {
+        "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
+        "cov": [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]], "odometry": [1.1, 2.1, 0.4], "truth": [1, 2, 3],
+        "echoes": [
+            {"sonar": 3, "reading_in": 40, "refusal": "none", "innovation_in": -0.5, "nis": 2.5},
+            {"sonar": 4, "reading_in": 255, "refusal": "limit", "innovation_in": 0, "nis": 0},
+        ],
+        "waypoints": [[5, 6]], "passed": 1,
+    }  # fmt: skip
+    assert message(1, a_moment(), 0.0, [])["truth"] is None
+
+
+def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
+    answers = [{"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[1, 2]], "set": 5},
+               {"waypoints": [], "set": 6}]  # fmt: skip
+    with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, told):
+        publisher = Publisher(url)
+        found = [publisher.tell({"n": n}) for n in range(4)]
+        publisher.close()
+    assert found == [None, None, [(1.0, 2.0)], None]
+    assert told == [("/publish?token=secret", {"n": n}) for n in range(4)]
+
+
+def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> None:
+    with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="the token is wrong"):
+        Publisher(url).tell({})
+
+
+def test_a_page_lost_on_the_way_is_told_of_once_and_nobody_stops(caplog: pytest.LogCaptureFixture) -> None:
+    with a_page((200, '{"waypoints": null, "set": 0}'), (500, "")) as (url, told):
+        publisher = Publisher(url)
+        with caplog.at_level(logging.WARNING):
+            assert [publisher.tell({}) for _ in range(4)] == [None] * 4
+        publisher.close()
+    assert len(told) == 2
+    assert len([record for record in caplog.records if "publishing ends" in record.message]) == 1
+
+
+@pytest.mark.parametrize("url", ["", "127.0.0.1:7080", "http://127.0.0.1/?token=x", "http://h:7080/", "http://h:x/?token=y"])
+def test_an_address_that_is_no_page_s_is_told(url: str) -> None:
+    with pytest.raises(AddressError, match="nserver --viewer printed"):
+        Publisher(url)
+
+
+def test_a_navigator_can_be_sent_elsewhere() -> None:
+    navigator = Navigator([(0, 0), (50, 0)])
+    navigator.command(np.zeros(3))
+    assert navigator.passed == 1
+    navigator.go([(0, 40)])
+    assert navigator.passed == 0
+    assert not navigator.finished
+    command = navigator.command(np.array([0.0, 0.0, 0.0]))
+    assert command is not None
+    assert command.steering_rad_s > 0
+    assert navigator.command(np.array([0.0, 40.0, 0.0])) is None

@@ -1,0 +1,71 @@
+"""--viewer on the command line: where, what is printed, what is missing."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import importlib.util
+import re
+
+import pytest
+from wire_client import simulation
+
+from nserver_emu import cli
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.viewer.options import DEFAULT_PORT, Place, ViewerMissing, add_options, viewed
+
+
+def options(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    return parser.parse_args(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        ([], None),
+        (["--viewer"], Place("127.0.0.1", DEFAULT_PORT)),
+        (["--viewer", "0"], Place("127.0.0.1", 0)),
+        (["--viewer", "0.0.0.0:8000"], Place("0.0.0.0", 8000)),
+        (["--viewer", "[::1]:8000"], Place("::1", 8000)),
+    ],
+)
+def test_where_the_page_is_served(words: list[str], place: Place | None) -> None:
+    assert options(*words).viewer == place
+
+
+@pytest.mark.parametrize("text", ["70000", "thesis_room", "1.2.3.4:"])
+def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        options("--viewer", text)
+    assert "the world goes before --viewer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("host", "name"), [("127.0.0.1", r"127\.0\.0\.1"), ("::1", r"\[::1\]")])
+def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
+    async def scenario() -> list[str]:
+        daemon = Daemon(Emulator(simulation()))
+        async with viewed(daemon, argparse.Namespace(viewer=Place(host, 0))) as lines:
+            return lines
+
+    (line,) = asyncio.run(scenario())
+    assert re.fullmatch(rf"listening viewer http://{name}:\d+/\?token=[\w-]{{32}}", line)
+
+
+def test_without_the_option_there_is_no_page() -> None:
+    async def scenario() -> list[str]:
+        async with viewed(Daemon(Emulator(simulation())), options()) as lines:
+            return lines
+
+    assert asyncio.run(scenario()) == []
+
+
+def test_without_aiohttp_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    assert cli.main(["--port", "0", "--viewer", "0"]) == 1
+    assert "pip install 'nomad-nserver[viewer]'" in capsys.readouterr().err
+    assert issubclass(ViewerMissing, ImportError)

@@ -1,0 +1,146 @@
+"""Pictures as plain data: a golden one, what changed since, and that looking changes nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from wire_client import meet, simulation
+
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.viewer.picture import LASER_EVERY, MOST_NEW, REMEMBERED, Album
+from worlds.files import load_world
+from worlds.world import StartPose
+
+GOLDEN = Path(__file__).parent / "golden" / "picture.json"
+CHANGING = {"bodies", "world", "graphics", "traces", "lasers", "said"}
+
+
+def a_stage() -> Emulator:
+    """A robot that has driven a little, an obstacle, a drawing, a word."""
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    client.ask("add_obstacle", 3, 500, 500, 600, 500, 600, 600)
+    client.ask("draw_line", 0, 0, 100, 200, 3)
+    client.ask("vm", 100, 200, 0)
+    emulator.pass_time(0.5)
+    client.ask("st")
+    return emulator
+
+
+def test_a_whole_picture_is_as_the_golden_one() -> None:
+    album = Album(a_stage())
+    album.take()
+    assert json.loads(json.dumps(album.since(0))) == json.loads(GOLDEN.read_text())
+
+
+def test_the_golden_picture_says_what_the_wire_says() -> None:
+    shown = json.loads(GOLDEN.read_text())["robots"]["1"]
+    emulator = a_stage()
+    client, _ = meet(emulator)
+    slots = client.ask("gs").slots
+    assert shown["state"] == [slots[slot] for slot in range(45)]
+    truth = client.ask("sim_truth").values
+    assert [round(1000 * number) for number in shown["actual"][:2]] == list(truth[2:4])
+
+
+def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
+    emulator = a_stage()
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    album.take()
+    assert not CHANGING & set(album.since(1))
+    client.send("tk", language.tcp_request(Call("tk", ("hi",))))
+    client.ask("new_world")
+    client.ask("draw_line", 0, 0, 100, 200, 3)
+    client.ask("create_robot", 2, 0)
+    client.ask("vm", 100, 0, 0)
+    emulator.pass_time(1.0)
+    album.take()
+    told = album.since(2)
+    assert CHANGING - {"lasers"} <= set(told)
+    assert (told["frame"], told["since"]) == (3, 2)
+    assert told["world"]["obstacles"] == []
+    assert told["graphics"] == []
+    assert told["said"] == [[0.5, 1, "hi"]]
+    assert set(told["bodies"]) == {"1", "2"}
+
+
+def test_traces_are_told_on_from_where_a_viewer_has_them() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    first = album.since(0)["traces"]["1"]["actual"]
+    assert first == {"gone": 1, "points": [0.0, 0.0]}
+    client.ask("vm", 100, 0, 0)
+    emulator.pass_time(0.5)
+    album.take()
+    more = album.since(1)["traces"]["1"]["actual"]
+    assert len(more["points"]) == 2 * (more["gone"] - 1)
+    whole = album.since(0)["traces"]["1"]["actual"]
+    assert whole == {"gone": more["gone"], "points": first["points"] + more["points"]}
+
+
+def test_a_track_that_grows_too_fast_to_see_is_thinned_and_never_forgets_the_whole() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    client.ask("vm", 100, 300, 0)
+    emulator.pass_time(20.0)
+    album.take()
+    more, whole = (album.since(number)["traces"]["1"]["actual"] for number in (1, 0))
+    assert len(whole["points"]) == 2 * whole["gone"] > 4 * MOST_NEW
+    assert MOST_NEW <= len(more["points"]) <= 2 * MOST_NEW
+    kept = set(zip(whole["points"][::2], whole["points"][1::2], strict=True))
+    assert kept >= set(zip(more["points"][::2], more["points"][1::2], strict=True))
+
+
+@pytest.mark.parametrize("number", [-1, 0, 1, 2, REMEMBERED + 10, 10**9])
+def test_who_has_none_that_is_remembered_is_told_everything(number: int) -> None:
+    album = Album(a_stage())
+    for _ in range(REMEMBERED + 2):
+        album.take()
+    told = album.since(number)
+    assert told["since"] == 0
+    assert set(told) >= CHANGING
+
+
+def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> None:
+    sim = Simulation(load_world("thesis_room"))
+    sim.add_robot(1, StartPose(0.0, 0.0), N200)
+    emulator = Emulator(sim)
+    album = Album(emulator)
+    for _ in range(LASER_EVERY):
+        album.take()
+    assert album.since(0)["lasers"] == {}
+    for _ in range(LASER_EVERY):
+        album.take(laser=True)
+    seen = album.since(0)["lasers"]["1"]
+    assert "lasers" in album.since(LASER_EVERY)
+    wire = meet(emulator)[0].ask("get_ls").laser
+    assert wire is not None
+    assert seen == pytest.approx([number / 10 for number in wire[1:]], abs=0.11)
+
+
+def test_looking_changes_nothing_that_comes_later() -> None:
+    looked, alone = (Emulator(simulation(noisy=True, seed=5)) for _ in range(2))
+    album = Album(looked)
+    clients = [meet(emulator)[0] for emulator in (looked, alone)]
+    for client in clients:
+        client.ask("vm", 80, 200, 100)
+    for _ in range(20):
+        for emulator in (looked, alone):
+            emulator.pass_time(0.13)
+        album.take(laser=True)
+        album.since(0)
+    first, second = (client.ask("gs") for client in clients)
+    assert first == second
+    assert looked.layers(1) == alone.layers(1)

@@ -1,0 +1,75 @@
+"""What a page may say, message by message, and what it is told when it says something else."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from nserver_emu.viewer.protocol import (
+    FIELDS,
+    MOST_ARGS,
+    MOST_POINTS,
+    MOST_TEXT,
+    BadMessage,
+    from_page,
+    to_page,
+)
+
+GOOD: list[dict[str, Any]] = [
+    {"do": "seen", "frame": 3},
+    {"do": "watch", "traffic": True, "laser": False},
+    {"do": "call", "id": 1, "robot": 1, "call": "place_robot", "args": [1, -2, 3, 4]},
+    {"do": "drive", "id": 2, "robot": 1, "args": [100, 0, 0]},
+    {"do": "control", "id": 3, "command": "pause"},
+    {"do": "control", "id": 3, "command": "speed", "argument": 2.5},
+    {"do": "control", "id": 3, "command": "faults set", "argument": {"text": "", "file": "x"}},
+    {"do": "click", "robot": 1, "pose": [1, 2, 3, 4]},
+    {"do": "waypoints", "points": [[1, 2.5], [3, 4]]},
+]
+BAD: list[tuple[Any, str]] = [
+    ([], "do is one of"),
+    ({"do": "format"}, "do is one of"),
+    ({"do": ["seen"]}, "do is one of"),
+    ({"do": "seen"}, "frame is a whole number"),
+    ({"do": "seen", "frame": -1}, "frame is a whole number"),
+    ({"do": "seen", "frame": True}, "frame is a whole number"),
+    ({"do": "seen", "frame": 2**31}, "frame is a whole number"),
+    ({"do": "watch", "traffic": 1, "laser": False}, "traffic is true or false"),
+    ({"do": "call", "id": 1, "robot": 1, "call": "quit_server", "args": []}, "call is one of add_obstacle"),
+    ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [1.5]}, "args is a list"),
+    ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [0] * (MOST_ARGS + 1)}, "args is a list"),
+    ({"do": "drive", "id": 1, "robot": 1, "args": [1, 2]}, "three whole numbers"),
+    ({"do": "control", "id": 1, "command": "save", "argument": "/etc/passwd"}, "command is one of faults"),
+    ({"do": "control", "id": 1, "command": "speed", "argument": [1]}, "argument is nothing"),
+    ({"do": "click", "robot": 1, "pose": [1, 2, 3]}, "pose is x, y"),
+    ({"do": "waypoints", "points": [[1, 2, 3]]}, "points is a list"),
+    ({"do": "waypoints", "points": [[0, 0]] * (MOST_POINTS + 1)}, "points is a list"),
+    ({"do": "waypoints", "points": [[0, float("inf")]]}, "points is a list"),
+]
+
+
+@pytest.mark.parametrize("message", GOOD, ids=lambda message: str(message["do"]))
+def test_what_is_right_comes_through_as_it_is(message: dict[str, Any]) -> None:
+    assert from_page(json.dumps(message | {"more": "is left out"})) == message
+
+
+def test_every_message_has_an_example() -> None:
+    assert {message["do"] for message in GOOD} == set(FIELDS)
+
+
+@pytest.mark.parametrize(("message", "words"), BAD)
+def test_what_is_wrong_is_told_with_what_would_be_right(message: object, words: str) -> None:
+    with pytest.raises(BadMessage, match=words):
+        from_page(json.dumps(message))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "x" * (MOST_TEXT + 1)])
+def test_no_text_is_more_than_a_refusal(text: str) -> None:
+    with pytest.raises(BadMessage):
+        from_page(text)
+
+
+def test_a_message_to_the_page_is_one_object() -> None:
+    assert json.loads(to_page("hello", version=1)) == {"type": "hello", "version": 1}

@@ -1,0 +1,209 @@
+"""Who gets in, who does not, and what a page does over its websocket; real sockets on loopback, no browser."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+
+import aiohttp
+import pytest
+from viewed_daemon import HOST, served
+from wire_client import simulation
+
+from nclient.errors import ConnectionLost
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.viewer.protocol import DEAD_MAN_S
+from nserver_emu.viewer.web import Viewing, known_host
+
+
+def an_emulator() -> Emulator:
+    return Emulator(simulation())
+
+
+def test_the_page_wants_its_token_and_loads_nothing_from_elsewhere() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            for token in ("", "wrong", here.viewing.token[:-1]):
+                async with here.web.get(here.origin, params={"token": token}) as answer:
+                    assert answer.status == 403
+                    assert "take the whole address" in await answer.text()
+            for token in (here.viewing.token, here.viewing.watch_token):
+                async with here.web.get(here.origin, params={"token": token}) as answer:
+                    assert answer.status == 200
+                    assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+                    text = await answer.text()
+                    assert "http:" not in text
+                    assert "https:" not in text
+            async with here.web.get(f"{here.origin}/page/main.js") as answer:
+                assert answer.status == 200
+            async with here.web.get(f"{here.origin}/page/../web.py") as answer:
+                assert answer.status == 404
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("origin", ["", "http://evil.example", "http://127.0.0.1:1", "null"])
+def test_a_page_from_elsewhere_gets_no_websocket(origin: str) -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            headers = {"Origin": origin} if origin else {}
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+                await here.web.ws_connect(f"{here.origin}/ws", params={"token": here.viewing.token}, headers=headers)
+            assert refusal.value.status == 403
+            assert not here.viewing.hub.viewers
+
+    asyncio.run(scenario())
+
+
+def test_a_name_that_resolves_to_us_is_not_ours() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            name = f"evil.example:{here.port}"
+            headers = {"Host": name, "Origin": f"http://{name}"}
+            async with here.web.get(here.origin, params={"token": here.viewing.token}, headers=headers) as answer:
+                assert answer.status == 403
+                assert "ask by its number" in await answer.text()
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    ("host", "ours"),
+    [("127.0.0.1:7080", True), ("localhost:1", True), ("[::1]:7080", True), ("10.0.0.2:80", True),
+     ("evil.example", False), ("", False)],
+)  # fmt: skip
+def test_hosts_are_numbers_or_loopback(host: str, ours: bool) -> None:
+    assert known_host(host) is ours
+
+
+def test_a_port_in_use_is_told_with_the_remedy() -> None:
+    async def scenario() -> None:
+        viewing = Viewing(Daemon(an_emulator()))
+        with socket.socket() as taken:
+            taken.bind((HOST, 0))
+            taken.listen()
+            with pytest.raises(ConnectionLost, match="--viewer 0 takes a free port"):
+                await viewing.open(HOST, taken.getsockname()[1])
+        await viewing.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_viewer_sees_pictures_go_on_and_is_forgotten_when_gone() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            async with here.page() as page:
+                hello = await page.until(lambda message: message["type"] == "hello")
+                assert (hello["may_act"], hello["watch_token"]) == (True, here.viewing.watch_token)
+                first = await page.until(lambda message: message["type"] == "picture")
+                later = await page.until(lambda message: message.get("frame", 0) >= first["frame"] + 5)
+                assert first["since"] == 0
+                assert later["since"] == later["frame"] - 1
+                assert later["time_s"] > first["time_s"]
+            async with asyncio.timeout(5):
+                while here.viewing.hub.viewers:
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(scenario())
+
+
+def test_a_slow_viewer_gets_pictures_again_once_it_has_caught_up() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            (viewer,) = here.viewing.hub.viewers
+            async with asyncio.timeout(5):
+                while not viewer.behind:
+                    await asyncio.sleep(0.02)
+            held = viewer.sent
+            await asyncio.sleep(0.3)
+            assert viewer.sent == held
+            await page.until(lambda message: message["type"] == "picture" and message["frame"] > viewer.sent)
+
+    asyncio.run(scenario())
+
+
+def test_who_may_only_look_does_nothing_else() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page(here.viewing.watch_token) as page:
+            hello = await page.until(lambda message: message["type"] == "hello")
+            assert (hello["may_act"], hello["watch_token"]) == (False, None)
+            await page.say(do="call", id=4, robot=1, call="vm", args=[100, 0, 0])
+            assert "only looks" in (await page.answer(4))["error"]
+            assert here.daemon.emulator.simulation.robots[1].still((0, 1, 2))
+            assert not here.daemon.emulator.clicks.open
+            await page.socket.send_str("nonsense")
+            assert "JSON" in (await page.until(lambda message: message["type"] == "answer"))["error"]
+            await page.socket.ping()
+            await page.say(do="watch", traffic=True, laser=True)
+            await page.until(lambda message: message["type"] == "picture" and here.viewing.hub.watch_traffic)
+
+    asyncio.run(scenario())
+
+
+def test_what_a_page_says_is_done_as_a_client_would_have_it_done() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            robots = here.daemon.emulator.simulation.robots
+            await page.say(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 0])
+            assert (await page.answer(1))["ok"]
+            shown = await page.until(lambda message: message["type"] == "picture")
+            assert shown["robots"]["1"]["state"][34:37] == [300, 200, 900]
+            await page.say(do="call", id=2, robot=1, call="place_robot", args=[-120, 0, 0, 0])
+            refused = await page.answer(2)
+            assert (refused["ok"], refused["code"]) == (False, 2)
+            await page.say(do="call", id=3, robot=7, call="st", args=[])
+            assert "no robot 7" in (await page.answer(3))["error"]
+            await page.say(do="call", id=4, robot=1, call="vm", args=[1])
+            assert "vm" in (await page.answer(4))["error"]
+            await page.say(do="call", id=5, robot=1, call="vm", args=[50, 0, 0])
+            assert (await page.answer(5))["ok"]
+            assert not robots[1].still((0,))
+        async with asyncio.timeout(5):
+            while not robots[1].still((0,)):
+                await asyncio.sleep(0.01)
+
+    asyncio.run(scenario())
+
+
+def test_who_drives_by_hand_and_falls_silent_lets_go() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            robot = here.daemon.emulator.simulation.robots[1]
+            clock = asyncio.get_running_loop().time
+            await page.say(do="drive", id=1, robot=1, args=[50, 0, 0])
+            await page.answer(1)
+            began = clock()
+            await page.until(lambda _: robot.still((0,)))
+            assert DEAD_MAN_S * 0.9 <= clock() - began < DEAD_MAN_S + 1.0
+            await page.say(do="drive", id=2, robot=1, args=[0, 0, 0])
+            assert (await page.answer(2))["ok"]
+
+    asyncio.run(scenario())
+
+
+def test_the_owner_controls_time() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            await page.say(do="control", id=1, command="pause")
+            assert (await page.answer(1))["said"]["paused"]
+            before = here.daemon.emulator.simulation.time_s
+            await page.say(do="control", id=2, command="step", argument=0.5)
+            await page.answer(2)
+            assert here.daemon.emulator.simulation.time_s == pytest.approx(before + 0.5)
+            await page.say(do="control", id=3, command="speed", argument="fast")
+            assert "speed" in (await page.answer(3))["error"]
+
+    asyncio.run(scenario())
+
+
+def test_a_click_is_taken_where_a_client_waits_for_it() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            await page.say(do="click", robot=1, pose=[1, 2, 3, 4])
+            assert "nobody asks" in (await page.until(lambda message: message["type"] == "answer"))["error"]
+            await page.say(do="waypoints", points=[[10, 20]])
+            assert (await page.until(lambda message: message["type"] == "waypoints"))["points"] == [[10, 20]]
+            assert here.viewing.desk.waypoints == [[10, 20]]
+
+    asyncio.run(scenario())
