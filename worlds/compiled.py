@@ -7,7 +7,7 @@ nothing else.
     pip install 'nomad-nserver[fast]'       numba
     NOMAD_COMPILED=always|crowd|never       from the first robot on; from CROWD robots on (the default); not at all
 
-Loading takes a process about a second and a half: numba is imported, and its code read from the cache beside the source
+Loading takes a process about a second: numba is imported, and its code read from the cache beside the source
 or, the first time, made. A few robots in real time would never win that back.
 """
 
