@@ -42,7 +42,8 @@ def test_arcs_are_written_down_as_the_canvas_draws_them(browser: Browser) -> Non
         assert page.value(script % (0, "Math.PI / 2", "false")) == "M60 50A10 10 0 0 1 50 60"
         assert page.value(script % (0, "-Math.PI / 2", "true")) == "M60 50A10 10 0 0 0 50 40"
         assert page.value(script % (0, "2 * Math.PI", "false")) == "M60 50A10 10 0 0 1 40 50A10 10 0 0 1 60 50"
-        whole = "import('/page/svg.js').then((m) => { const p = new m.SvgPen(9, 9); p.fillText('<&', 1, 2); return String(p); })"
+        whole = """import('/page/svg.js').then((m) => { const p = new m.SvgPen(9, 9); p.fillText('<&', 1, 2);
+            return String(p); })"""
         assert "&lt;&amp;" in page.value(whole)
         with pytest.raises(Exception, match="no pictures"):
             page.value("import('/page/svg.js').then((m) => new m.SvgPen(1, 1).drawImage())")
@@ -69,7 +70,8 @@ def test_a_run_replays_from_its_file_without_a_server(browser: Browser, tmp_path
         page.page.select_option("#replay-rate", "10")
         page.page.click("#replay-play")
         page.wait("nserver.scene.robots['1'].state[34] < 400")
-        page.wait("nserver.scene.robots['1'].state[34] === 400 && document.querySelector('#replay-play').innerText === 'Play'")
+        page.wait("document.querySelector('#replay-play').innerText === 'Play'")
+        assert page.value("nserver.scene.robots['1'].state[34]") == 400
         assert page.value("nserver.scene.traces['1'].actual.points") == trace
         page.wait("document.querySelector('#window-robot').innerText.includes('40.0 in')")
 
@@ -78,7 +80,8 @@ def test_what_is_too_old_for_a_run_is_folded_into_its_beginning(browser: Browser
     with nserver("thesis_room") as program, opened(browser, program.url) as page:
         found = page.value(
             """import('/page/keeping.js').then((m) => { const trace = (gone, ...points) => ({ gone, points });
-            return m.folded({ since: 0, frame: 1, world: 'w', traces: { 1: { actual: trace(1, 1, 2), encoder: trace(0) } } },
+            return m.folded(
+            { since: 0, frame: 1, world: 'w', traces: { 1: { actual: trace(1, 1, 2), encoder: trace(0) } } },
             { since: 1, frame: 2, traces: { 1: { actual: trace(2, 3, 4), encoder: trace(1, 5, 6) },
               2: { actual: trace(1, 7, 8), encoder: trace(0) } } }); })"""
         )
