@@ -178,8 +178,7 @@ def test_a_client_that_does_not_read_is_not_waited_for_and_loses_nothing() -> No
     async def visit(house: House) -> None:
         deaf, polite = await house.call(), await house.call()
         deaf.writer.transport.pause_reading()  # type: ignore[attr-defined]  # a reader that has better things to do
-        count = 30_000
-        deaf.writer.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)
+        count = 60_000
         deaf.writer.write(GS * count)
         while not any(connection.blocked for connection in house.daemon.connections):
             assert (await polite.ask("gs")).kind == "state"
