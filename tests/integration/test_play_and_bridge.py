@@ -147,6 +147,8 @@ def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
         while sum("> disconnect_robot" in line for line in shown) < 2:
             shown.append(process.out())
         assert "> connect_robot 1" in shown[0]
+        while path.read_text().count('"disconnect_robot"') < 2:  # shown is not yet written
+            time.sleep(0.01)
     recording = read_recording(path)
     assert recording.connections() == ("1", "2")
     calls = [found["call"] for entry in recording.entries if entry.kind == "out" for found in entry.decoded]
