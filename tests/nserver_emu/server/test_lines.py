@@ -163,7 +163,7 @@ def test_who_comes_at_once_after_another_is_another_and_the_robot_stops(path: Pa
 def test_who_comes_at_once_may_move_at_once(path: Path) -> None:
     async def visit(house: House) -> None:
         host, leave = house.at_link()
-        for _ in range(5):
+        for _ in range(20):
             await host.ask("vm", 0, 100, 0)
             host.send(GS * 20)
             leave()
