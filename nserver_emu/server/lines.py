@@ -6,7 +6,8 @@
 Rules: an emulated robot answers, whatever stands behind Nserver's port. When a host leaves, what it drove stops. A
 host that does not read keeps nobody: what its end does not take is lost, but for the rest of what has begun to go.
 Who opens the link at once after another closed it is another host: bytes are read before it is asked who is there.
-Hosts ask one thing at a time, so of what comes with the news the last frame is the newcomer's.
+Hosts ask one thing at a time, so of what comes with the news the last frame is the newcomer's: of all that has come
+when the system, which hands bytes from end to end in its own time, has had a moment for it. The robot stops at once.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ log = logging.getLogger(__name__)
 
 LINK_LOOK_S = 0.5
 """How often it is looked whether somebody removed the link."""
+
+
+SETTLE_S = 0.02
+"""How long bytes may take from a host's end to ours, when one host has followed another."""
 
 
 class OwnLine(NamedTuple):
@@ -78,7 +83,8 @@ class SerialLine(Talker):
         """Bytes that no host took."""
         self._new_cable = new_cable
         self.here = self._listening = self._muted = False
-        self._rest = b""
+        self._rest = self._gathered = b""
+        self._settling: asyncio.TimerHandle | None = None
         self._begin()
         daemon.connections.add(self)
         self._look_s = 0.0
@@ -134,19 +140,26 @@ class SerialLine(Talker):
     def _noticed(self) -> None:
         """Somebody opened or closed the link."""
         changed = self.terminal.comings.changed()
-        if changed and self.here:
+        if changed and self.here and self._settling is None:
             self._handed_over(b"")
         elif not self.here and not self.terminal.deserted:
             self._arrived_here()
 
     def _handed_over(self, data: bytes) -> None:
         """The host left, and another came before it was seen that nobody was there; `data`: what both sent so far."""
-        data += self.terminal.read(READ_SIZE) or b""
-        split = last_frame(data)
+        self._daemon.emulator.leave(self.session.visit)
+        self._listen(False)
         self._muted = True
+        self._gathered = data
+        self._settling = self._loop.call_later(SETTLE_S, self._settle)
+
+    def _settle(self) -> None:
+        """What both hosts sent is here: the first one's is obeyed unanswered, and then it has left."""
+        self._settling = None
+        data = self._gathered + (self.terminal.read(READ_SIZE) or b"")
+        split = last_frame(data)
         if split:
             self._came(data[:split])
-        self._muted = False
         self._left()
         self.terminal.flush()
         self._arrived_here()
@@ -157,6 +170,10 @@ class SerialLine(Talker):
         """The host is gone: its robot stops, and what was on its way to it is forgotten."""
         self._silence()
         self._listen(False)
+        if self._settling is not None:
+            self._settling.cancel()
+            self._settling = None
+        self._muted = False
         self._loop.remove_writer(self.terminal.fd)
         self._rest = b""
         if self.here:
@@ -185,7 +202,7 @@ class SerialLine(Talker):
             self._loop.remove_writer(self.terminal.fd)
 
     def _listen(self, on: bool) -> None:
-        if on == self._listening or (on and not self.here):
+        if on == self._listening or (on and (not self.here or self._settling is not None)):
             return
         self._listening = on
         if on:
