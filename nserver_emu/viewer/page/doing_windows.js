@@ -147,8 +147,8 @@ export const worldWindow = {
     this.list = element('div');
     this.corners = field('corners, in', { id: 'corners', placeholder: '10,10 20,10 20,20', size: 24 });
     const undo = button('Undo', async () => { await app.undo.pop()?.back(); }, { id: 'undo' });
-    const file = field('Load obstacles', { type: 'file', accept: '.toml', id: 'load-world', onchange: async () => {
-      for (const corners of obstaclesOf(await file.input.files[0].text())) await addObstacle(app, corners);
+    const file = element('input', { type: 'file', accept: '.toml', id: 'load-world', hidden: true, onchange: async () => {
+      for (const corners of obstaclesOf(await file.files[0].text())) await addObstacle(app, corners);
     } });
     box.append(
       element('div', { className: 'row' }, this.corners.label, button('Add', () => {
@@ -157,7 +157,7 @@ export const worldWindow = {
         else addObstacle(app, corners);
       }, { id: 'add-corners' })),
       element('div', { className: 'row' }, undo, button('Save world', () => download(`${app.scene.world.name}.toml`, 'text/plain', worldText(app.scene.world)), { id: 'save-world' }),
-        file.label, button('Remove all obstacles', () => clearWorld(app))),
+        file, button('Load obstacles', () => file.click()), button('Remove all obstacles', () => clearWorld(app))),
       this.list);
   },
   update(app) {

@@ -11,6 +11,7 @@ import { driveWindow, timeWindow, worldWindow } from './doing_windows.js';
 import { trafficWindow } from './traffic_window.js';
 import { localizationWindow } from './localization_window.js';
 import { setUpTools, drawWaypoints } from './tools.js';
+import { setUpMenus } from './menus.js';
 import { tenthsOf, angleTenths } from './units.js';
 import { element } from './parts.js';
 
@@ -135,6 +136,7 @@ function buildWindows() {
 buildWindows();
 app.map = mapWindow(app);
 setUpTools(app);
+setUpMenus();
 document.getElementById('robot-choice').addEventListener('change', (event) => app.selectRobot(event.target.value));
 document.getElementById('stop').addEventListener('click', () => app.stopAll());
 document.addEventListener('keydown', (event) => {

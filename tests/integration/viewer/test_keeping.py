@@ -12,7 +12,7 @@ from playwright.sync_api import Browser
 
 def kept(page: Opened, button: str, file: Path) -> Path:
     """What a button under Keep gives."""
-    page.value("document.querySelectorAll('.menu')[1].open = true")
+    page.page.click("[popovertarget=keep]")
     with page.page.expect_download() as saved:
         page.page.click(button)
     saved.value.save_as(file)

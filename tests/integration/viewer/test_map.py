@@ -88,7 +88,7 @@ def test_a_dense_screen_is_drawn_at_its_own_density(browser: Browser) -> None:
         assert page.value("nserver.map.canvas.width / nserver.map.canvas.clientWidth") == pytest.approx(2, abs=0.01)
 
 
-@pytest.mark.parametrize("viewport", [(800, 600), (390, 780)])
+@pytest.mark.parametrize("viewport", [(800, 600), (390, 844), (360, 640)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tuple[int, int], scheme: str) -> None:
     width, height = viewport
@@ -106,6 +106,35 @@ def test_it_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tup
         assert min(canvas["width"], canvas["height"]) > 250
         dark = sum(page.pixel(45, 90)) < 3 * 128
         assert dark == (scheme == "dark")
+        for menu in ("layers", "keep"):
+            assert not page.page.is_visible(f"#{menu}")
+            page.page.click(f"[popovertarget={menu}]")
+            page.page.wait_for_selector(f"#{menu}", state="visible")
+            box = page.page.locator(f"#{menu}").bounding_box()
+            assert box is not None
+            assert min(box["x"], box["y"]) >= 0
+            assert box["x"] + box["width"] <= width
+            assert box["y"] + box["height"] <= height
+            on_top = f"""(() => {{ const last = document.querySelector('#{menu}').lastElementChild;
+                const box = last.getBoundingClientRect();
+                return last.contains(document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2)); }})()"""
+            assert page.value(on_top)
+            page.page.keyboard.press("Escape")
+            assert not page.page.is_visible(f"#{menu}")
+            assert page.value(f"document.activeElement.getAttribute('popovertarget') === '{menu}'")
+        page.value("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.page.wait_for_timeout(200)
+        assert page.value("document.documentElement.scrollWidth") <= width
+
+
+def test_a_menu_stands_under_its_button_whole_in_the_window(browser: Browser) -> None:
+    place = """import("/page/menus.js").then((m) =>
+        m.menuPlace({ left: %s, top: %s, bottom: %s }, [168, 300], [390, 844]))"""
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        assert page.value(place % (20, 100, 130)) == [20, 134]
+        assert page.value(place % (300, 100, 130)) == [390 - 168 - 8, 134]
+        assert page.value(place % (20, 700, 730)) == [20, 700 - 4 - 300]
+        assert page.value(place % (20, 200, 830)) == [20, 8]
 
 
 def test_a_wrong_token_shows_nothing(browser: Browser) -> None:

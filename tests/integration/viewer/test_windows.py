@@ -53,6 +53,6 @@ def test_the_laser_shows_what_a_client_is_told_and_a_layer_can_be_left_out(brows
         page.wait("(nserver.scene.lasers['1'] ?? []).length > 100")
         x, y = page.value("nserver.scene.lasers['1'].slice(480, 482)")
         assert (x, y) == pytest.approx((102.2, 0), abs=0.2)
-        page.page.click("text=Layers")
+        page.page.click("[popovertarget=layers]")
         page.page.click("#layer-laser")
         page.wait("!nserver.map.shown.laser")
