@@ -1,4 +1,5 @@
-"""One browser for all tests of the page."""
+"""One browser for the tests of a file: while it is open its driver has an event loop in this thread, so it is closed
+before another file runs one of its own."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from browsing import CHROMIUM, FLAGS
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """Debian's Chromium, without a screen."""
     with sync_playwright() as playwright:
