@@ -77,6 +77,11 @@ class Navigator:
         """Whether the last way-point was reached."""
         return self.passed == len(self._goals)
 
+    @property
+    def goal(self) -> Floats | None:
+        """The way-point ahead (2,); None behind the last."""
+        return None if self.finished else self._goals[self.passed]
+
     def go(self, waypoints: Sequence[tuple[float, float]]) -> None:
         """Leave the way-points that are left, and go to these."""
         self._goals = [np.array(point, dtype=np.float64) for point in waypoints]

@@ -10,6 +10,16 @@ from pathlib import Path
 def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     """--seeds, --jobs, --cluster, --out, --json, --no-pictures; `unit` is what one JSON object is about."""
     parser.add_argument("--seeds", type=positive, default=100, metavar="N", help=f"runs a {unit} (default 100)")
+    add_work(parser)
+    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"for PNG and numbers ({out})")
+    parser.add_argument("--json", action="store_true", help=f"print JSON, an object a {unit}, alone on stdout")
+    parser.add_argument(
+        "--no-pictures", dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
+    )
+
+
+def add_work(parser: argparse.ArgumentParser) -> None:
+    """--jobs, --cluster: who does the work."""
     who = parser.add_mutually_exclusive_group()
     who.add_argument(
         "--jobs", type=positive, default=cores(), metavar="N", help="processes; the numbers are the same (all cores)"
@@ -17,11 +27,6 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     who.add_argument(
         "--cluster", metavar="ADDRESS", help="work on the Dask cluster whose scheduler is there, host:port (extra "
         "`cluster`); the numbers are the same"
-    )
-    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"for PNG and numbers ({out})")
-    parser.add_argument("--json", action="store_true", help=f"print JSON, an object a {unit}, alone on stdout")
-    parser.add_argument(
-        "--no-pictures", dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
     )
 
 
