@@ -3,6 +3,7 @@
     share_j  ~  (1 - bad) p_j N(z; h_j, S_j)      S_j = H_j P H_j' + R_j        share_0 ~ bad' / width
     mean'    =  mean + sum_j share_j K_j (z - h_j)
     P'       =  sum_j share_j (P_j + d_j d_j')    d_j: how far hypothesis j lies from mean'
+             =  P + C diag(w) C'                  columns C: all K_j, w -share_j S_j; all d_j, w share_j
 
 The gaussian with the first two moments of the mixture of all hypotheses: probabilistic data association (Bar-Shalom
 and Tse 1975) with a reflector a hypothesis. bad' = bad + (1 - bad) (1 - sum p_j): what is heard of none is bad as
@@ -15,13 +16,16 @@ Rules: pure; one belief, one scalar reading; states of any length n >= 3, the de
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from math import exp, nan, pi, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from localization.belief import Belief, Floats, add
 from localization.candidates import Candidates
 from localization.updates import Rule, linear
+
+_TURN: Final = 2.0 * pi
 
 
 class Absorbed(NamedTuple):
@@ -48,19 +52,23 @@ def absorb(belief: Belief, reading_in: float, heard: Candidates, rule: Rule = li
     """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of k candidates or a bad one."""
     moves, gains, spread, innovation, nis = rule(belief, reading_in, heard)
     good = 1.0 - heard.bad_share
-    bad = heard.bad_density * (1.0 - good * heard.probability.sum())
-    weight = good * heard.probability * np.exp(-0.5 * nis) / np.sqrt(2.0 * np.pi * spread)
-    total = float(weight.sum()) + bad
-    weight /= total
-    change = weight @ moves
-    away = moves - change
-    cov = belief.cov - (gains * (weight * spread)[:, None]).T @ gains
-    cov += (away * weight[:, None]).T @ away + (bad / total) * np.outer(change, change)
-    best = int(np.argmax(weight)) if len(weight) else None
+    chances, variances, squares = heard.probability.tolist(), spread.tolist(), nis.tolist()
+    weights = [
+        good * chance * exp(-0.5 * square) / sqrt(_TURN * variance)
+        for chance, variance, square in zip(chances, variances, squares, strict=True)
+    ]
+    bad = heard.bad_density * (1.0 - good * sum(chances))
+    total = sum(weights) + bad
+    shares = [weight / total for weight in (*weights, bad)]
+    change = np.array(shares[:-1]) @ moves
+    less = [-share * variance for share, variance in zip(shares, variances, strict=False)]
+    columns = np.concatenate((gains, moves - change, change[None]))
+    cov = belief.cov + (columns.T * np.array(less + shares)) @ columns
+    best = weights.index(max(weights)) if weights else None
     return Absorbed(
         Belief(add(belief.mean, change), 0.5 * (cov + cov.T)),
-        np.append(weight, bad / total),
+        np.array(shares),
         total,
-        float("nan") if best is None else float(innovation[best]),
-        float("nan") if best is None else float(nis[best]),
+        nan if best is None else innovation.item(best),
+        nan if best is None else squares[best],
     )
