@@ -17,6 +17,7 @@ Rules: pure; one belief, one scalar reading; states of any length n >= 3, the de
 from __future__ import annotations
 
 from math import exp, nan, pi, sqrt
+from operator import mul, sub
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -31,13 +32,13 @@ _TURN: Final = 2.0 * pi
 class Absorbed(NamedTuple):
     """A belief that a reading has corrected, and how it was understood.
 
-    shares            (k + 1,) how likely it was each candidate's, the last: bad
+    shares            k + 1: how likely it was each candidate's, the last: bad
     likelihood        of the reading under the belief before it, per inch
     innovation_in     reading less what its likeliest candidate gives; nis its square over its variance. NaN for none
     """
 
     belief: Belief
-    shares: Floats
+    shares: list[float]
     likelihood: float
     innovation_in: float
     nis: float
@@ -45,30 +46,44 @@ class Absorbed(NamedTuple):
     @property
     def bad_share(self) -> float:
         """How likely the reading was a bad one."""
-        return float(self.shares[-1])
+        return self.shares[-1]
 
 
 def absorb(belief: Belief, reading_in: float, heard: Candidates, rule: Rule = linear) -> Absorbed:
     """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of k candidates or a bad one."""
     moves, gains, spread, innovation, nis = rule(belief, reading_in, heard)
     good = 1.0 - heard.bad_share
-    chances, variances, squares = heard.probability.tolist(), spread.tolist(), nis.tolist()
+    chances = heard.probability.tolist()
     weights = [
         good * chance * exp(-0.5 * square) / sqrt(_TURN * variance)
-        for chance, variance, square in zip(chances, variances, squares, strict=True)
+        for chance, variance, square in zip(chances, spread, nis, strict=True)
     ]
     bad = heard.bad_density * (1.0 - good * sum(chances))
     total = sum(weights) + bad
     shares = [weight / total for weight in (*weights, bad)]
-    change = np.array(shares[:-1]) @ moves
-    less = [-share * variance for share, variance in zip(shares, variances, strict=False)]
-    columns = np.concatenate((gains, moves - change, change[None]))
-    cov = belief.cov + (columns.T * np.array(less + shares)) @ columns
+    change = [sum(map(mul, shares, column)) for column in zip(*moves, strict=True)] or [0.0] * len(belief.mean)
+    columns = [(-share * variance, gain) for share, variance, gain in zip(shares, spread, gains, strict=False)]
+    columns += [(share, list(map(sub, move, change))) for share, move in zip(shares, moves, strict=False)]
+    columns.append((shares[-1], change))
     best = weights.index(max(weights)) if weights else None
     return Absorbed(
-        Belief(add(belief.mean, change), 0.5 * (cov + cov.T)),
-        np.array(shares),
+        Belief(add(belief.mean, np.array(change)), np.array(_with_columns(belief.cov.tolist(), columns))),
+        shares,
         total,
-        nan if best is None else innovation.item(best),
-        nan if best is None else squares[best],
+        nan if best is None else innovation[best],
+        nan if best is None else nis[best],
     )
+
+
+def _with_columns(cov: list[list[float]], columns: list[tuple[float, list[float]]]) -> list[list[float]]:
+    """A covariance, in place, with all w c c' of columns (w, c) added."""
+    for weight, column in columns:
+        for row, value in enumerate(column):
+            share = weight * value
+            told = cov[row]
+            for at in range(row + 1):
+                told[at] += share * column[at]
+    for row in range(len(cov)):
+        for at in range(row):
+            cov[at][row] = cov[row][at]
+    return cov
