@@ -44,6 +44,7 @@ class Scenario:
     bad_share            of the readings replaced by one anywhere from 6 to 255 in
     sonar                how the filter understands readings   method        its method
     judged_after_in      inches of way after which the estimate is judged
+    line                 over the robot's own line, whose readings have no stamps and whose State has fewer numbers
     """
 
     name: str
@@ -55,6 +56,7 @@ class Scenario:
     judged_after_in: float = 0.0
     speed_in_s: float = 5.0
     method: str = "ekf"
+    line: bool = False
 
     def setup(self, seed: int) -> str:
         """The setup file of a run, in TOML."""
@@ -84,8 +86,11 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
             Scenario("measured", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0),
+            Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
+            Scenario("measured_line", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0,
+                     line=True),
         )
     }
 )
 """`exact`: exact rays. `noisy`: rays and odometry as noisy as the figures'. `measured`: a real ring's sonars, a fifth
-of its readings bad besides, and a scale to find."""
+of its readings bad besides, and a scale to find. `_line`: the same over the robot's own line."""
