@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from localization.belief import HEADING, Floats, add, difference, wrap_angle
+from localization.motion import step_between
 
 REMEMBERED_S = 2.0
 """Longer than a ring takes, so that every echo still readable has its pose."""
@@ -46,6 +47,15 @@ class PoseHistory:
     def latest(self) -> EncoderPose:
         """The last one added."""
         return self._poses[-1]
+
+    @property
+    def rates(self) -> Floats:
+        """How fast it went between the last two poses, (2,): in/s along the heading, and rad/s; of one pose 0."""
+        if len(self._poses) < 2:
+            return np.zeros(2)
+        before, after = self._poses[-2], self._poses[-1]
+        rates: Floats = step_between(before.pose, after.pose) / (after.clock_s - before.clock_s)
+        return rates
 
     def at(self, instant_s: float) -> EncoderPose:
         """The pose at an instant; the nearest there is where it lies before or after all of them."""
