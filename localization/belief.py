@@ -2,7 +2,7 @@
 
 Rules: values only, never changed in place; no motion, no measurement, no gain.
 States are arrays (..., n), n >= 3: x_in, y_in, heading_rad, then whatever a filter adds (a bias, a scale).
-Leading dimensions are seeds, hypotheses or particles. The heading wraps here (`wrap_angle`) and nowhere else:
+Leading dimensions are seeds, hypotheses or particles. The heading wraps here (`wrap_angle`, `wrapped`) and nowhere else:
 states are added and subtracted by `add` and `difference` only.
 """
 
@@ -63,10 +63,18 @@ def wrap_angle(angle_rad: Floats) -> Floats:
     return wrapped
 
 
+def wrapped(angle_rad: float) -> float:
+    """`wrap_angle` of a single number, to the bit."""
+    return angle_rad - _TURN * round(angle_rad / _TURN)
+
+
 def add(state: Floats, change: Floats) -> Floats:
     """`state` (..., n) moved by `change` (..., n), its heading wrapped."""
     total: Floats = state + change
-    total[..., HEADING] = wrap_angle(part(total, HEADING))
+    if total.ndim == 1:
+        total[HEADING] = wrapped(total.item(HEADING))
+    else:
+        total[..., HEADING] = wrap_angle(total[..., HEADING])
     return total
 
 

@@ -43,6 +43,8 @@ class Candidates(NamedTuple):
 
 def widened(jacobian: Floats, size: int) -> Floats:
     """Derivatives (..., 3) by the pose as derivatives (..., size) by a longer state."""
+    if jacobian.shape[-1] == size:
+        return jacobian
     wide = np.zeros((*jacobian.shape[:-1], size))
     wide[..., : jacobian.shape[-1]] = jacobian
     return wide

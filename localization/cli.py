@@ -13,7 +13,8 @@ import time
 from dataclasses import astuple
 from pathlib import Path
 
-from localization.belief import independent
+from localization import resuming
+from localization.belief import Belief, independent
 from localization.cone import ConeModel
 from localization.filters.table import DEFAULT_METHOD, METHODS
 from localization.measurement import WIRE_SONAR
@@ -24,7 +25,7 @@ from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import LARGEST, POSE, with_constants
-from nclient import ReplyTimeout, Robot, WorldFileError, connect
+from nclient import ReplyTimeout, Robot, RobotState, WorldFileError, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world
 from worlds.world import World
@@ -76,6 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--publish", metavar="URL",
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
                              "printed; way-points set there are gone to instead")
+    resuming.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
 
 
@@ -92,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
     with robot:
         try:
             done = _drive(robot, world, points, options, simulated, publisher)
+            resuming.save(options, world, done)
         finally:
             if publisher:
                 publisher.close()
@@ -122,8 +125,7 @@ def _drive(
         robot.set_position(x_in=x, y_in=y)
         turret_rad = heading + state.turret_rad - state.steering_rad
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
-    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
-    belief = with_constants(pose, options.scale_std)
+    belief = resuming.belief(options, world, state) or _at_the_start(options, state)
     rays = options.sonars == "rays" if options.sonars else simulated
     sonar = WIRE_SONAR if rays else ConeModel()
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar)
@@ -140,7 +142,7 @@ def _drive(
             truth = before.towards(seen, clock_s)
         told = progress.state
         odometry = (told.x_in, told.y_in, told.steering_rad)
-        done.add(Moment(progress.estimate, odometry, truth, progress.passed))
+        done.add(Moment(progress.estimate, odometry, truth, progress.passed, told.turret_rad))
         if publisher:
             turret_rad = told.turret_rad - told.steering_rad
             wanted = publisher.tell(message(number, done.moments[-1], turret_rad, done.waypoints))
@@ -153,6 +155,11 @@ def _drive(
         if done.duration_s > options.time_limit:
             break
     return done
+
+
+def _at_the_start(options: argparse.Namespace, state: RobotState) -> Belief:
+    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
+    return with_constants(pose, options.scale_std)
 
 
 def _sighting(robot: Robot) -> Sighting:

@@ -31,10 +31,12 @@ Indices = npt.NDArray[np.intp]
 FOOT_STD_IN: Final = 0.5
 """How softly a wall ends: a foot this far beyond its end is heard in one of six cries."""
 LEAST_ANGLE_STD_RAD: Final = 1e-3
-_SHORT_IN: Final = 0.05
+SHORT_IN: Final = 0.05
 """How far before a reflector the way to it may be blocked and still count as free: its own walls meet there."""
-_NEVER: Final = 1e-3
+NEVER: Final = 1e-3
 """Returns less likely than this are not looked for."""
+LOGISTIC_SLOPE: Final = 1.702
+"""With it a logistic curve is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,11 @@ class ConeModel:
         variance: Floats = std * std + self.rounding_var_in2
         return variance
 
+    def variance_at(self, range_in: float) -> float:
+        """`variance` of a single range."""
+        std = max(self.relative_std * range_in, self.floor_std_in)
+        return std * std + self.rounding_var_in2
+
 
 class Returns(NamedTuple):
     """What k reflectors may send back: `ranges_in` (..., k), their derivative by the pose `jacobian` (..., k, 3), and
@@ -101,7 +108,7 @@ def cone_returns(poses: Floats, heading_std_rad: Floats, ear: Ear, around: Refle
     toward, ranges, on_wall = _nearest_points(face, around)
     off_axis = wrap_angle(np.arctan2(toward[..., 1], toward[..., 0]) - axis[..., None])
     heard = on_wall * _audible(ranges, off_axis, heading_std_rad[..., None], around, model)
-    likely = heard > _NEVER
+    likely = heard > NEVER
     heard = np.where(likely, heard, 0.0)
     rows = np.nonzero(likely)
     heard[rows] *= _free(face[rows[:-1]], toward[rows], ranges[rows], around.walls)
@@ -164,9 +171,8 @@ def _audible(
 
 
 def _chance_below(sigmas: Floats) -> Floats:
-    """The chance that a normal variable stays below so many standard deviations: a logistic curve of slope 1.702,
-    nowhere off by more than 0.0095 (Camilli 1994)."""
-    chance: Floats = 1.0 / (1.0 + np.exp(np.clip(-1.702 * sigmas, -300.0, 300.0)))
+    """The chance that a normal variable stays below so many standard deviations, by a logistic curve."""
+    chance: Floats = 1.0 / (1.0 + np.exp(np.clip(-LOGISTIC_SLOPE * sigmas, -300.0, 300.0)))
     return chance
 
 
@@ -175,7 +181,7 @@ def _free(face: Floats, toward: Floats, ranges_in: Floats, walls: Floats) -> Flo
     if not len(face):
         return np.zeros(0)
     met, _ = cast_rays(face, toward, walls)
-    free: Floats = (met >= ranges_in - _SHORT_IN).astype(np.float64)
+    free: Floats = (met >= ranges_in - SHORT_IN).astype(np.float64)
     return free
 
 

@@ -20,6 +20,7 @@ from localization.echoes import Firing, FiringSchedule
 from localization.filters.method import Filter, Smoothing
 from localization.filters.sense import pose_of
 from localization.filters.table import DEFAULT_METHOD, make
+from localization.lag import with_lag
 from localization.motion import step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
@@ -128,7 +129,8 @@ class Localizer:
         echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        return Estimate(latest.clock_s, self._filter.ahead(step), echoes, self._filter.verdict, smoothed)
+        told = with_lag(self._filter.ahead(step), self._history.rates)
+        return Estimate(latest.clock_s, told, echoes, self._filter.verdict, smoothed)
 
     def _hear(self, firing: Firing, reading_in: int) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.belief import HEADING, Floats
+from worlds.first_wall import FirstWall
 from worlds.raycast import cast_rays
 
 Indices = npt.NDArray[np.intp]
@@ -79,11 +80,16 @@ class Sight(NamedTuple):
 class WallMap:
     """The walls a filter knows: `segments` (m, 4) for the ray caster and `lines` (m + 1, 3) of unit normal and offset.
 
-    The last line is no line (zeros): index -1, the ray caster's "nothing", leads there.
+    The last line is no line (zeros): index -1, the ray caster's "nothing", leads there. `first_wall`: the caster for
+    few rays.
     """
 
     segments: Floats
     lines: Floats
+    first_wall: FirstWall = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "first_wall", FirstWall(self.segments))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +111,11 @@ class SonarModel:
         std = np.maximum(self.relative_std * ranges_in, self.floor_std_in)
         variance: Floats = std * std + self.rounding_var_in2
         return variance
+
+    def variance_at(self, range_in: float) -> float:
+        """`variance` of a single range."""
+        std = max(self.relative_std * range_in, self.floor_std_in)
+        return std * std + self.rounding_var_in2
 
 
 IDEAL_SONAR = SonarModel()

@@ -3,17 +3,18 @@
 Rules: pure functions on arrays; no clock (a step is a distance and a turn, whatever time it took), no sensors.
 A step is an array (..., 2): drho_in, the distance rolled (negative backwards), and dtheta_rad, the turn made
 meanwhile. One step is the thesis' x += T v cos(theta + w T / 2), y += T v sin(theta + w T / 2), theta += T w
-with drho = T v and dtheta = T w.
+with drho = T v and dtheta = T w. For a single robot the same is done in plain numbers: an array of three is slower.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, sin
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import HEADING, Floats, add, difference, part
+from localization.belief import HEADING, Floats, add, difference, part, wrapped
 
 _IDENTITY: Final = np.eye(3)
 
@@ -56,7 +57,15 @@ def step_variance(step: Floats, noise: OdometryNoise) -> Floats:
 
 def move(pose: Floats, step: Floats) -> Floats:
     """Where poses (..., 3) are after steps (..., 2): straight along the heading half-way through the turn."""
+    if pose.ndim == step.ndim == 1:
+        return np.array(moved(*pose.tolist(), *step.tolist()))
     return _moved(pose, step, _ahead(pose, part(step, 1)))
+
+
+def moved(x_in: float, y_in: float, heading_rad: float, way_in: float, turn_rad: float) -> tuple[float, float, float]:
+    """`move` of one pose, in numbers."""
+    middle = heading_rad + 0.5 * turn_rad
+    return x_in + way_in * cos(middle), y_in + way_in * sin(middle), wrapped(heading_rad + turn_rad)
 
 
 def transition(pose: Floats, step: Floats, noise: OdometryNoise) -> Transition:
@@ -67,6 +76,32 @@ def transition(pose: Floats, step: Floats, noise: OdometryNoise) -> Transition:
     by_pose, by_step = step_jacobian(pose, step)
     by_step *= np.sqrt(step_variance(step, noise))[..., None, :]
     return Transition(move(pose, step), by_pose, by_step @ by_step.swapaxes(-1, -2))
+
+
+def carried(mean: Floats, cov: Floats, step: Floats, noise: OdometryNoise) -> tuple[Floats, Floats]:
+    """A pose (3,) and its covariance (3, 3) after a step (2,): `transition`'s pose and F P F' + Q, in numbers.
+
+    F differs from the identity by (a, b) above its heading's 1, the derivative of x and y by the heading; Q's columns
+    are (cos, sin, 0) and (a / 2, b / 2, 1), the derivatives by way and turn.
+    """
+    x, y, heading = mean.tolist()
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = cov.tolist()
+    way, turn = step.tolist()
+    middle = heading + 0.5 * turn
+    ahead_x, ahead_y = cos(middle), sin(middle)
+    a, b = -way * ahead_y, way * ahead_x
+    along = noise.translation_std**2 * abs(way)
+    about = noise.drift_std**2 * abs(way) + noise.rotation_std**2 * abs(turn)
+    to_x, to_y = xt + a * tt, yt + b * tt
+    half_a, half_b = 0.5 * a * about, 0.5 * b * about
+    new_xy = xy + a * yt + b * to_x + along * ahead_x * ahead_y + half_a * 0.5 * b
+    new_xt, new_yt = to_x + half_a, to_y + half_b
+    new_xx = xx + a * (xt + to_x) + along * ahead_x * ahead_x + half_a * 0.5 * a
+    new_yy = yy + b * (yt + to_y) + along * ahead_y * ahead_y + half_b * 0.5 * b
+    return (
+        np.array((x + way * ahead_x, y + way * ahead_y, wrapped(heading + turn))),
+        np.array(((new_xx, new_xy, new_xt), (new_xy, new_yy, new_yt), (new_xt, new_yt, tt + about))),
+    )
 
 
 def step_jacobian(pose: Floats, step: Floats) -> tuple[Floats, Floats]:
@@ -90,6 +125,11 @@ def step_between(before: Floats, after: Floats) -> Floats:
     drho is the part of the chord along the middle heading, with its sign; what lies across it, which no single
     step can make, is left out, so poses must be read often enough for one arc to describe the way between them.
     """
+    if before.ndim == after.ndim == 1:
+        (x, y, heading), (to_x, to_y, to_heading) = before.tolist(), after.tolist()
+        turned = wrapped(to_heading - heading)
+        middle = heading + 0.5 * turned
+        return np.array([(to_x - x) * cos(middle) + (to_y - y) * sin(middle), turned])
     change = difference(after, before)
     turn = part(change, HEADING)
     ahead = _ahead(before, turn)

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.belief import HEADING, Floats, add, difference, wrap_angle
+from localization.belief import HEADING, Floats, add, difference, wrapped
+from localization.motion import step_between
 
 REMEMBERED_S = 2.0
 """Longer than a ring takes, so that every echo still readable has its pose."""
@@ -47,19 +48,27 @@ class PoseHistory:
         """The last one added."""
         return self._poses[-1]
 
+    @property
+    def rates(self) -> Floats:
+        """How fast it went between the last two poses, (2,): in/s along the heading, and rad/s; of one pose 0."""
+        if len(self._poses) < 2:
+            return np.zeros(2)
+        before, after = self._poses[-2], self._poses[-1]
+        rates: Floats = step_between(before.pose, after.pose) / (after.clock_s - before.clock_s)
+        return rates
+
     def at(self, instant_s: float) -> EncoderPose:
         """The pose at an instant; the nearest there is where it lies before or after all of them."""
-        later = self._poses[0]
-        if instant_s <= later.clock_s:
-            return later._replace(clock_s=instant_s)
-        for earlier, later in zip(self._poses, list(self._poses)[1:], strict=False):
-            if instant_s <= later.clock_s:
-                return _between(earlier, later, instant_s)
-        return later._replace(clock_s=instant_s)
+        later = None
+        for earlier in reversed(self._poses):
+            if earlier.clock_s < instant_s:
+                return earlier._replace(clock_s=instant_s) if later is None else _between(earlier, later, instant_s)
+            later = earlier
+        return self._poses[0]._replace(clock_s=instant_s)
 
 
 def _between(earlier: EncoderPose, later: EncoderPose, instant_s: float) -> EncoderPose:
     share = (instant_s - earlier.clock_s) / (later.clock_s - earlier.clock_s)
-    turned = float(wrap_angle(np.asarray(later.turret_rad - earlier.turret_rad)))
+    turned = wrapped(later.turret_rad - earlier.turret_rad)
     pose = add(earlier.pose, share * difference(later.pose, earlier.pose))
     return EncoderPose(instant_s, pose, earlier.turret_rad + share * turned)

@@ -42,12 +42,14 @@ class Sighting(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """One period of a run: estimate, what the encoders say, the truth at that clock if known, way-points behind."""
+    """One period of a run: estimate, what the encoders say (`turret_rad` apart), the truth at that clock if known,
+    way-points behind."""
 
     estimate: Estimate
     odometry: Pose
     truth: Pose | None
     passed: int
+    turret_rad: float = 0.0
 
     @property
     def error(self) -> Floats | None:

@@ -13,12 +13,13 @@ that is known beforehand gets a standard deviation of 0.
 from __future__ import annotations
 
 from enum import IntEnum
+from math import cos, sin
 from typing import Final
 
 import numpy as np
 
-from localization.belief import Belief, Floats, add, part
-from localization.motion import OdometryNoise, move, step_jacobian, step_variance
+from localization.belief import HEADING, Belief, Floats, add, part, wrapped
+from localization.motion import OdometryNoise, carried, move, step_jacobian, step_variance
 
 POSE: Final = 3
 """Coordinates of the pose, which every state begins with."""
@@ -61,6 +62,8 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     mean' = move(mean, true_step), P' = F P F' + Q. With G the derivative of the pose by the true step, the columns of F
     for the constants are G times the derivative of the true step by them. Raises ValueError for other n.
     """
+    if belief.mean.ndim == step.ndim == 1:
+        return _predict_one(belief, step, noise)
     made = true_step(belief.mean, step)
     by_state, by_step = step_jacobians(belief.mean, step)
     scaled = by_step * np.sqrt(step_variance(step, noise))[..., None, :]
@@ -74,15 +77,56 @@ def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
 def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
     """F and G of `predict`: derivatives of `move_states` by the state, (..., n, n), and of its pose by the true step,
     (..., 3, 2). Raises ValueError for other n than 3 to 6."""
-    count = states.shape[-1]
-    if not POSE <= count <= LARGEST:
-        raise ValueError(f"a state has {POSE} to {LARGEST} coordinates, not {count}")
+    count = _size(states)
     by_pose, by_step = step_jacobian(states[..., :POSE], true_step(states, step))
     by_state = np.zeros((*by_pose.shape[:-2], count, count))
     by_state[...] = np.eye(count)
     by_state[..., :POSE, :POSE] = by_pose
     by_state[..., :POSE, POSE:] = by_step @ _by_constants(step, count)
     return by_state, by_step
+
+
+def _size(states: Floats) -> int:
+    """How many coordinates states (..., n) have."""
+    count = states.shape[-1]
+    if not POSE <= count <= LARGEST:
+        raise ValueError(f"a state has {POSE} to {LARGEST} coordinates, not {count}")
+    return count
+
+
+def _predict_one(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
+    """`predict` of a single belief in numbers. `columns`: those of F for the pose that are not the identity's, (which,
+    its three numbers)."""
+    count = _size(belief.mean)
+    if count == POSE:
+        return Belief(*carried(belief.mean, belief.cov, step, noise))
+    x, y, heading, *constants = belief.mean.tolist()
+    told_way, told_turn = step.tolist()
+    way_scale, turn_scale, drift = (*constants, 0.0, 0.0, 0.0)[:3]
+    way, turn = told_way * (1.0 + way_scale), told_turn * (1.0 + turn_scale) + drift * told_way
+    cosine, sine = cos(heading + 0.5 * turn), sin(heading + 0.5 * turn)
+    by_way, by_turn = (cosine, sine, 0.0), (-0.5 * way * sine, 0.5 * way * cosine, 1.0)
+    columns = [(HEADING, (-way * sine, way * cosine, 0.0))]
+    for which, by_step, told in ((3, by_way, told_way), (4, by_turn, told_turn), (5, by_turn, told_way))[: count - POSE]:
+        columns.append((which, (told * by_step[0], told * by_step[1], told * by_step[2])))
+    along = noise.translation_std**2 * abs(told_way)
+    about = noise.drift_std**2 * abs(told_way) + noise.rotation_std**2 * abs(told_turn)
+    cov = belief.cov.tolist()
+    for row in range(POSE):
+        for which, by in columns:
+            share = by[row]
+            if share:
+                cov[row] = [here + share * there for here, there in zip(cov[row], cov[which], strict=True)]
+    for row in range(POSE):
+        told = cov[row]
+        of_way, of_turn = along * by_way[row], about * by_turn[row]
+        for at in range(row, POSE):
+            more = sum([by[at] * told[which] for which, by in columns])
+            told[at] = cov[at][row] = told[at] + more + of_way * by_way[at] + of_turn * by_turn[at]
+        for which in range(POSE, count):
+            cov[which][row] = told[which]
+    mean = [x + way * cosine, y + way * sine, wrapped(heading + turn), *constants]
+    return Belief(np.array(mean), np.array(cov))
 
 
 def with_constants(belief: Belief, stds: tuple[float, ...]) -> Belief:

@@ -26,14 +26,15 @@ SETTLED: Final = 1e-6
 
 
 class Corrections(NamedTuple):
-    """For k candidates and states of n coordinates: `moves` and `gains` (k, n), `spread` (k,) of the innovation in
-    in^2, `innovation` (k,) in inches, and `nis` (k,): exp(-nis / 2) / sqrt(2 pi spread) is the reading's density."""
+    """For k candidates and states of n coordinates: `moves` and `gains`, k rows of n, `spread` of the innovation in
+    in^2, `innovation` in inches, and `nis`: exp(-nis / 2) / sqrt(2 pi spread) is the reading's density. In plain
+    numbers: so few of them are sooner done than arrays are made."""
 
-    moves: Floats
-    gains: Floats
-    spread: Floats
-    innovation: Floats
-    nis: Floats
+    moves: list[list[float]]
+    gains: list[list[float]]
+    spread: list[float]
+    innovation: list[float]
+    nis: list[float]
 
 
 Rule = Callable[[Belief, float, Candidates], Corrections]
@@ -42,10 +43,19 @@ Rule = Callable[[Belief, float, Candidates], Corrections]
 
 def linear(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
     """H P H' + R and P H' / S at the mean."""
-    jacobian = heard.by_state(len(belief.mean))
-    innovation = reading_in - heard.ranges_in
-    gains, spread = _gains(belief, jacobian, heard.variance)
-    return Corrections(gains * innovation[:, None], gains, spread, innovation, innovation * innovation / spread)
+    by_x, by_y, by_heading = belief.cov[:3].tolist()
+    taken = Corrections([], [], [], [], [])
+    each = zip(heard.ranges_in.tolist(), heard.jacobian.tolist(), heard.variance.tolist(), strict=True)
+    for range_in, (x, y, heading), variance in each:
+        pull = [x * a + y * b + heading * c for a, b, c in zip(by_x, by_y, by_heading, strict=True)]
+        spread = x * pull[0] + y * pull[1] + heading * pull[2] + variance
+        innovation = reading_in - range_in
+        taken.moves.append([part * (innovation / spread) for part in pull])
+        taken.gains.append([part / spread for part in pull])
+        taken.spread.append(spread)
+        taken.innovation.append(innovation)
+        taken.nis.append(innovation * innovation / spread)
+    return taken
 
 
 def iterated(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
@@ -76,7 +86,7 @@ def iterated(belief: Belief, reading_in: float, heard: Candidates) -> Correction
         if settled:
             break
     gains, spread = _gains(belief, jacobian, heard.variance)
-    return Corrections(moves, gains, spread, reading_in - heard.ranges_in, cost)
+    return _told(moves, gains, spread, reading_in - heard.ranges_in, cost)
 
 
 def unscented(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
@@ -89,7 +99,11 @@ def unscented(belief: Belief, reading_in: float, heard: Candidates) -> Correctio
     spread = weight.cov @ (off * off) + heard.variance
     gains = (off * weight.cov[:, None]).T @ away / spread[:, None]
     innovation = reading_in - expected
-    return Corrections(gains * innovation[:, None], gains, spread, innovation, innovation * innovation / spread)
+    return _told(gains * innovation[:, None], gains, spread, innovation, innovation * innovation / spread)
+
+
+def _told(moves: Floats, gains: Floats, spread: Floats, innovation: Floats, nis: Floats) -> Corrections:
+    return Corrections(moves.tolist(), gains.tolist(), spread.tolist(), innovation.tolist(), nis.tolist())
 
 
 def _gains(belief: Belief, jacobian: Floats, variance: Floats) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from nclient.backends.backend import Backend
+from nclient.backends.beside import Beside
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
 from nclient.backends.statistics import LinkStatistics
@@ -116,7 +117,14 @@ def _direct(stream: ByteStream, opening: Opening, *, hello: bool) -> Backend:
 
 def memory_stream(opening: Opening) -> ByteStream:
     """scheme:anything; the opener reads it, without the options that are the client's."""
-    return memory.open_in_process(opening.address.scheme, opening.foreign_text)
+    opened = opening.kept["memory"] = memory.open_in_process(opening.address.scheme, opening.foreign_text)
+    return opened
+
+
+def memory_line_talk(stream: ByteStream, opening: Opening) -> Backend:
+    """scheme:anything?line=1: a robot on its own line, and beside it the simulation, for what no robot knows."""
+    simulation = open_nserver(opening.kept["memory"].beside(), opening.wanted, opening.model)
+    return Beside(_direct(stream, opening, hello=False), simulation)
 
 
 def memory_talk(stream: ByteStream, opening: Opening) -> Backend:

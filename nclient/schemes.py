@@ -12,6 +12,7 @@ is not 0. All that is wrong with an address is said before anything is opened.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from nclient import address as text
@@ -44,6 +45,7 @@ SCHEMES: dict[str, Scheme] = {
 }
 """Schemes that this package serves by itself; others are entry points of what answers in this process."""
 _IN_PROCESS = Scheme("scheme:what", openers.memory_stream, openers.memory_talk, in_process=True, reads_the_rest=True)
+_IN_PROCESS_LINE = replace(_IN_PROCESS, talks=openers.memory_line_talk, line=SERIAL)
 
 _REPLAY = frozenset({"replay"})
 _SERIAL = frozenset({"serial"})
@@ -77,7 +79,7 @@ def opening_of(given: str, wanted: Wanted) -> Opening:
     scheme = _scheme_named(address)
     readers = {option.name: option.read for option in OPTIONS if option.belongs_to(address.scheme)}
     values = {**scheme.defaults, **address.read(readers, others=scheme.reads_the_rest)}
-    if scheme is _IN_PROCESS:
+    if scheme.reads_the_rest:
         values = {"model": model_named(address.options.get("robot", N150.name)), **values}
     return Opening(address, scheme, wanted, OPTIONS, values)
 
@@ -91,7 +93,7 @@ def _scheme_named(address: Address) -> Scheme:
     if address.scheme in SCHEMES:
         return SCHEMES[address.scheme]
     if address.scheme in memory.schemes():
-        return _IN_PROCESS
+        return _IN_PROCESS_LINE if address.options.get("line") == "1" else _IN_PROCESS
     known = known_schemes()
     named = address.scheme or address.text.partition("/")[0].lower()
     hint = nearest(named, known, after=":? ")

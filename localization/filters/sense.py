@@ -10,18 +10,21 @@ correction's to say (updates). States may be longer than a pose (see systematic)
 from __future__ import annotations
 
 from functools import partial
+from math import sqrt
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.belief import Belief, Floats
+from localization.belief import HEADING, Belief, Floats
 from localization.candidates import Candidates
-from localization.cone import ConeModel, Ear, cone_returns, expected
-from localization.gating import STRICT, Gate, associate, judged
-from localization.measurement import Beams, SonarModel, SonarRing, pick, range_jacobian, rays, ring, sight, wall_map
+from localization.cone import ConeModel, Ear, expected
+from localization.gating import STRICT, Gate
+from localization.measurement import Beams, SonarModel, SonarRing, range_jacobian, rays, sight, wall_map
 from localization.observation import Refusal
 from localization.reflectors import reflectors
+from localization.single_beam import sound
+from localization.single_cone import Listener
 from localization.systematic import POSE
 
 BAD_RAYS, SPAN_IN = 0.05, 249.0
@@ -55,23 +58,24 @@ class RaySense:
 
     def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel, gate: Gate = STRICT) -> None:
         self._walls, self._body, self._sonar, self._gate = wall_map(walls), body, sonar, gate
+        self._angles = body.sonar_angles_rad
 
     def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
-        beam = pick(ring(self._body, turret_offset_rad), sonar)
-        pose = pose_of(belief)
-        met = associate(pose, beam, self._walls, self._gate)
-        seen = judged(met, pose, np.array([reading_in]), self._sonar, self._gate)
-        refusal = seen.reasons()[0]
-        if refusal is not Refusal.NONE:
-            return Sensed(refusal, _unexplained(refusal))
-        return Sensed(
-            Refusal.NONE,
-            1.0,
-            Candidates(
-                met.seen.ranges_in, seen.jacobian, seen.variance, SURE, partial(_along, beam, met.lines), 0.0, 0.0
-            ),
-            BAD_RAYS,
+        sonar_model, gate = self._sonar, self._gate
+        if not sonar_model.lowest_in < reading_in < sonar_model.highest_in:
+            return _REFUSED[Refusal.LIMIT]
+        direction_rad, standoff_in = turret_offset_rad + self._angles[sonar], self._body.sonar_ring_radius_in
+        beam = sound(belief, direction_rad, standoff_in, self._walls, gate.sigmas, gate.min_cos_incidence)
+        if beam.refusal is not Refusal.NONE:
+            return _REFUSED[beam.refusal]
+        variance, innovation_in = sonar_model.variance_at(beam.range_in), reading_in - beam.range_in
+        if not innovation_in * innovation_in <= gate.threshold * (beam.spread_in2 + variance):
+            return _REFUSED[Refusal.GATE]
+        expect = partial(_along, direction_rad, standoff_in, self._walls.lines[beam.row])
+        candidates = Candidates(
+            np.array([beam.range_in]), np.array([beam.jacobian]), np.array([variance]), SURE, expect, 0.0, 0.0
         )
+        return Sensed(Refusal.NONE, 1.0, candidates, BAD_RAYS)
 
 
 class ConeSense:
@@ -79,33 +83,31 @@ class ConeSense:
 
     def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeModel) -> None:
         self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
+        self._listener = Listener(self._around, model)
 
     def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
         model = self._model
         if reading_in <= model.lowest_in:
             return Sensed(Refusal.LIMIT, 1.0)
         ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
-        pose = pose_of(belief)
-        returns = cone_returns(pose.mean, pose.std[..., 2], ear, self._around, model)
+        x, y, heading = belief.mean[:POSE].tolist()
+        returns = self._listener.hear((x, y, heading), sqrt(belief.cov[HEADING, HEADING]), ear)
         if reading_in >= model.highest_in:
-            return Sensed(Refusal.LIMIT, 1.0 - (1.0 - model.bad_share) * float(returns.probability.sum()))
-        able = np.flatnonzero(returns.probability)
-        if not len(able):
+            heard = sum([found.probability for found in returns])
+            return Sensed(Refusal.LIMIT, 1.0 - (1.0 - model.bad_share) * heard)
+        if not returns:
             return Sensed(Refusal.NO_WALL, model.bad_density)
-        ranges = returns.ranges_in[able]
-        return Sensed(
-            Refusal.NONE,
-            1.0,
-            Candidates(
-                ranges,
-                returns.jacobian[able],
-                model.variance(ranges),
-                returns.probability[able],
-                partial(expected, ear=ear, around=self._around, which=able),
-                model.bad_share,
-                model.bad_density,
-            ),
+        which, ranges, jacobian, probability = zip(*returns, strict=True)
+        candidates = Candidates(
+            np.array(ranges),
+            np.array(jacobian),
+            np.array([model.variance_at(range_in) for range_in in ranges]),
+            np.array(probability),
+            partial(expected, ear=ear, around=self._around, which=np.array(which)),
+            model.bad_share,
+            model.bad_density,
         )
+        return Sensed(Refusal.NONE, 1.0, candidates)
 
 
 def sense_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Sense:
@@ -120,12 +122,16 @@ def pose_of(belief: Belief) -> Belief:
     return Belief(belief.mean[..., :POSE], belief.cov[..., :POSE, :POSE])
 
 
-def _along(beam: Beams, lines: Floats, poses: Floats) -> tuple[Floats, Floats]:
-    """Ranges (..., 1) along a beam to a line (1, 3), and their derivatives, from poses (..., 1, 3)."""
-    seen = sight(rays(poses, beam), lines)
-    return seen.ranges_in, range_jacobian(seen, lines)
+def _along(direction_rad: float, standoff_in: float, line: Floats, poses: Floats) -> tuple[Floats, Floats]:
+    """Ranges (..., 1) along a beam to a line (3,), and their derivatives, from poses (..., 1, 3)."""
+    way = np.array([[np.cos(direction_rad), np.sin(direction_rad)]])
+    seen = sight(rays(poses, Beams(np.zeros((1, 2)), way, standoff_in)), line[None])
+    return seen.ranges_in, range_jacobian(seen, line[None])
 
 
 def _unexplained(refusal: Refusal) -> float:
     """The likelihood of a reading that a ray refused: that of a bad one where it was not met, else of any."""
     return 1.0 if refusal is Refusal.LIMIT else BAD_RAYS / SPAN_IN if refusal is Refusal.GATE else 1.0 / SPAN_IN
+
+
+_REFUSED: Final = {refusal: Sensed(refusal, _unexplained(refusal)) for refusal in Refusal if refusal}

@@ -3,12 +3,13 @@
     address ──> entry point of the group `nomad.openers`, by its scheme ──> a Peer ──> MemoryStream
 
 Rules: what answers is found by name and never imported here; it needs send, receive and close, and no clock.
+A robot's own line knows no simulation: whoever wants to look at the one behind it has a second stream (`beside`).
 """
 
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.transports.byte_stream import Deadline
@@ -33,6 +34,15 @@ class Peer(Protocol):
         ...
 
 
+@runtime_checkable
+class LinePeer(Peer, Protocol):
+    """A peer that speaks as a robot's own line does."""
+
+    def beside(self) -> Peer:
+        """Another one, of the same simulation, that speaks as a server does; its questions take no time."""
+        ...
+
+
 class MemoryStream:
     """A stream to a peer in this process. No deadline matters: what has not come at once will not come."""
 
@@ -50,6 +60,13 @@ class MemoryStream:
         if not data:
             raise ReplyTimeout("what answers in this process has nothing to say to that")
         return data
+
+    def beside(self) -> MemoryStream:
+        """A stream to the simulation behind a line. Raises AddressError where what answers has no such thing."""
+        peer = self._open()
+        if not isinstance(peer, LinePeer):
+            raise AddressError("what answers in this process has no robot's own line: leave line=1 out")
+        return MemoryStream(peer.beside())
 
     def close(self) -> None:
         """Let the peer go."""

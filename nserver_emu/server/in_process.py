@@ -5,7 +5,8 @@
 Rules: no socket, no clock; simulated time passes in lockstep, with each exchange and at no other moment, so that a run
 repeats to the bit. Connecting and asking for the truth take no time. The client may control the time: it is its own;
 to wait while it is paused is ERROR 5, for nobody else could let it pass.
-nclient finds this by entry point and does not import it.
+With `line=1` the robot speaks as on its own line (line_session.py): no stamps, no words but its own; silence to what
+it does not understand takes a step of time, too. nclient finds this by entry point and does not import it.
 """
 
 from __future__ import annotations
@@ -13,17 +14,20 @@ from __future__ import annotations
 import difflib
 import math
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs
 
 from nclient.errors import AddressError
+from nclient.protocol.models import model_named
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import REFUSED, Session
-from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, Setting, placed
+from nserver_emu.server.line_session import LineSession
+from nserver_emu.server.session import REFUSED, Conversation, Session
+from nserver_emu.server.setting import DEFAULT_WORLD, FIRST_ROBOT, MOST_ROBOTS, Setting, placed
 from nserver_emu.server.stage import Allowed
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1
-_OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s")
+_OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s", "line")
 _FOR_EACH = ("robot", "start")
 """Options that may come again, for robot 2 and so on."""
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
@@ -32,10 +36,12 @@ _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no"
 class InProcess:
     """One client's end: what it sends is answered at once, in simulated time."""
 
-    def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
+    def __init__(
+        self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: Conversation[Any] | None = None
+    ) -> None:
         self.emulator = emulator
         emulator.pace.lockstep_s = step_s
-        self._session = Session(emulator.answer, "in process")
+        self._session = session or Session(emulator.answer, "in process")
         self._outgoing = bytearray()
 
     def send(self, data: bytes) -> None:
@@ -62,6 +68,28 @@ class InProcess:
         self.emulator.leave(self._session.visit)
 
 
+class InProcessLine(InProcess):
+    """The end of one on robot 1's own line."""
+
+    def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
+        model = model_named(emulator.simulation.robots[FIRST_ROBOT].model.family)
+        terms = emulator.line_terms(FIRST_ROBOT)
+        session = LineSession(
+            emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line", terms
+        )
+        super().__init__(emulator, step_s, session)
+
+    def send(self, data: bytes) -> None:
+        super().send(data)
+        if not self._outgoing and self.emulator.pace.asked_s:
+            self.emulator.pass_time(self.emulator.pace.asked_s)
+            self._outgoing += self._session.tick()
+
+    def beside(self) -> InProcess:
+        """The simulation behind the line, as a server has it."""
+        return InProcess(self.emulator, self.emulator.pace.lockstep_s or DEFAULT_STEP_S)
+
+
 def open_address(address: str) -> InProcess:
     """The simulation that an address names.
 
@@ -73,6 +101,7 @@ def open_address(address: str) -> InProcess:
     model_file  a TOML file of models that override or add to the known ones
     setup       ideal, noisy, measured, worn or a TOML file; counts before `noisy`
     step_s      simulated seconds an exchange, 0.001 to 10
+    line        1: the robot's own line instead of a server's language
 
     Raises AddressError naming the option and the nearest known, WorldFileError or StartError.
     """
@@ -99,7 +128,8 @@ def open_address(address: str) -> InProcess:
         model_file=Path(options["model_file"]) if "model_file" in options else None,
     )
     emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
-    return InProcess(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
+    speaks = InProcessLine if _line(address, options.get("line", "0")) else InProcess
+    return speaks(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
 
 
 def _count(address: str, text: str) -> int:
@@ -119,6 +149,13 @@ def _flag(address: str, text: str) -> bool:
         return _FLAGS[text.lower()]
     except KeyError:
         raise AddressError(f"{address}: noisy is 1 or 0, not {text!r}") from None
+
+
+def _line(address: str, text: str) -> bool:
+    """Strictly, since the client reads it as well and speaks accordingly."""
+    if text not in ("1", "0"):
+        raise AddressError(f"{address}: line is 1 or 0, not {text!r}")
+    return text == "1"
 
 
 def _step(address: str, text: str) -> float:

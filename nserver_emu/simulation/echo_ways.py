@@ -107,7 +107,8 @@ class Beam(NamedTuple):
 
     def loss_db(self, points: ComplexArray) -> FloatArray:
         """What one passage towards points costs: inf outside the cone."""
-        share = np.abs(np.angle(self.seen(points))) / self.half_rad
+        seen = self.seen(points)
+        share = np.abs(np.arctan2(seen.imag, seen.real)) / self.half_rad
         return np.where(share <= 1.0, self.rim_loss_db * share * share, inf)
 
     def may_meet(self, mirrors: ComplexArray) -> ComplexArray:
@@ -133,34 +134,40 @@ def ways(out: Beam, back: Beam, scene: Scene, lost: Losses, *, own: bool) -> Ite
     yield from _off_edges(out, back, scene.edges, lost)
     if len(first):
         yield from _off_one(out, back, first, lost)
-        yield from _off_two(out, back, first, back.may_meet(scene.mirrors), lost)
+        yield from _off_two(out, back, first, first if own else back.may_meet(scene.mirrors), lost)
     if own and len(first):
         yield from _there_and_back(out, first, scene.mirrors, lost)
 
 
 def _off_edges(out: Beam, back: Beam, edges: ComplexArray, lost: Losses) -> Iterator[Way]:
     lengths = np.abs(edges - out.point) + np.abs(edges - back.point)
-    losses = out.loss_db(edges) + back.loss_db(edges) + lost.edge_db + lost.way_db_in * lengths / 2.0
+    losses = _there(out, back, edges, edges) + lost.edge_db + lost.way_db_in * lengths / 2.0
     yield from told(lengths, losses, out, back, edges)
 
 
 def _off_one(out: Beam, back: Beam, walls: ComplexArray, lost: Losses) -> Iterator[Way]:
     images = mirrored(out.point, walls)
     points, met = crossings(images, back.point, walls)
+    if not met.any():
+        return
+    images, points = images[met], points[met]
     lengths = np.abs(images - back.point)
-    losses = out.loss_db(points) + back.loss_db(points) + lost.way_db_in * lengths / 2.0
-    yield from told(lengths, np.where(met, losses, inf), out, back, points)
+    losses = _there(out, back, points, points) + lost.way_db_in * lengths / 2.0
+    yield from told(lengths, losses, out, back, points)
 
 
 def _off_two(out: Beam, back: Beam, first: ComplexArray, last: ComplexArray, lost: Losses) -> Iterator[Way]:
     one = first[:, np.newaxis]
     images = mirrored(out.point, one)
     twice = mirrored(images, last)
-    points_2, met_2 = crossings(twice, back.point, last)
+    points_2, met = crossings(twice, back.point, last)
+    if not met.any():
+        return
     points_1, met_1 = crossings(images, points_2, one)
-    lengths = np.abs(twice - back.point)
-    losses = out.loss_db(points_1) + back.loss_db(points_2) + lost.bounce_db
-    losses = np.where(met_1 & met_2, losses + lost.way_db_in * lengths / 2.0, inf)
+    met &= met_1
+    points_1, points_2 = points_1[met], points_2[met]
+    lengths = np.abs(twice[met] - back.point)
+    losses = _there(out, back, points_1, points_2) + lost.bounce_db + lost.way_db_in * lengths / 2.0
     yield from told(lengths, losses, out, back, points_1, points_2)
 
 
@@ -170,12 +177,22 @@ def _there_and_back(out: Beam, first: ComplexArray, walls: ComplexArray, lost: L
     images = mirrored(out.point, one)
     start, along = walls[:, 0], walls[:, 1]
     share = ((images - start) / along).real
+    met = (share >= 0.0) & (share <= 1.0)
+    if not met.any():
+        return
     feet = start + share * along
-    points, met = crossings(images, feet, one)
-    lengths = 2.0 * np.abs(images - feet)
+    points, met_1 = crossings(images, feet, one)
+    met &= met_1
+    points, feet = points[met], feet[met]
+    lengths = 2.0 * np.abs(np.broadcast_to(images, met.shape)[met] - feet)
     losses = 2.0 * out.loss_db(points) + 2.0 * lost.bounce_db + lost.way_db_in * lengths / 2.0
-    losses = np.where(met & (share >= 0.0) & (share <= 1.0), losses, inf)
     yield from told(lengths, losses, out, None, points, feet)
+
+
+def _there(out: Beam, back: Beam, first: ComplexArray, last: ComplexArray) -> FloatArray:
+    """What both passages lose at the rims of their cones."""
+    there = out.loss_db(first)
+    return there + (there if back == out and last is first else back.loss_db(last))
 
 
 def told(lengths: FloatArray, losses: FloatArray, out: Beam, back: Beam | None, *stops: ComplexArray) -> Iterator[Way]:

@@ -134,8 +134,8 @@ def test_a_step_that_leads_astray_is_not_taken() -> None:
         off = 0.2 - range_of(near.mean + move)[0]
         return float(off * off / VARIANCE + (move**2 / np.diag(near.cov)).sum())
 
-    assert cost(taken.moves[0]) <= cost(np.zeros(3))
-    assert taken.nis[0] == pytest.approx(cost(taken.moves[0]))
+    assert cost(np.array(taken.moves[0])) <= cost(np.zeros(3))
+    assert taken.nis[0] == pytest.approx(cost(np.array(taken.moves[0])))
 
 
 @pytest.mark.parametrize("rule", [linear, iterated, unscented])

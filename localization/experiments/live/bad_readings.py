@@ -32,6 +32,8 @@ class BadReadings:
 
     def __init__(self, share: float, schedule: FiringSchedule, chance: np.random.Generator) -> None:
         self._share, self._schedule, self._chance = share, schedule, chance
+        self._late_s = [schedule.order.index(sonar) * schedule.interval_s for sonar in range(len(schedule.order))]
+        self._round_s = schedule.round_s
         self._replaced: dict[int, tuple[int, int | None]] = {}
 
     def of(self, report: Report) -> Report:
@@ -44,9 +46,8 @@ class BadReadings:
         )
 
     def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
-        schedule = self._schedule
-        since_s = clock_s - schedule.start_s - schedule.order.index(sonar) * schedule.interval_s
-        turn = int(since_s // schedule.round_s)
+        since_s = clock_s - self._schedule.start_s - self._late_s[sonar]
+        turn = int(since_s // self._round_s)
         if self._replaced.get(sonar, (None, None))[0] != turn:
             bad, instead = self._chance.random() < self._share, int(self._chance.integers(LOWEST_IN, HIGHEST_IN + 1))
             self._replaced[sonar] = turn, instead if bad else None

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from localization.cone import ConeModel
+from localization.echoes import CLOCK_STEP_S
 from localization.measurement import WIRE_SONAR, SonarModel
 from localization.motion import OdometryNoise
 from localization.surroundings import THESIS_ODOMETRY
@@ -44,6 +45,7 @@ class Scenario:
     bad_share            of the readings replaced by one anywhere from 6 to 255 in
     sonar                how the filter understands readings   method        its method
     judged_after_in      inches of way after which the estimate is judged
+    line                 over the robot's own line: no stamps, and a clock in steps of 16.4 ms
     """
 
     name: str
@@ -55,12 +57,14 @@ class Scenario:
     judged_after_in: float = 0.0
     speed_in_s: float = 5.0
     method: str = "ekf"
+    line: bool = False
 
     def setup(self, seed: int) -> str:
         """The setup file of a run, in TOML."""
         noise = self.odometry
+        clock = f"clock_step_s = {CLOCK_STEP_S}\n" if self.line else ""
         return (
-            f'base = "{self.base}"\nramps = true\nname = "{self.name}"\n'
+            f'base = "{self.base}"\nramps = true\nname = "{self.name}"\n{clock}'
             f"[odometry]\nscales = [{self.scale(seed)!r}, 1.0, 1.0]\n"
             f"[motion]\nalpha1 = {noise.rotation_std**2!r}\nalpha2 = {noise.drift_std**2!r}\n"
             f"alpha3 = {noise.translation_std**2!r}\nalpha4 = 0.0\n"
@@ -84,8 +88,11 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
             Scenario("measured", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0),
+            Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
+            Scenario("measured_line", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0,
+                     line=True),
         )
     }
 )
 """`exact`: exact rays. `noisy`: rays and odometry as noisy as the figures'. `measured`: a real ring's sonars, a fifth
-of its readings bad besides, and a scale to find."""
+of its readings bad besides, and a scale to find. `_line`: the same over the robot's own line."""

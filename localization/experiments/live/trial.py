@@ -83,7 +83,8 @@ def drive(
         setup = Path(folder) / "setup.toml"
         setup.write_text(scenario.setup(seed), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_A_PERIOD
-        with connect(f"sim:{world.name}?setup={setup}&seed={seed}&start={pose}&step_s={step_s}") as robot:
+        options = f"setup={setup}&seed={seed}&start={pose}&step_s={step_s}&line={int(scenario.line)}"
+        with connect(f"sim:{world.name}?{options}") as robot:
             localizer, shown = _listening(robot, scenario, world, figure, seed)
             navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
             moments = _follow(robot, localizer, shown, navigator, periods, timer)

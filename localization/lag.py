@@ -1,0 +1,33 @@
+"""What a clock in steps leaves unknown: when the ring was restarted, by less than one step.
+
+    the ring's start is up to a step later than the clock of its answer tells, for a whole run the same: all echoes are
+    laid to where the robot was that much too early, and the estimate is ahead or behind by it, along its motion
+
+    P + LAG_STD_S^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), omega)
+
+A filter cannot average that away, so it is no noise of the echoes: it is added to what is told, and never to what the
+filter goes on from. Rules: pure.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+from typing import Final
+
+import numpy as np
+
+from localization.belief import HEADING, Belief, Floats
+from localization.echoes import CLOCK_STEP_S
+from localization.systematic import POSE
+
+LAG_STD_S: Final = CLOCK_STEP_S / sqrt(12.0)
+"""Anywhere within one step of the clock."""
+
+
+def with_lag(belief: Belief, rates: Floats) -> Belief:
+    """A belief over states (n,) of a robot that drives at `rates` (2,), in/s and rad/s, widened by that."""
+    heading = float(belief.mean[HEADING])
+    ahead = LAG_STD_S * np.array([rates[0] * cos(heading), rates[0] * sin(heading), rates[1]])
+    cov = belief.cov.copy()
+    cov[:POSE, :POSE] += np.outer(ahead, ahead)
+    return Belief(belief.mean, cov)

@@ -1,0 +1,58 @@
+"""A simulated robot on its own line, and the simulation beside it."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient import AddressError, ConnectionLost, RobotRefused, connect
+from nclient.protocol.commands import Call
+from nclient.schemes import Wanted, opening_of
+from nclient.transports import memory
+
+
+def test_the_truth_is_the_simulations_and_all_else_the_lines() -> None:
+    with connect("sim:thesis_room?line=1&seed=4&noisy=1&start=10,20,0,0&step_s=0.05") as robot:
+        assert robot.is_simulated()
+        first = robot.refresh()
+        truth = robot.truth()
+        assert (truth.x_in, truth.y_in, truth.seed) == (10, 20, 4)
+        assert truth.time_s == pytest.approx(first.clock_s, abs=1e-6)
+        assert robot.refresh().raw_stamps == {}
+        assert robot.link is not None
+        assert robot.link.exchanges >= 2
+
+
+def test_the_same_run_as_over_a_server() -> None:
+    def run(line: int) -> list[tuple[float, float, tuple[int, ...]]]:
+        with connect(f"sim:thesis_room?line={line}&seed=4&noisy=1") as robot:
+            robot.refresh()
+            robot.drive(translation_in_s=5, steering_deg_s=10)
+            states = [robot.refresh() for _ in range(20)]
+            return [(state.x_in, state.y_in, state.sonars_in) for state in states]
+
+    assert run(1) == run(0)
+
+
+def test_a_servers_words_are_refused() -> None:
+    with connect("sim:thesis_room?line=1") as robot, pytest.raises(RobotRefused):
+        robot.add_obstacle(corners_in=[(30, 30), (40, 30), (40, 40)])
+
+
+def test_closed_both_are() -> None:
+    backend = opening_of("sim:thesis_room?line=1", Wanted()).backend()
+    backend.execute(Call("sim_truth"))
+    backend.close()
+    for call in (Call("sim_truth"), Call("gs")):
+        with pytest.raises(ConnectionLost):
+            backend.execute(call)
+
+
+def test_a_recording_of_it_is_of_a_line() -> None:
+    assert opening_of("sim:thesis_room?line=1", Wanted()).scheme.line == "serial"
+    assert opening_of("sim:thesis_room?line=0", Wanted()).scheme.line == "tcp"
+
+
+def test_what_has_no_line_has_nothing_beside() -> None:
+    stream = memory.open_in_process("sim", "sim:thesis_room")
+    with pytest.raises(AddressError, match="leave line=1 out"):
+        stream.beside()

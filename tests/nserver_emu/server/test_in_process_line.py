@@ -1,0 +1,104 @@
+"""The emulator without a socket, on a robot's own line: its language, its silence, and the simulation beside it."""
+
+from __future__ import annotations
+
+import pytest
+from line_host import LineHost
+from wire_client import WireClient
+
+from nclient.errors import AddressError
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N150, N200, Model
+from nclient.protocol.terms import line_terms
+from nserver_emu.server.in_process import InProcess, InProcessLine, open_address
+
+
+def opened(address: str) -> InProcessLine:
+    end = open_address(address)
+    assert isinstance(end, InProcessLine)
+    return end
+
+
+def exchange(end: InProcess, data: bytes) -> bytes:
+    end.send(data)
+    return end.receive()
+
+
+def host_on(end: InProcess, model: Model = N150) -> LineHost:
+    return LineHost(lambda data: exchange(end, data), model)
+
+
+def watcher(end: InProcessLine) -> WireClient:
+    beside = end.beside()
+    client = WireClient(lambda data: exchange(beside, data))
+    client.ask("connect_robot", 1, 1)
+    return client
+
+
+def test_a_line_says_no_stamps_and_its_bumpers_rest() -> None:
+    host = host_on(opened("sim:thesis_room?line=1&step_s=0.25"))
+    replies = [host.ask("gs") for _ in range(3)]
+    assert [reply.clock for reply in replies] == [250, 500, 750]
+    assert all(reply.stamps == {} for reply in replies)
+    assert all(reply.slots[33] == N150.bumper_rest for reply in replies)
+
+
+def test_a_wait_is_answered_in_the_same_exchange() -> None:
+    host = host_on(opened("sim:?line=1"))
+    host.ask("pr", 100, 0, 0)
+    assert host.ask("ws", 1, 1, 1, 30).slots[34] == 100
+
+
+def test_a_n200_is_told_its_mask_and_says_no_hello() -> None:
+    end = opened("sim:?line=1&robot=n200")
+    assert end.receive() == b""
+    host = host_on(end, N200)
+    host.ask("ct", *EVERYTHING.smask)
+    assert host.ask("gs").clock
+
+
+def test_silence_takes_a_step_and_a_broken_frame_is_given_up_by_it() -> None:
+    end = opened("sim:?line=1&step_s=0.1")
+    client = watcher(end)
+    question = language.line_request(Call("gs"), line_terms(N150))
+    assert exchange(end, question[:-1]) == b""
+    assert client.ask("sim_truth").values[1] == 100
+    for _ in range(6):
+        assert exchange(end, b"") == b""
+    assert client.ask("sim_truth").values[1] == 700
+    assert host_on(end).ask("gs").clock == 800
+
+
+def test_silence_takes_nothing_where_time_stands() -> None:
+    end = opened("sim:?line=1")
+    client = watcher(end)
+    end.emulator.pace.paused = True
+    assert exchange(end, b"rubbish") == b""
+    assert client.ask("sim_truth").values[1] == 0
+
+
+def test_beside_it_the_same_simulation_is_looked_at_and_nothing_moves() -> None:
+    end = opened("sim:thesis_room?line=1&start=10,20,0,0&step_s=0.05")
+    client = watcher(end)
+    assert client.ask("sim_truth").values[1:4] == (0, 10_000, 20_000)
+    host = host_on(end)
+    host.ask("vm", 100, 0, 0)
+    assert host.ask("gs").slots[38] == 100
+    assert client.ask("sim_truth").values[1] == 100
+    assert end.emulator.pace.lockstep_s == 0.05
+
+
+def test_leaving_the_line_stops_the_robot() -> None:
+    end = opened("sim:?line=1")
+    host_on(end).ask("vm", 50, 0, 0)
+    end.close()
+    assert end.emulator.simulation.robots[1].moving == (False, False, False)
+
+
+@pytest.mark.parametrize("text", ["2", "yes", ""])
+def test_the_option_is_one_or_nought(text: str) -> None:
+    with pytest.raises(AddressError, match="line is 1 or 0"):
+        open_address(f"sim:?line={text}")
+    assert not isinstance(open_address("sim:?line=0"), InProcessLine)
