@@ -56,9 +56,8 @@ class Listener:
         for which, range_in, to_x, to_y, on_wall, lost_db in self._within(x, y, axis_x, axis_y, least_cosine):
             off = wrapped(atan2(to_y, to_x) - axis)
             loss_db = model.rim_loss_db * (off / half) ** 2 + model.way_loss_db_in * range_in + lost_db
-            chance = (
-                on_wall * _below((half - abs(off)) / softness) * _below((model.margin_db - loss_db) / model.margin_std_db)
-            )
+            loud = _below((model.margin_db - loss_db) / model.margin_std_db)
+            chance = on_wall * _below((half - abs(off)) / softness) * loud
             if chance > NEVER and self._first(x, y, to_x, to_y)[0] >= range_in - SHORT_IN:
                 heard.append((range_in, which, (-to_x, -to_y, to_x * arm_y - to_y * arm_x), chance))
         silence, found = 1.0, []

@@ -1,6 +1,6 @@
 """Which wall a ray meets first, for who asks the same walls again and again: prepared once, few calls a question.
 
-    rows(...)     of some rays at once: in arrays, as complex numbers, where a corner seen in a ray's frame is one product
+    rows(...)     of some rays at once: in arrays of complex numbers, where a corner in a ray's frame is one product
     first(...)    of a single one, with its range: in numbers
 
 Rules: the answers are raycast's, to the wall and, of single rays, to the bit; where a corner lies on a ray's line it is
@@ -53,7 +53,8 @@ class FirstWall:
         met = ranges[..., :-1]
         np.divide((one.conj() * other).imag, (other_side - side) + _NEVER_ZERO, out=met)
         np.copyto(met, inf, where=(product > 0.0) | (met < -ON_WALL_IN))
-        return ranges.argmin(axis=-1)
+        nearest: Rows = ranges.argmin(axis=-1)
+        return nearest
 
     def _asked(self, origins: Complexes, ways: Complexes) -> Rows:
         """The same by the ray caster."""
