@@ -125,7 +125,12 @@ def _associate_one(belief: Belief, beams: Beams, walls: WallMap, gate: Gate) -> 
 
 
 def _same_from_both_sides(
-    cov: Floats, here: complex, aimed: tuple[Complexes, Complexes, Complexes], walls: WallMap, met: Indices, sigmas: float
+    cov: Floats,
+    here: complex,
+    aimed: tuple[Complexes, Complexes, Complexes],
+    walls: WallMap,
+    met: Indices,
+    sigmas: float,
 ) -> Mask:
     """`_same_wall_around` of a single belief; `aimed`: arms, directions, and ways to the points met, all finite."""
     arms, directions, points = aimed
