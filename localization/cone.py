@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.belief import HEADING, Floats
+from localization.belief import HEADING, Floats, wrap_angle
 from localization.reflectors import Reflectors
 from worlds.raycast import cast_rays
 
@@ -38,6 +38,8 @@ NEVER: Final = 1e-3
 """Returns less likely than this are not looked for."""
 LOGISTIC_SLOPE: Final = 1.702
 """With it a logistic curve is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
+_SLACK: Final = 1e-6
+"""What rounding may take away, inches or radians."""
 NEVER_BELOW: Final = log(1.0 / NEVER - 1.0) / LOGISTIC_SLOPE
 """What is so many standard deviations out of reach has a chance of NEVER at most."""
 
@@ -109,7 +111,7 @@ def cone_returns(poses: Floats, heading_std_rad: Floats, ear: Ear, around: Refle
         alone = cone_returns(poses[None], heading_std_rad, ear, around, model)
         return Returns(*(part[0] for part in alone))
     axis, arm, ways = _ways(poses, ear, around)
-    probability = _first_heard(ways.ranges_in, _heard(axis, heading_std_rad, ways, around, model))
+    probability = _first_heard(ways.ranges_in, _heard(axis, heading_std_rad, ways, around, model, around.walls))
     toward = ways.toward.view(np.float64).reshape(*ways.toward.shape, 2)
     return Returns(ways.ranges_in, _by_pose(toward, arm), probability)
 
@@ -119,8 +121,9 @@ def cone_chances(
 ) -> tuple[Floats, Floats]:
     """Ranges and probabilities (n, j) of `cone_returns` at poses (n, 3): of those j reflectors alone that are heard
     from any of them."""
-    axis, _, ways = _ways(poses, ear, around)
-    heard = _heard(axis, heading_std_rad, ways, around, model)
+    near = _within_reach(poses, heading_std_rad, ear, around, model)
+    axis, _, ways = _ways(poses, ear, near)
+    heard = _heard(axis, heading_std_rad, ways, near, model, around.walls)
     which = heard.any(axis=0)
     ranges = ways.ranges_in[:, which]
     return ranges, _first_heard(ranges, heard[:, which])
@@ -148,6 +151,30 @@ def _by_pose(toward: Floats, arm: Floats) -> Floats:
     jacobian[..., :2] = -toward
     jacobian[..., 2] = toward[..., 0] * arm[..., 1] - toward[..., 1] * arm[..., 0]
     return jacobian
+
+
+def _within_reach(
+    poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel
+) -> Reflectors:
+    """Those reflectors that may lie in the cone from any of the poses (n, 3): seen from the middle of all, a direction
+    is off by no more than the headings differ, and to a vertex by the angle that all poses are seen under besides."""
+    middle = np.append(poses[:, :2].mean(axis=0), poses[0, HEADING])
+    headings = np.abs(wrap_angle(poses[:, HEADING] - middle[HEADING])).max()
+    axis = middle[HEADING] + ear.direction_rad
+    about = np.hypot(*(poses[:, :2] - middle[:2]).T).max() + 2.0 * ear.ring_in * np.sin(0.5 * headings)
+    widest = 0.5 * model.cone_rad + NEVER_BELOW * max(float(np.max(heading_std_rad)), LEAST_ANGLE_STD_RAD) + headings
+    face = middle[:2] + ear.ring_in * np.array([np.cos(axis), np.sin(axis)])
+    offset = face - around.corners
+    height, foot = (offset * around.normals).sum(axis=-1), (offset * around.along).sum(axis=-1)
+    normal = np.arctan2(around.normals[:, 1], around.normals[:, 0]) + np.where(height < 0.0, 0.0, np.pi)
+    reach = about + NEVER_BELOW * FOOT_STD_IN + _SLACK
+    walls = (np.abs(height) <= about) | (np.abs(wrap_angle(normal - axis)) <= widest + _SLACK)
+    walls &= (foot >= -reach) & (foot <= around.lengths + reach)
+    way = around.vertices - face
+    wider = np.arcsin(np.minimum(about / np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9), 1.0))
+    wider[np.hypot(way[:, 0], way[:, 1]) <= about] = np.pi
+    vertices = np.abs(wrap_angle(np.arctan2(way[:, 1], way[:, 0]) - axis)) <= widest + wider + _SLACK
+    return around.some(walls, vertices)
 
 
 class _Ways(NamedTuple):
@@ -180,8 +207,11 @@ def _ways(poses: Floats, ear: Ear, around: Reflectors) -> tuple[Floats, Floats, 
     return axis, arm[..., None, :], _Ways(faces, toward, ranges, seen.real)
 
 
-def _heard(axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflectors, model: ConeModel) -> Floats:
-    """The chance (..., k) that each is heard, were there no other: 0 where it is no more than NEVER.
+def _heard(
+    axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflectors, model: ConeModel, walls_in: Floats
+) -> Floats:
+    """The chance (..., k) that each is heard, were there no other: 0 where it is no more than NEVER, or where one of
+    the walls (m', 4) stands before it.
 
     What is so far out of the cone, or beyond the end of its wall, is left out first: most of all.
     """
@@ -207,7 +237,7 @@ def _heard(axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflector
     likely = chance > NEVER
     at = tuple(index[likely] for index in at)
     heard = np.zeros(able.shape)
-    heard[at] = chance[likely] * _free(ways.faces[at[:-1]], ways.toward[at], ways.ranges_in[at], around.walls)
+    heard[at] = chance[likely] * _free(ways.faces[at[:-1]], ways.toward[at], ways.ranges_in[at], walls_in)
     return heard
 
 
