@@ -20,7 +20,7 @@ from typing import Final, NamedTuple, TypedDict
 import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
-from localization import ekf
+from localization import ekf, ring_code
 from localization.belief import Belief, Floats, independent
 from localization.cone import ConeModel
 from localization.experiments.pool import drive
@@ -39,6 +39,8 @@ from worlds.files import load_world
 BOUNDS: Final = {
     "full_us": 150.0,
     "full_p99_us": 1000.0,
+    "compiled_us": 150.0,
+    "compiled_p99_us": 1000.0,
     "filterpy_ratio": 5.0,
     "stonesoup_ratio": 20.0,
     "figure_s": 60.0,
@@ -77,6 +79,8 @@ class Result(TypedDict):
     stonesoup_ratio: float
     full_us: float
     full_p99_us: float
+    compiled_us: float | None
+    compiled_p99_us: float | None
     particles: int
     particles_rays_ms: float
     particles_cones_ms: float
@@ -185,6 +189,7 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     works = [partial(ours_given_h, case), filterpy.step, stonesoup.step, partial(ours_with_rays, case)]
     samples = times_us(works, rounds)
     given_us, filterpy_us, stonesoup_us, full_us = (statistics.median(sample) for sample in samples)
+    compiled = times_us([partial(ours_with_rays, case)], rounds)[0] if ring_code.load() else None
     rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeModel())], max(1, rounds // BLOCK))
     rays_ms, cones_ms = (statistics.median(sample) / 1e3 for sample in rings)
     single, batch = batch_steps_per_s(1), batch_steps_per_s(min(seeds, 100))
@@ -196,6 +201,8 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
         stonesoup_ratio=stonesoup_us / given_us,
         full_us=full_us,
         full_p99_us=float(np.quantile(samples[3], 0.99)),
+        compiled_us=statistics.median(compiled) if compiled else None,
+        compiled_p99_us=float(np.quantile(compiled, 0.99)) if compiled else None,
         particles=MonteCarlo().particles,
         particles_rays_ms=rays_ms,
         particles_cones_ms=cones_ms,
@@ -212,9 +219,11 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
 def table(result: Result) -> str:
     """The result for people."""
     particles = f"particle filter, {result['particles']} particles, a ring of 16"
-    rows: list[tuple[str, float, str, str]] = [
-        ("a full step: 16 sonars, association, gate, update", result["full_us"], "us", "full_us"),
+    rows: list[tuple[str, float | None, str, str]] = [
+        ("a full step (16 sonars, association, gate, update), arrays", result["full_us"], "us", "full_us"),
         ("  its 99th percentile", result["full_p99_us"], "us", "full_p99_us"),
+        ("  machine code (extra fast)", result["compiled_us"], "us", "compiled_us"),
+        ("  its 99th percentile", result["compiled_p99_us"], "us", "compiled_p99_us"),
         ("predict and correct, 16 sonars, given h and H", result["given_h_us"], "us", ""),
         ("  filterpy, 16 scalar updates", result["filterpy_us"], "us", ""),
         ("  filterpy / ours", result["filterpy_ratio"], "times", "filterpy_ratio"),
@@ -227,7 +236,10 @@ def table(result: Result) -> str:
         ("steps of a trial, many seeds at once", result["batch_steps_per_s"], "1/s", ""),
         ("  of one seed", result["single_steps_per_s"], "1/s", ""),
     ]  # fmt: skip
-    lines = [f"{name:58}{value:10.1f} {unit:6}{_bound(key, value)}".rstrip() for name, value, unit, key in rows]
+    lines = [
+        f"{name:58}{value:10.1f} {unit:6}{_bound(key, value)}".rstrip() if value is not None else f"{name:58}  no numba"
+        for name, value, unit, key in rows
+    ]
     return "\n".join(lines)
 
 

@@ -35,6 +35,7 @@ from localization.measurement import (
     sight,
 )
 from localization.observation import Codes, Mask, Observation, Refusal
+from localization.ring_code import RING, empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +158,30 @@ def _same_from_both_sides(
 def observe(
     belief: Belief, beams: Beams, readings_in: Floats, walls: WallMap, sonar: SonarModel, gate: Gate = STRICT
 ) -> Observation:
-    """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3)."""
+    """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3).
+
+    With machine code (ring_code) where that is loaded and there is one belief.
+    """
+    loop = RING.run
+    if loop is not None and belief.mean.ndim == readings_in.ndim == 1 and beams.directions.ndim == 2:
+        observation = Observation(*empty(len(readings_in)))
+        loop(
+            belief.mean,
+            belief.cov,
+            beams.axes_in,
+            beams.directions,
+            beams.standoff_in,
+            walls.segments,
+            walls.lines,
+            (gate.sigmas, gate.min_cos_incidence, gate.threshold),
+            (sonar.relative_std, sonar.floor_std_in, sonar.rounding_var_in2, sonar.lowest_in, sonar.highest_in),
+            readings_in,
+            observation.innovation,
+            observation.jacobian,
+            observation.variance,
+            observation.refusals,
+        )
+        return observation
     return judged(associate(belief, beams, walls, gate), belief, readings_in, sonar, gate)
 
 
