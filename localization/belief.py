@@ -2,8 +2,8 @@
 
 Rules: values only, never changed in place; no motion, no measurement, no gain.
 States are arrays (..., n), n >= 3: x_in, y_in, heading_rad, then whatever a filter adds (a bias, a scale).
-Leading dimensions are seeds, hypotheses or particles. The heading wraps here (`wrap_angle`, `wrapped`) and nowhere else:
-states are added and subtracted by `add` and `difference` only.
+Leading dimensions are seeds, hypotheses or particles. The heading wraps here (`wrap_angle`, `wrapped`) and nowhere
+else: states are added and subtracted by `add` and `difference` only.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ are poses; no belief is changed here, no reading looked at.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians
+from math import log, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from localization.reflectors import Reflectors
 from worlds.raycast import cast_rays
 
 Indices = npt.NDArray[np.intp]
+Complexes = npt.NDArray[np.complex128]
 
 FOOT_STD_IN: Final = 0.5
 """How softly a wall ends: a foot this far beyond its end is heard in one of six cries."""
@@ -37,6 +38,10 @@ NEVER: Final = 1e-3
 """Returns less likely than this are not looked for."""
 LOGISTIC_SLOPE: Final = 1.702
 """With it a logistic curve is nowhere off the normal distribution by more than 0.0095 (Camilli 1994)."""
+_SLACK: Final = 1e-6
+"""What rounding may take away, inches or radians."""
+NEVER_BELOW: Final = log(1.0 / NEVER - 1.0) / LOGISTIC_SLOPE
+"""What is so many standard deviations out of reach has a chance of NEVER at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,17 +107,26 @@ class Ear(NamedTuple):
 
 def cone_returns(poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel) -> Returns:
     """What a sonar at poses (..., 3), their headings uncertain by (...) radians, may hear of all reflectors."""
-    axis = poses[..., HEADING] + ear.direction_rad
-    arm = ear.ring_in * np.stack((np.cos(axis), np.sin(axis)), axis=-1)
-    face = poses[..., :2] + arm
-    toward, ranges, on_wall = _nearest_points(face, around)
-    off_axis = wrap_angle(np.arctan2(toward[..., 1], toward[..., 0]) - axis[..., None])
-    heard = on_wall * _audible(ranges, off_axis, heading_std_rad[..., None], around, model)
-    likely = heard > NEVER
-    heard = np.where(likely, heard, 0.0)
-    rows = np.nonzero(likely)
-    heard[rows] *= _free(face[rows[:-1]], toward[rows], ranges[rows], around.walls)
-    return Returns(ranges, _by_pose(toward, arm[..., None, :]), _first_heard(ranges, heard))
+    if poses.ndim == 1:
+        alone = cone_returns(poses[None], heading_std_rad, ear, around, model)
+        return Returns(*(part[0] for part in alone))
+    axis, arm, ways = _ways(poses, ear, around)
+    probability = _first_heard(ways.ranges_in, _heard(axis, heading_std_rad, ways, around, model, around.walls))
+    toward = ways.toward.view(np.float64).reshape(*ways.toward.shape, 2)
+    return Returns(ways.ranges_in, _by_pose(toward, arm), probability)
+
+
+def cone_chances(
+    poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel
+) -> tuple[Floats, Floats]:
+    """Ranges and probabilities (n, j) of `cone_returns` at poses (n, 3): of those j reflectors alone that are heard
+    from any of them."""
+    near = _within_reach(poses, heading_std_rad, ear, around, model)
+    axis, _, ways = _ways(poses, ear, near)
+    heard = _heard(axis, heading_std_rad, ways, near, model, around.walls)
+    which = heard.any(axis=0)
+    ranges = ways.ranges_in[:, which]
+    return ranges, _first_heard(ranges, heard[:, which])
 
 
 def expected(poses: Floats, ear: Ear, around: Reflectors, which: Indices) -> tuple[Floats, Floats]:
@@ -139,35 +153,92 @@ def _by_pose(toward: Floats, arm: Floats) -> Floats:
     return jacobian
 
 
-def _nearest_points(face: Floats, around: Reflectors) -> tuple[Floats, Floats, Floats]:
-    """From faces (..., 2) to all reflectors: unit vectors (..., k, 2), ranges (..., k), and the chance (..., k) that a
-    foot lies on its wall (1 for vertices)."""
-    offset = face[..., None, :] - around.corners
-    height = (offset * around.normals).sum(axis=-1)
-    foot = (offset * around.along).sum(axis=-1)
-    to_walls = -np.where(height < 0.0, -1.0, 1.0)[..., None] * around.normals
-    on_wall = _chance_below(foot / FOOT_STD_IN) * _chance_below((around.lengths - foot) / FOOT_STD_IN)
-    way = around.vertices - face[..., None, :]
-    far = np.hypot(way[..., 0], way[..., 1])
-    to_vertices = way / np.maximum(far, 1e-9)[..., None]
-    toward = np.concatenate((to_walls, to_vertices), axis=-2)
-    ranges = np.concatenate((np.abs(height), far), axis=-1)
-    return toward, ranges, np.concatenate((on_wall, np.ones_like(far)), axis=-1)
+def _within_reach(
+    poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel
+) -> Reflectors:
+    """Those reflectors that may lie in the cone from any of the poses (n, 3): seen from the middle of all, a direction
+    is off by no more than the headings differ, and to a vertex by the angle that all poses are seen under besides."""
+    middle = np.append(poses[:, :2].mean(axis=0), poses[0, HEADING])
+    headings = np.abs(wrap_angle(poses[:, HEADING] - middle[HEADING])).max()
+    axis = middle[HEADING] + ear.direction_rad
+    about = np.hypot(*(poses[:, :2] - middle[:2]).T).max() + 2.0 * ear.ring_in * np.sin(0.5 * headings)
+    widest = 0.5 * model.cone_rad + NEVER_BELOW * max(float(np.max(heading_std_rad)), LEAST_ANGLE_STD_RAD) + headings
+    face = middle[:2] + ear.ring_in * np.array([np.cos(axis), np.sin(axis)])
+    offset = face - around.corners
+    height, foot = (offset * around.normals).sum(axis=-1), (offset * around.along).sum(axis=-1)
+    normal = np.arctan2(around.normals[:, 1], around.normals[:, 0]) + np.where(height < 0.0, 0.0, np.pi)
+    reach = about + NEVER_BELOW * FOOT_STD_IN + _SLACK
+    walls = (np.abs(height) <= about) | (np.abs(wrap_angle(normal - axis)) <= widest + _SLACK)
+    walls &= (foot >= -reach) & (foot <= around.lengths + reach)
+    way = around.vertices - face
+    wider = np.arcsin(np.minimum(about / np.maximum(np.hypot(way[:, 0], way[:, 1]), 1e-9), 1.0))
+    wider[np.hypot(way[:, 0], way[:, 1]) <= about] = np.pi
+    vertices = np.abs(wrap_angle(np.arctan2(way[:, 1], way[:, 0]) - axis)) <= widest + wider + _SLACK
+    return around.some(walls, vertices)
 
 
-def _audible(
-    ranges_in: Floats, off_axis_rad: Floats, heading_std_rad: Floats, around: Reflectors, model: ConeModel
+class _Ways(NamedTuple):
+    """From faces (...), complex numbers, to all k reflectors: `toward` (..., k), unit vectors as complex numbers,
+    `ranges_in` (..., k), and `feet_in` (..., m), how far along each wall its foot lies."""
+
+    faces: Complexes
+    toward: Complexes
+    ranges_in: Floats
+    feet_in: Floats
+
+
+def _ways(poses: Floats, ear: Ear, around: Reflectors) -> tuple[Floats, Floats, _Ways]:
+    """The axes (...) of the sonar, its arms (..., 1, 2), and the ways from its face."""
+    axis = poses[..., HEADING] + ear.direction_rad
+    arm = ear.ring_in * np.stack((np.cos(axis), np.sin(axis)), axis=-1)
+    face = poses[..., :2] + arm
+    faces = face[..., 0] + 1j * face[..., 1]
+    count = len(around.walls)
+    toward = np.empty((*faces.shape, around.count), dtype=np.complex128)
+    ranges = np.empty(toward.shape)
+    parts = around.along, around.corners, around.vertices
+    along, corners, vertices = (part[:, 0] + 1j * part[:, 1] for part in parts)
+    seen = (faces[..., None] - corners) * along.conj()
+    np.abs(seen.imag, out=ranges[..., :count])
+    np.multiply(np.where(seen.imag < 0.0, 1.0, -1.0), 1j * along, out=toward[..., :count])
+    way = vertices - faces[..., None]
+    np.abs(way, out=ranges[..., count:])
+    np.divide(way, np.maximum(ranges[..., count:], 1e-9), out=toward[..., count:])
+    return axis, arm[..., None, :], _Ways(faces, toward, ranges, seen.real)
+
+
+def _heard(
+    axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflectors, model: ConeModel, walls_in: Floats
 ) -> Floats:
-    """The chance (..., k) that a return is loud enough and within the cone."""
-    half = 0.5 * model.cone_rad
-    share = off_axis_rad / half
-    reflected = np.zeros(around.count)
-    reflected[len(around.walls) :] = np.where(around.square, model.square_loss_db, model.edge_loss_db)
-    loss = model.rim_loss_db * share * share + model.way_loss_db_in * ranges_in + reflected
+    """The chance (..., k) that each is heard, were there no other: 0 where it is no more than NEVER, or where one of
+    the walls (m', 4) stands before it.
+
+    What is so far out of the cone, or beyond the end of its wall, is left out first: most of all.
+    """
+    count, half = len(around.walls), 0.5 * model.cone_rad
     softness = np.maximum(heading_std_rad, LEAST_ANGLE_STD_RAD)
-    within: Floats = _chance_below((half - np.abs(off_axis_rad)) / softness)
-    loud = _chance_below((model.margin_db - loss) / model.margin_std_db)
-    return within * loud
+    widest = np.minimum(half + NEVER_BELOW * softness + 1e-9, np.pi)
+    facing = ways.toward * np.exp(-1j * axis)[..., None]
+    able = facing.real >= np.cos(widest)[..., None] - 1e-12
+    reach = NEVER_BELOW * FOOT_STD_IN
+    able[..., :count] &= (ways.feet_in > -reach) & (ways.feet_in < around.lengths + reach)
+    at = np.nonzero(able)
+    poses, which = at[:-1], at[-1]
+    share = np.angle(facing[at]) / half
+    reflected = np.zeros(around.count)
+    reflected[count:] = np.where(around.square, model.square_loss_db, model.edge_loss_db)
+    loss = model.rim_loss_db * share * share + model.way_loss_db_in * ways.ranges_in[at] + reflected[which]
+    chance = _chance_below((half - half * np.abs(share)) / np.broadcast_to(softness, axis.shape)[poses])
+    chance *= _chance_below((model.margin_db - loss) / model.margin_std_db)
+    walls = which < count
+    foot = ways.feet_in[(*(index[walls] for index in poses), which[walls])]
+    on_wall = _chance_below(foot / FOOT_STD_IN)
+    chance[walls] *= on_wall * _chance_below((around.lengths[which[walls]] - foot) / FOOT_STD_IN)
+    likely = chance > NEVER
+    at = tuple(index[likely] for index in at)
+    heard = np.zeros(able.shape)
+    heard[at] = chance[likely] * _free(ways.faces[at[:-1]], ways.toward[at], ways.ranges_in[at], walls_in)
+    return heard
 
 
 def _chance_below(sigmas: Floats) -> Floats:
@@ -176,11 +247,12 @@ def _chance_below(sigmas: Floats) -> Floats:
     return chance
 
 
-def _free(face: Floats, toward: Floats, ranges_in: Floats, walls: Floats) -> Floats:
-    """1 where nothing stands between faces (n, 2) and what lies at `ranges_in` (n,) towards (n, 2), else 0."""
-    if not len(face):
+def _free(faces: Complexes, toward: Complexes, ranges_in: Floats, walls: Floats) -> Floats:
+    """1 where nothing stands between faces (n,) and what lies at `ranges_in` (n,) towards (n,), else 0."""
+    if not len(faces):
         return np.zeros(0)
-    met, _ = cast_rays(face, toward, walls)
+    face, way = (numbers.view(np.float64).reshape(-1, 2) for numbers in (faces, toward))
+    met, _ = cast_rays(face, way, walls)
     free: Floats = (met >= ranges_in - SHORT_IN).astype(np.float64)
     return free
 

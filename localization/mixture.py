@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import Belief, Floats, add
+from localization.belief import Belief, add
 from localization.candidates import Candidates
 from localization.updates import Rule, linear
 

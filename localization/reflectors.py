@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from localization.belief import Floats, wrap_angle
 
+Mask = npt.NDArray[np.bool_]
+
 STRAIGHT_RAD: Final = 1e-3
 """Two walls that meet within this of a straight line are one wall."""
 SQUARE_RAD: Final = 0.02
@@ -37,12 +39,25 @@ class Reflectors:
     normals: Floats
     lengths: Floats
     vertices: Floats
-    square: npt.NDArray[np.bool_]
+    square: Mask
 
     @property
     def count(self) -> int:
         """Walls and vertices together: in all arrays the walls come first."""
         return len(self.walls) + len(self.vertices)
+
+
+    def some(self, walls: Mask, vertices: Mask) -> Reflectors:
+        """Those alone that are chosen (m,), (v,)."""
+        return Reflectors(
+            self.walls[walls],
+            self.corners[walls],
+            self.along[walls],
+            self.normals[walls],
+            self.lengths[walls],
+            self.vertices[vertices],
+            self.square[vertices],
+        )
 
 
 def reflectors(segments: npt.ArrayLike) -> Reflectors:

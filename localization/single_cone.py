@@ -7,16 +7,23 @@ each number means is told there.
 
 from __future__ import annotations
 
-from math import atan2, cos, exp, hypot, log, pi, sin
+from math import atan2, cos, exp, hypot, pi, sin
 from typing import Final, NamedTuple
 
 from localization.belief import wrapped
-from localization.cone import FOOT_STD_IN, LEAST_ANGLE_STD_RAD, LOGISTIC_SLOPE, NEVER, SHORT_IN, ConeModel, Ear
+from localization.cone import (
+    FOOT_STD_IN,
+    LEAST_ANGLE_STD_RAD,
+    LOGISTIC_SLOPE,
+    NEVER,
+    NEVER_BELOW,
+    SHORT_IN,
+    ConeModel,
+    Ear,
+)
 from localization.reflectors import Reflectors
 from worlds.first_wall import FirstWall
 
-_NEVER_BELOW: Final = log(1.0 / NEVER - 1.0) / LOGISTIC_SLOPE
-"""What is so many standard deviations out of reach has a chance of NEVER at most."""
 _SLACK: Final = 1e-9
 
 
@@ -50,15 +57,14 @@ class Listener:
         arm_x, arm_y = ear.ring_in * axis_x, ear.ring_in * axis_y
         x, y = pose[0] + arm_x, pose[1] + arm_y
         half, softness = 0.5 * model.cone_rad, max(heading_std_rad, LEAST_ANGLE_STD_RAD)
-        widest = half + _NEVER_BELOW * softness
+        widest = half + NEVER_BELOW * softness
         least_cosine = cos(widest) - _SLACK if widest < pi else -2.0
         heard = []
         for which, range_in, to_x, to_y, on_wall, lost_db in self._within(x, y, axis_x, axis_y, least_cosine):
             off = wrapped(atan2(to_y, to_x) - axis)
             loss_db = model.rim_loss_db * (off / half) ** 2 + model.way_loss_db_in * range_in + lost_db
-            chance = (
-                on_wall * _below((half - abs(off)) / softness) * _below((model.margin_db - loss_db) / model.margin_std_db)
-            )
+            loud = _below((model.margin_db - loss_db) / model.margin_std_db)
+            chance = on_wall * _below((half - abs(off)) / softness) * loud
             if chance > NEVER and self._first(x, y, to_x, to_y)[0] >= range_in - SHORT_IN:
                 heard.append((range_in, which, (-to_x, -to_y, to_x * arm_y - to_y * arm_x), chance))
         silence, found = 1.0, []
@@ -72,7 +78,7 @@ class Listener:
         self, x: float, y: float, axis_x: float, axis_y: float, least_cosine: float
     ) -> list[tuple[int, float, float, float, float, float]]:
         """Of reflectors that may lie in the cone: number, range, direction, chance that a foot is on its wall, loss."""
-        far = _NEVER_BELOW * FOOT_STD_IN
+        far = NEVER_BELOW * FOOT_STD_IN
         found = []
         for which, ((corner_x, corner_y), (normal_x, normal_y), length) in self._walls:
             off_x, off_y = x - corner_x, y - corner_y

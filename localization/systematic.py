@@ -88,7 +88,7 @@ def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
 
 def _size(states: Floats) -> int:
     """How many coordinates states (..., n) have."""
-    count = states.shape[-1]
+    count: int = states.shape[-1]
     if not POSE <= count <= LARGEST:
         raise ValueError(f"a state has {POSE} to {LARGEST} coordinates, not {count}")
     return count
@@ -107,7 +107,8 @@ def _predict_one(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     cosine, sine = cos(heading + 0.5 * turn), sin(heading + 0.5 * turn)
     by_way, by_turn = (cosine, sine, 0.0), (-0.5 * way * sine, 0.5 * way * cosine, 1.0)
     columns = [(HEADING, (-way * sine, way * cosine, 0.0))]
-    for which, by_step, told in ((3, by_way, told_way), (4, by_turn, told_turn), (5, by_turn, told_way))[: count - POSE]:
+    by_constants = (3, by_way, told_way), (4, by_turn, told_turn), (5, by_turn, told_way)
+    for which, by_step, told in by_constants[: count - POSE]:
         columns.append((which, (told * by_step[0], told * by_step[1], told * by_step[2])))
     along = noise.translation_std**2 * abs(told_way)
     about = noise.drift_std**2 * abs(told_way) + noise.rotation_std**2 * abs(told_turn)

@@ -15,10 +15,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
-from math import log
+from math import hypot, log, sqrt
 from typing import Final, NamedTuple, Protocol
-
-import numpy as np
 
 from localization import chi_square
 from localization.belief import Belief
@@ -83,6 +81,11 @@ class Watch:
         self._nis: deque[float] = deque(maxlen=self.bounds.window)
 
     @property
+    def lost(self) -> bool:
+        """Whether the evidence alone says LOST."""
+        return self._fall >= self.bounds.lost_nats
+
+    @property
     def fall_nats(self) -> float:
         """How far the evidence has fallen from its highest."""
         return self._fall
@@ -107,9 +110,10 @@ class Watch:
     def verdict(self, belief: Belief) -> Verdict:
         """What is to be thought of the estimate now."""
         bounds = self.bounds
-        if self._fall >= bounds.lost_nats:
+        if self.lost:
             return Verdict(Trust.LOST, f"what is heard fits anywhere better than here, by e^{self._fall:.0f}")
-        spread = float(np.sqrt(np.linalg.eigvalsh(belief.cov[:2, :2])[-1]))
+        (xx, xy), (_, yy) = belief.cov[:2, :2].tolist()
+        spread = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
         if spread > bounds.most_std_in:
             return Verdict(Trust.DEGRADED, f"the position is known to {spread:.1f} in only")
         if len(self._matched) < bounds.window:

@@ -1,6 +1,6 @@
 """Which wall a ray meets first, for who asks the same walls again and again: prepared once, few calls a question.
 
-    rows(...)     of some rays at once: in arrays, as complex numbers, where a corner seen in a ray's frame is one product
+    rows(...)     of some rays at once: in arrays of complex numbers, where a corner in a ray's frame is one product
     first(...)    of a single one, with its range: in numbers
 
 Rules: the answers are raycast's, to the wall and, of single rays, to the bit; where a corner lies on a ray's line it is
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from worlds.geometry import FloatArray
-from worlds.ray import ON_WALL_IN, WORTH_A_LOOK, meeting_before
+from worlds.ray import WORTH_A_LOOK, meeting_before
 from worlds.raycast import NO_WALL, cast_ray, cast_rays
 
 Complexes = npt.NDArray[np.complex128]
@@ -24,10 +24,10 @@ Rows = npt.NDArray[np.intp]
 
 FEW: Final = 40
 """So many walls are looked through sooner in numbers, one by one."""
-_FARTHEST_IN: Final = 1e300
-"""What stands where all walls are missed: farther than any, nearer than `inf`, which stands for each that is."""
+_NOWHERE: Final = 1e-300
+"""What stands for no wall: farther than any, nearer than one that is missed (0) or behind (less)."""
 _NEVER_ZERO: Final = 1e-200
-"""Added to a difference of sides: changes none but 0."""
+"""Added to what is divided by: changes none but 0."""
 
 
 class FirstWall:
@@ -41,19 +41,24 @@ class FirstWall:
         """The row of no wall."""
 
     def rows(self, origins: Complexes, ways: Complexes) -> Rows:
-        """The first wall (...) that each ray meets: origins (...) as x + iy, unit vectors (...) as dx + i dy."""
+        """The first wall (...) that each ray meets: origins (...) as x + iy, off all walls, unit vectors (...) as
+        dx + i dy.
+
+        The nearest is where 1 / range, (side_2 - side_1) / (ahead_1 side_2 - side_1 ahead_2), is largest.
+        """
         seen = (self._corners - origins[..., None, None]) * ways.conj()[..., None, None]
         one, other = seen[..., 0, :], seen[..., 1, :]
         side, other_side = one.imag, other.imag
         product = side * other_side
         if not self.nothing or np.abs(product).min() <= WORTH_A_LOOK:
             return self._asked(origins, ways)
-        ranges = np.empty((*product.shape[:-1], self.nothing + 1))
-        ranges[..., -1] = _FARTHEST_IN
-        met = ranges[..., :-1]
-        np.divide((one.conj() * other).imag, (other_side - side) + _NEVER_ZERO, out=met)
-        np.copyto(met, inf, where=(product > 0.0) | (met < -ON_WALL_IN))
-        return ranges.argmin(axis=-1)
+        nearness = np.empty((*product.shape[:-1], self.nothing + 1))
+        nearness[..., -1] = _NOWHERE
+        met = nearness[..., :-1]
+        np.divide(other_side - side, (one.conj() * other).imag + _NEVER_ZERO, out=met)
+        met *= product < 0.0
+        nearest: Rows = nearness.argmax(axis=-1)
+        return nearest
 
     def _asked(self, origins: Complexes, ways: Complexes) -> Rows:
         """The same by the ray caster."""

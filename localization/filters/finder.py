@@ -114,7 +114,7 @@ class Finder:
             return
         limit = judgement.refusal is Refusal.LIMIT
         self._watch.hear(likelihood, self._map.density(reading_in), None if limit else judgement)
-        if self._watch.verdict(self.belief).trust is Trust.LOST:
+        if self._watch.lost:
             self._watch.reset()
             self.hypotheses = []
             self._fresh = 0

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.belief import Floats
-from localization.cone import ConeModel, Ear, cone_returns
+from localization.cone import ConeModel, Ear, cone_chances
 from localization.measurement import SonarModel, SonarRing, pick, rays, ring, wall_map
 from localization.reflectors import reflectors
 from worlds.raycast import cast_rays
@@ -87,11 +87,11 @@ class ConeLikelihood:
     def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
         model = self._model
         ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
-        returns = cone_returns(poses, np.broadcast_to(self._heading_std, poses.shape[:-1]), ear, self._around, model)
-        variance = model.variance(returns.ranges_in) + self._widen
-        hits = np.exp(-0.5 * (reading_in - returns.ranges_in) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        ranges, probability = cone_chances(poses, self._heading_std, ear, self._around, model)
+        variance = model.variance(ranges) + self._widen
+        hits = np.exp(-0.5 * (reading_in - ranges) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
         good = 1.0 - model.bad_share
-        heard = returns.probability.sum(axis=-1)
-        likelihood: Floats = good * (returns.probability * hits).sum(axis=-1)
+        heard = probability.sum(axis=-1)
+        likelihood: Floats = good * (probability * hits).sum(axis=-1)
         likelihood += model.bad_density * (1.0 - good * heard)
         return likelihood

@@ -134,7 +134,10 @@ def ways(out: Beam, back: Beam, scene: Scene, lost: Losses, *, own: bool) -> Ite
     yield from _off_edges(out, back, scene.edges, lost)
     if len(first):
         yield from _off_one(out, back, first, lost)
-        yield from _off_two(out, back, first, first if own else back.may_meet(scene.mirrors), lost)
+        if not own:
+            yield from _off_two(out, back, first, back.may_meet(scene.mirrors), lost)
+        elif len(first) > 1:
+            yield from _off_two(out, back, first, first, lost)
     if own and len(first):
         yield from _there_and_back(out, first, scene.mirrors, lost)
 

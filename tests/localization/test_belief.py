@@ -9,17 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localization.belief import Belief, add, difference, independent, part, wrap_angle
+from localization.belief import Belief, add, difference, independent, part, wrap_angle, wrapped
 
 angles = st.floats(-1000.0, 1000.0)
 
 
 @given(angles)
 def test_a_wrapped_angle_is_the_same_direction_and_small(angle: float) -> None:
-    wrapped = float(wrap_angle(np.array(angle)))
-    assert -math.pi <= wrapped <= math.pi
-    assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-9)
-    assert math.sin(wrapped) == pytest.approx(math.sin(angle), abs=1e-9)
+    small = float(wrap_angle(np.array(angle)))
+    assert -math.pi <= small <= math.pi
+    assert math.cos(small) == pytest.approx(math.cos(angle), abs=1e-9)
+    assert math.sin(small) == pytest.approx(math.sin(angle), abs=1e-9)
+    assert wrapped(angle) == small
 
 
 @given(st.floats(-math.pi, math.pi))

@@ -8,8 +8,9 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 import pytest
 
-from localization.cone import ConeModel, Ear, cone_returns
+from localization.cone import ConeModel, Ear, cone_chances, cone_returns
 from localization.reflectors import reflectors
+from worlds.files import load_world
 
 SURE = np.array(1e-9)
 SQUARE_ROOM = [[-50, -50, 50, -50], [50, -50, 50, 50], [50, 50, -50, 50], [-50, 50, -50, -50]]
@@ -111,3 +112,16 @@ def test_the_ring_stands_where_the_heading_carries_it() -> None:
     ear, pose = Ear(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
     found = cone_returns(pose, SURE, ear, reflectors([[-50, 40, 50, 40]]), MODEL)
     assert found.ranges_in[0] == pytest.approx(40.0 - 9.0 * sin(pi / 2))
+
+
+@pytest.mark.parametrize("spread", [(0.3, 0.3, 0.02), (6.0, 6.0, 0.3), (40.0, 40.0, 3.0)])
+def test_of_a_cloud_what_is_left_out_is_heard_from_nowhere(spread: tuple[float, float, float]) -> None:
+    around, rng = reflectors(load_world("several_walls").walls), np.random.default_rng(9)
+    for direction in np.linspace(-3.0, 3.0, 9):
+        ear = Ear(float(direction), 9.06)
+        poses = np.array([45.0, 40.0, 0.7]) + spread * rng.uniform(-1.0, 1.0, size=(60, 3))
+        every = cone_returns(poses, np.full(60, 0.03), ear, around, MODEL)
+        ranges, chances = cone_chances(poses, np.array(0.03), ear, around, MODEL)
+        heard = every.probability.any(axis=0)
+        np.testing.assert_allclose(ranges, every.ranges_in[:, heard], atol=1e-12)
+        np.testing.assert_allclose(chances, every.probability[:, heard], atol=1e-15)

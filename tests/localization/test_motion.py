@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.belief import Floats, difference
-from localization.motion import OdometryNoise, move, step_between, step_variance, transition
+from localization.motion import OdometryNoise, carried, move, step_between, step_variance, transition
 
 NOISE = OdometryNoise(translation_std=0.1, rotation_std=0.2, drift_std=0.03)
 
@@ -103,3 +103,18 @@ def test_a_batch_gives_what_each_gives_alone() -> None:
         for whole, single in zip(together, alone, strict=True):
             assert whole[index] == pytest.approx(single, abs=1e-14)
         assert between[index] == pytest.approx(ways[index])
+
+
+@given(poses, steps)
+def test_one_pose_in_numbers_is_the_same_as_in_arrays(pose: Floats, step: Floats) -> None:
+    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [-0.02, 0.03, 0.05]])
+    many = transition(pose[None], step[None], NOISE)
+    mean, cov = carried(pose, root @ root.T, step, NOISE)
+    by_pose = many.by_pose[0]
+    expected = by_pose @ root @ root.T @ by_pose.T + many.process_cov[0]
+    np.testing.assert_allclose(difference(mean, many.pose[0]), 0.0, atol=1e-13)
+    np.testing.assert_allclose(cov, expected, atol=1e-12)
+    assert (cov == cov.T).all()
+    np.testing.assert_allclose(difference(move(pose, step), many.pose[0]), 0.0, atol=1e-13)
+    after = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(step_between(pose, after), step_between(pose[None], after[None])[0], atol=1e-12)

@@ -149,7 +149,7 @@ def test_where_the_range_is_straight_all_are_the_same(rule: Rule) -> None:
     candidates = Candidates(ranges, jacobian, np.array([0.3]), np.ones(1), straight, 0.0, 0.0)
     taken, plain = rule(BELIEF, 41.5, candidates), linear(BELIEF, 41.5, candidates)
     for mine, theirs in zip(taken, plain, strict=True):
-        np.testing.assert_allclose(mine, theirs, atol=1e-9)
+        np.testing.assert_allclose(np.array(mine), np.array(theirs), atol=1e-9)
 
 
 @pytest.mark.parametrize("reading", [4.5, 5.6])
