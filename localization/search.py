@@ -21,7 +21,7 @@ from localization.atlas import CELL_IN, DIRECTIONS, Atlas
 from localization.belief import HEADING, Belief, Floats, add, difference, independent
 from localization.filters.hearing import Hearing
 from localization.motion import OdometryNoise, step_between
-from localization.systematic import predict
+from localization.systematic import POSE, predict
 
 CELL_STD_IN: Final = 2.0
 """How far a reading may be off what the middle of its cell would hear: a cell's half diagonal, and its heading's."""
@@ -60,13 +60,27 @@ class Hypothesis:
 
 def search(clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise) -> list[Hypothesis]:
     """All places that explain the clues, the likeliest first; none where there is no clue or no floor."""
+    return merged(_weighed(clues, atlas, hearing, odometry))
+
+
+def rivalry(
+    here: Belief, clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise
+) -> float:
+    """By how many nats the best place that is found explains the clues better than where the robot is believed to be;
+    none better is 0 or less, -inf where nothing is found."""
+    best = max((score for _, score in _weighed(clues, atlas, hearing, odometry)), default=-inf)
+    return best - _refined(here.mean[:POSE], clues, hearing, odometry)[1]
+
+
+def _weighed(
+    clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise
+) -> list[tuple[Belief, float]]:
+    """Beliefs of all places that explain the clues, each with its log likelihood."""
     places = atlas.places_in
     if not clues or not len(places):
         return []
     poses, score = _coarse(clues, atlas, places)
-    peaks = _peaks(poses, score)
-    refined = [_refined(peak, clues, hearing, odometry) for peak in peaks]
-    return merged(refined)
+    return [_refined(peak, clues, hearing, odometry) for peak in _peaks(poses, score)]
 
 
 def merged(weighed: Sequence[tuple[Belief, float]]) -> list[Hypothesis]:

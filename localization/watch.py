@@ -3,6 +3,7 @@
     evidence    for each reading ln( p(reading | estimate) / p(reading | anywhere in the map) ): above 0 it speaks for
                 the estimate, below against it. A robot somewhere else hears what could be heard anywhere
     LOST        the evidence has fallen by `lost_nats` from the highest it ever stood at: a CUSUM test (Page 1954)
+    doubtful    it has fallen by `doubt_nats`, or little is explained: worth looking for a place that explains more
     DEGRADED    the matched share or the NIS of the last readings, or the estimate's own spread, is beyond its bound
 
 The CUSUM decides between two hypotheses, here or anywhere. Were readings independent, a false alarm would come about
@@ -51,6 +52,7 @@ class Bounds:
     """What is beyond belief.
 
     lost_nats         fall of the evidence that says lost; one reading takes or gives most_bad_nats, most_good_nats
+    doubt_nats        fall from which it is worth asking whether another place explains more
     window            readings that share and NIS are looked at over
     least_matched     share of them that is explained
     nis_probability   with which the window's NIS stays in its bound
@@ -58,6 +60,7 @@ class Bounds:
     """
 
     lost_nats: float = 45.0
+    doubt_nats: float = 15.0
     most_bad_nats: float = 4.0
     most_good_nats: float = 4.0
     window: int = 48
@@ -107,21 +110,36 @@ class Watch:
         if taken.bad_share < MOSTLY:
             self._nis.append(taken.nis)
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is worth asking if another place explains more: the evidence falls, or little is explained."""
+        return self._fall >= self.bounds.doubt_nats or self._share() < self.bounds.least_matched
+
+    @property
+    def reason(self) -> str:
+        """Why the estimate would be given up."""
+        return f"what is heard fits anywhere better than here, by e^{self._fall:.0f}"
+
     def verdict(self, belief: Belief) -> Verdict:
         """What is to be thought of the estimate now."""
         bounds = self.bounds
         if self.lost:
-            return Verdict(Trust.LOST, f"what is heard fits anywhere better than here, by e^{self._fall:.0f}")
+            return Verdict(Trust.LOST, self.reason)
         (xx, xy), (_, yy) = belief.cov[:2, :2].tolist()
         spread = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
         if spread > bounds.most_std_in:
             return Verdict(Trust.DEGRADED, f"the position is known to {spread:.1f} in only")
         if len(self._matched) < bounds.window:
             return ALL_WELL
-        matched = sum(self._matched) / len(self._matched)
+        matched = self._share()
         if matched < bounds.least_matched:
             return Verdict(Trust.DEGRADED, f"only {matched:.0%} of the last {bounds.window} echoes are explained")
         return self._nis_verdict()
+
+    def _share(self) -> float:
+        """How many of the window's echoes are explained; all, until it is full."""
+        full = len(self._matched) == self.bounds.window
+        return sum(self._matched) / self.bounds.window if full else 1.0
 
     def _nis_verdict(self) -> Verdict:
         count, total = len(self._nis), sum(self._nis)

@@ -1,6 +1,7 @@
 """A filter that knows when it is lost, and finds itself again: one estimate, or several while places look alike.
 
-    tracking     one hypothesis; a watch looks on                 ── LOST ──> searching
+    tracking     one hypothesis; a watch looks on, and where that has doubts a search looks whether another place
+                 explains the last echoes better                  ── LOST ──> searching
     searching    echoes are collected for a ring and a half, then search ──> several hypotheses, or one
     choosing     each hypothesis is a filter of its own; the unlikely are dropped as driving tells them apart; one left
                  (more than SURE of all) ──> tracking
@@ -24,7 +25,7 @@ from localization.filters.hearing import Hearing
 from localization.filters.method import Judgement
 from localization.motion import OdometryNoise, move
 from localization.observation import Refusal
-from localization.search import NEAREST_IN, Clue, Hypothesis, merged, search
+from localization.search import NEAREST_IN, Clue, Hypothesis, merged, rivalry, search
 from localization.systematic import predict, with_constants
 from localization.watch import Trust, Verdict, Watch
 
@@ -32,7 +33,8 @@ CLUES: Final = 24
 """Echoes that a search looks at: a ring and a half, so that a missed or a bad one is not missed much."""
 SURE: Final = 0.99
 """Share from which one hypothesis is the estimate."""
-SEARCHING: Final = Verdict(Trust.LOST, "searching")
+BETTER_NATS: Final = 12.0
+"""By so much another place must explain the last echoes better, for a doubted one to be given up."""
 NOWHERE_STD: Final = (1000.0, 1000.0, 3.0)
 """How uncertain a belief is that knows nothing: inches and radians."""
 
@@ -57,6 +59,7 @@ class Finder:
         self._encoders = np.zeros(3)
         self._clues: deque[Clue] = deque(maxlen=CLUES)
         self._fresh = 0
+        self._why = "nothing was told of the place"
         self.hypotheses: list[Hypothesis] = [] if belief is None else [Hypothesis(belief, 1.0)]
         """Where the robot may be, the likeliest first; none while searching."""
 
@@ -71,7 +74,7 @@ class Finder:
     def verdict(self) -> Verdict:
         """How far that can be believed."""
         if not self.hypotheses:
-            return SEARCHING
+            return Verdict(Trust.LOST, f"searching: {self._why}")
         if len(self.hypotheses) > 1:
             count = len(self.hypotheses)
             return Verdict(Trust.LOST, f"{count} places look alike, the likeliest with {self.hypotheses[0].share:.0%}")
@@ -109,15 +112,25 @@ class Finder:
         return judgement
 
     def _look_on(self, reading_in: float, likelihood: float, judgement: Judgement) -> None:
-        """Watch one estimate; lost, it is given up and the search begins with what is heard from now on."""
+        """Watch one estimate; lost, it is given up."""
         if reading_in <= NEAREST_IN:
             return
         limit = judgement.refusal is Refusal.LIMIT
         self._watch.hear(likelihood, self._map.density(reading_in), None if limit else judgement)
         if self._watch.lost:
-            self._watch.reset()
-            self.hypotheses = []
+            self._give_up(self._watch.reason)
+        elif self._watch.doubtful and self._fresh >= CLUES // 2:
             self._fresh = 0
+            better = rivalry(self.belief, list(self._clues), self._map, self._hearing, self._odometry)
+            if better >= BETTER_NATS:
+                self._give_up(f"another place explains the last {CLUES} echoes better, by e^{better:.0f}")
+
+    def _give_up(self, why: str) -> None:
+        """Begin the search, with what is heard from now on."""
+        self._why = why
+        self._watch.reset()
+        self.hypotheses = []
+        self._fresh = 0
 
     def _search(self) -> Judgement:
         if self._fresh >= CLUES:

@@ -12,10 +12,11 @@ from localization.atlas import Atlas, draw_atlas
 from localization.belief import Floats, difference, independent
 from localization.cone import ConeModel, Ear, cone_returns
 from localization.experiments.live.scenario import EXACT_RAYS, QUIET
+from localization.filters.finder import BETTER_NATS
 from localization.filters.hearing import hearing_of
 from localization.measurement import SonarModel
 from localization.reflectors import reflectors
-from localization.search import Clue, Hypothesis, merged, search
+from localization.search import Clue, Hypothesis, merged, rivalry, search
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
@@ -125,3 +126,21 @@ def test_readings_taken_anywhere_have_a_density(setup: str) -> None:
     assert sum(atlas.density(reading) for reading in range(255)) + atlas.density(255) == pytest.approx(1.0, abs=0.31)
     assert min(atlas.density(reading) for reading in range(256)) > 0.0
     assert atlas.density(400) == atlas.density(255)
+
+
+@pytest.mark.parametrize("setup", KINDS)
+def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> None:
+    clues, truth = clues_at("several_walls", setup, (30.0, 60.0, 20.0))
+    atlas = atlas_of("several_walls", setup)
+    hearing = hearing_of(load_world("several_walls").walls, N150, KINDS[setup])
+    right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
+    assert rivalry(right, clues, atlas, hearing, QUIET) < 0.5 * BETTER_NATS
+    assert rivalry(wrong, clues, atlas, hearing, QUIET) > BETTER_NATS
+
+
+def test_where_nothing_is_found_there_is_no_rival() -> None:
+    clues, truth = clues_at("several_walls", "ideal", (30.0, 60.0, 20.0))
+    walls = load_world("several_walls").walls
+    nowhere = draw_atlas(walls, N150, KINDS["ideal"], 500.0)
+    hearing = hearing_of(walls, N150, KINDS["ideal"])
+    assert rivalry(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == -math.inf

@@ -81,3 +81,16 @@ def test_logarithms_are_natural() -> None:
     watch = Watch()
     watch.hear(0.5, 1.0, None)
     assert watch.fall_nats == pytest.approx(log(2.0))
+
+
+def test_falling_evidence_or_few_explained_echoes_are_a_reason_to_doubt() -> None:
+    watch = Watch(Bounds(doubt_nats=6.0, lost_nats=10.0, window=4, least_matched=0.5))
+    assert not watch.doubtful
+    watch.hear(1e-9, 1.0, None)
+    watch.hear(1e-9, 1.0, None)
+    assert (watch.doubtful, watch.lost) == (True, False)
+    watch.reset()
+    for bad_share in (1.0, 1.0, 1.0, 0.0):
+        assert not watch.doubtful
+        watch.hear(1.0, 1.0, Taken(bad_share=bad_share))
+    assert watch.doubtful

@@ -62,7 +62,7 @@ def test_told_its_place_it_tracks_like_the_kalman_filter_and_all_is_well() -> No
 def test_told_nothing_it_finds_itself_where_the_room_allows() -> None:
     with open_at("several_walls", START) as robot:
         nowhere = finder(ROOM, None)
-        assert nowhere.verdict.trust is Trust.LOST
+        assert nowhere.verdict == (Trust.LOST, "searching: nothing was told of the place")
         assert nowhere.belief.std[0] > 100
         localizer = localizer_of(robot, nowhere)
         estimate = turn(robot, localizer, 4.0)
@@ -90,8 +90,10 @@ def test_kidnapped_it_says_lost_within_five_seconds_and_finds_itself_again() -> 
         robot.place(Pose(80.0, 75.0, 2.0, 2.0))
         robot.set_position(x_in=told.x_in, y_in=told.y_in)
         robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
-        lost_after = next(tick * 0.1 for tick in range(100) if turn(robot, localizer, 0.1).verdict.trust is Trust.LOST)
+        said = (turn(robot, localizer, 0.1).verdict for _ in range(100))
+        lost_after, verdict = next((0.1 * tick, told) for tick, told in enumerate(said) if told.trust is Trust.LOST)
         assert lost_after <= 5.0
+        assert "another place explains the last 24 echoes better" in verdict.reason
         estimate = turn(robot, localizer, 6.0)
         assert estimate.verdict.trust is Trust.OK
         assert off_in(robot, estimate) < 2.0
@@ -102,3 +104,11 @@ def test_constants_are_looked_for_anew_where_it_is_found() -> None:
     assert lost.belief.mean.shape == (4,)
     assert lost.belief.std[3] == pytest.approx(0.05)
     np.testing.assert_allclose(lost.ahead(np.array([1.0, 0.0])).mean[:2], [1.0, 0.0])
+
+
+def test_where_the_evidence_alone_falls_it_is_lost_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("localization.filters.finder.rivalry", lambda *_: 0.0)
+    with open_at("several_walls", START) as robot:
+        localizer = localizer_of(robot, finder(ROOM, independent((80.0, 75.0, 2.0), (0.2, 0.2, 0.01))))
+        said = (turn(robot, localizer, 0.1).verdict for _ in range(200))
+        assert "fits anywhere better than here" in next(told for told in said if told.trust is Trust.LOST).reason

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from localization.belief import Belief
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.lost import trial
 from localization.experiments.lost.trial import Case, Kind, drive
-from localization.watch import ALL_WELL, Trust, Verdict, Watch
+from localization.watch import Watch
 
 EXACT = Case(Kind.CALM, "several_walls", SCENARIOS["exact"], 3, 12.0)
 
@@ -26,11 +25,7 @@ def test_a_calm_run_lasts_as_long_as_it_was_told_and_says_nothing() -> None:
 
 def test_alarms_are_counted_as_they_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """A watch that cries every thirty echoes: some alarms, and the robot finds itself between them."""
-
-    def nervous(watch: Watch, _belief: Belief) -> Verdict:
-        return Verdict(Trust.LOST, "a rustle") if len(watch._matched) >= 30 else ALL_WELL
-
-    monkeypatch.setattr(Watch, "verdict", nervous)
+    monkeypatch.setattr(Watch, "lost", property(lambda watch: len(watch._matched) >= 30))
     assert drive(EXACT).alarms >= 2
 
 
