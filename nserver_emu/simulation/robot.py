@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import copysign
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
@@ -26,9 +26,13 @@ from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.sighting import NOBODY, Eye, Lookout
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing
+from nserver_emu.simulation.standing import Disc
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
+
+STRAY: Final = 6.0
+"""Standard deviations of the noise of a way that are allowed for."""
 
 
 class Leg(NamedTuple):
@@ -80,13 +84,12 @@ class SimulatedRobot:
         """When the time-out last struck, simulated time."""
         self._zeroing = False
         self._walls = walls
-        self._beside_others = False
         self._track: list[Leg] | None = None
         self.join(lookout, own)
         self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
-        self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
+        self._chassis = Chassis(model.body, Ground(walls), start.x_in, start.y_in)
         self._chance = identity.stream(Purpose.MOTION)
         self._exact = setup.motion == NO_NOISE and setup.odometry.turns_as_told
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
@@ -126,11 +129,11 @@ class SimulatedRobot:
         return self._chassis.pose(self._drive.steering_rad, self._drive.turret_rad)
 
     @property
-    def disc(self) -> tuple[float, float, float]:
+    def disc(self) -> Disc:
         """What the robot is to others: x, y, radius in inches."""
         return (*self._chassis.place, self.model.body.radius_in)
 
-    def disc_at(self, instant_ps: int) -> tuple[float, float, float]:
+    def disc_at(self, instant_ps: int) -> Disc:
         """The disc at an instant since `begin_track`."""
         if not self._track:
             return self.disc
@@ -140,9 +143,14 @@ class SimulatedRobot:
         return (*leg.place(to_s(max(instant_ps - leg.begin_ps, 0))), self.model.body.radius_in)
 
     def reach_in(self, span_s: float) -> float:
-        """No less than it goes within some seconds if no command comes, inches; noise may add to that."""
-        way_in = self._drive.fastest * span_s
-        return way_in if self._exact else way_in * max(map(abs, self.setup.odometry.scales[:2]))
+        """No less than it goes within some seconds if no command comes, inches; 0 only where it stays. Noise may take
+        it farther, but not once in a thousand million times."""
+        drive, setup = self._drive, self.setup
+        if self._exact:
+            return drive.fastest * span_s
+        really_s = span_s * max(map(abs, setup.odometry.scales[:2]))
+        way_in = drive.fastest * really_s
+        return way_in + STRAY * setup.motion.way_std_in(way_in, drive.fastest_turn * really_s)
 
     @property
     def velocities(self) -> Velocities:
@@ -320,11 +328,10 @@ class SimulatedRobot:
                 self._expire()
             self._fire_due()
 
-    def stand_beside(self, discs: FloatArray | None) -> None:
-        """From now on these discs (k, 3), rows x y radius in inches, can be touched, and no others; None: none."""
-        if discs is not None or self._beside_others:
-            self._chassis.enter(Ground.of(self._walls, discs))
-            self._beside_others = discs is not None
+    def stand_beside(self, discs: Sequence[Disc]) -> None:
+        """From now on these discs, x y radius in inches, can be touched, and no others."""
+        if discs or not self._chassis.alone:
+            self._chassis.stand_beside(discs)
 
     def join(self, lookout: Lookout, own: int) -> None:
         """From now on sensors see the robots that this lookout tells of, but for row `own`: that is this one."""
@@ -335,14 +342,13 @@ class SimulatedRobot:
         """From now on the robot keeps where it comes along, for `disc_at`."""
         self._track = []
 
-    def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
-        """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
+    def enter(self, walls: FloatArray) -> None:
+        """From now on these are the walls (m, 4), rows x1 y1 x2 y2 in inches."""
         self._walls = walls
-        self._beside_others = discs is not None
         self.sonar.surround(walls)
         if self.infrared is not None:
             self.infrared.surround(walls)
-        self._chassis.enter(Ground.of(walls, discs))
+        self._chassis.enter(Ground(walls))
 
     def _take_over(self) -> None:
         """A motion command came: it ends what was under way."""
