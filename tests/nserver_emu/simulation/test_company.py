@@ -173,7 +173,7 @@ def test_noise_and_bad_wheels_reach_farther(room: World, model: RobotModel) -> N
     assert [robot.reach_in(2.0) for robot in robots] == [0.0, 0.0]
     for robot in robots:
         robot.set_velocities(*((10.0, 0.5, 0.0) if model is N150 else (10.0, 6.0, 0.0)))
-    turn_rad = 1.0 if model is N150 else 2.0 * 16.0 / robots[0].model.track_in
+    turn_rad = 1.0 if model.track_in is None else 2.0 * 16.0 / model.track_in
     std_in = (0.01 * 20.0 + 0.04 * turn_rad) ** 0.5
     assert robots[0].reach_in(2.0) == pytest.approx(20.0 + 6.0 * std_in)
     assert robots[1].reach_in(2.0) == pytest.approx(24.2 + 6.6 * std_in)
