@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
-from nserver_emu.simulation.compass import Compass
+from nserver_emu.simulation.compass import Compass, last_reading_ps
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
 from nserver_emu.simulation.infrared import InfraredRing
@@ -46,11 +46,12 @@ class Leg(NamedTuple):
     free_s: float
 
     def place(self, time_s: float) -> tuple[float, float]:
-        """(x, y) in inches, so long after its beginning."""
-        if time_s == 0.0:
-            return self.x_in, self.y_in
-        dx, dy = self.stretch.displacement(self.heading_rad, min(time_s, self.free_s))
-        return self.x_in + dx, self.y_in + dy
+        """(x, y) in inches, so long after its beginning; before that, where it begins."""
+        _, x, y, heading, stretch, free_s = self
+        if time_s <= 0.0:
+            return x, y
+        dx, dy = stretch.displacement(heading, time_s if time_s < free_s else free_s)
+        return x + dx, y + dy
 
 
 class SimulatedRobot:
@@ -140,7 +141,8 @@ class SimulatedRobot:
         for leg in reversed(self._track):
             if leg.begin_ps <= instant_ps:
                 break
-        return (*leg.place(to_s(max(instant_ps - leg.begin_ps, 0))), self.model.body.radius_in)
+        x, y = leg.place((instant_ps - leg.begin_ps) / PS_PER_S)
+        return x, y, self.model.body.radius_in
 
     def reach_in(self, span_s: float) -> float:
         """No less than it goes within some seconds if no command comes, inches; 0 only where it stays. Noise may take
@@ -318,7 +320,7 @@ class SimulatedRobot:
             until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
-            if self.compass is not None:
+            if self.compass is not None and until >= self.compass.due_ps:
                 self._read_compass(self.compass, until)
             self._move((until - self._time_ps) / PS_PER_S)
             self._time_ps = until
@@ -387,14 +389,13 @@ class SimulatedRobot:
             self.infrared.flash_due(self._eye(), self._stamp())
 
     def _read_compass(self, compass: Compass, until_ps: int) -> None:
-        """Its last reading up to an instant that this piece of time reaches, before anything moves.
+        """Its last reading up to an instant that this piece of time reaches, if one is due, before anything moves.
 
         Time is not cut for it: the drive tells how far the turret will have turned by then.
         """
-        due_ps = compass.due(until_ps)
-        if due_ps is not None:
-            turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
-            compass.take(due_ps, self._chassis.turret_direction(turret_rad), turret_rad)
+        due_ps = last_reading_ps(until_ps)
+        turret_rad = self._drive.turret_in((due_ps - self._time_ps) / PS_PER_S)
+        compass.take(due_ps, self._chassis.turret_direction(turret_rad), turret_rad)
 
     def _carry_compass(self, before_rad: float) -> None:
         """The turret's angle was set, and not by turning."""
