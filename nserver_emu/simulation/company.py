@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from nserver_emu.simulation.instants import PS_PER_S, to_s
+from nserver_emu.simulation.reach import STAYS, Reach
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.sighting import Sighting
 from worlds.geometry import FloatArray
@@ -108,38 +109,40 @@ def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
     return sorted(pairs)
 
 
-def touch(crew: Sequence[SimulatedRobot], pairs: Sequence[Pair] | None = None) -> None:
-    """Let bumpers feel where the others of the crew stand now; of some pairs, if only those can touch."""
-    pairs = near(crew, 0) if pairs is None else _may_meet(crew, pairs, 0)
-    beside = _beside(pairs)
-    for row, robot in enumerate(crew):
-        robot.stand_beside([crew[other].disc for other in beside.get(row, ())])
+def touch(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair] | None = None) -> None:
+    """Let bumpers feel where the others of the crew stand now; of some pairs, if no others can touch."""
+    rows = range(len(crew)) if pairs is None else sorted({row for pair in pairs for row in pair})
+    beside = _beside(_may_meet(crew, near(crew, 0) if pairs is None else pairs, dict.fromkeys(rows, STAYS)))
+    for row in rows:
+        _stand(crew, row, beside.get(row, ()))
 
 
 def _run_span(crew: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) -> None:
     """Who cannot meet anybody until the end goes there at once, the others by and by."""
     pairs = near(crew, end_ps - begin_ps)
     for row in set(range(len(crew))).difference(*pairs):
-        crew[row].stand_beside(())
+        _stand(crew, row, ())
         crew[row].advance_to(end_ps)
     _run_pairs(crew, pairs, begin_ps, end_ps)
+    for row in {row for pair in pairs for row in pair}:
+        crew[row].advance_to(end_ps)
     touch(crew, pairs)
 
 
-def _run_pairs(crew: Sequence[SimulatedRobot], pairs: Sequence[Pair], begin_ps: int, end_ps: int) -> None:
-    """Let time pass in all who are in pairs; in no others can they meet.
+def _run_pairs(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair], begin_ps: int, end_ps: int) -> None:
+    """Let time pass in all who are in pairs and move; in no others can they meet. Who stands may wait.
 
     Who moves and may meet another that moves is held back: it takes its turns in each tick, and in longer spans those
     that are held back go the first half and then the second, as if these were all there is.
     """
-    rows = sorted({row for pair in pairs for row in pair})
-    pairs = _may_meet(crew, pairs, end_ps - begin_ps)
+    span_s = to_s(end_ps - begin_ps)
+    reach = {row: crew[row].reach(span_s) for row in {row for pair in pairs for row in pair}}
+    moving = {row for row in reach if reach[row] is not STAYS}
+    pairs = _may_meet(crew, [pair for pair in pairs if not moving.isdisjoint(pair)], reach)
     beside = _beside(pairs)
-    moving = {row for row in beside if crew[row].reach_in(1.0)}
-    held = {row for row, others in beside.items() if row in moving and not moving.isdisjoint(others)}
-    for row in rows:
-        if row not in held:
-            _advance(crew, row, beside.get(row, ()), end_ps)
+    held = {row for pair in pairs if moving.issuperset(pair) for row in pair}
+    for row in moving - held:
+        _advance(crew, row, beside.get(row, ()), end_ps)
     ticks = range(begin_ps // TICK_PS + 1, -(-end_ps // TICK_PS))
     if held and ticks:
         left = [pair for pair in pairs if not held.isdisjoint(pair)]
@@ -154,20 +157,27 @@ def _run_pairs(crew: Sequence[SimulatedRobot], pairs: Sequence[Pair], begin_ps: 
 
 def _advance(crew: Sequence[SimulatedRobot], row: int, others: Iterable[int], end_ps: int) -> None:
     """Let time pass in one robot, the others as they stand."""
-    robot = crew[row]
-    robot.stand_beside([crew[other].disc for other in others])
-    robot.advance_to(end_ps)
+    _stand(crew, row, others)
+    crew[row].advance_to(end_ps)
 
 
-def _may_meet(crew: Sequence[SimulatedRobot], pairs: Sequence[Pair], span_ps: int) -> list[Pair]:
-    """Those of the pairs that may meet within a span of time."""
-    span_s = to_s(span_ps)
-    reach_in = {row: crew[row].reach_in(span_s) for pair in pairs for row in pair}
-    discs = {row: crew[row].disc for row in reach_in}
+def _stand(crew: Sequence[SimulatedRobot], row: int, others: Iterable[int]) -> None:
+    """Let one robot be stopped and felt by those others, and by no more."""
+    crew[row].stand_beside([crew[other].disc for other in others])
+
+
+def _may_meet(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair], reach: Mapping[int, Reach]) -> list[Pair]:
+    """Those of the pairs that may meet where each comes no farther than its reach."""
     met: list[Pair] = []
     for row, other in pairs:
-        (x, y, radius), (u, v, beside) = discs[row], discs[other]
-        if hypot(x - u, y - v) < radius + beside + reach_in[row] + reach_in[other] + SLACK_IN:
+        (x, y, radius), (u, v, beside) = crew[row].disc, crew[other].disc
+        dx, dy = u - x, v - y
+        apart = hypot(dx, dy)
+        gap = apart - radius - beside - SLACK_IN
+        if gap > 0.0:
+            dx, dy = dx / apart, dy / apart
+            gap -= reach[row].towards(dx, dy) + reach[other].towards(-dx, -dy)
+        if gap <= 0.0:
             met.append((row, other))
     return met
 

@@ -70,6 +70,10 @@ class MotionNoise:
         """Standard deviation of the length of a way on which the robot turns by an angle, inches."""
         return sqrt(self.alpha3 * abs(way_in) + self.alpha4 * abs(angle_rad))
 
+    def turn_std_rad(self, way_in: float, angle_rad: float) -> float:
+        """Standard deviation of the turn of the body on the same way."""
+        return sqrt(self.alpha1 * abs(angle_rad) + self.alpha2 * abs(way_in))
+
     def disturbed(self, stretch: Stretch, chance: np.random.Generator) -> Stretch:
         """The stretch that is really driven: the same seconds, another length, and a turn that carries the body along.
 
@@ -81,7 +85,7 @@ class MotionNoise:
         if self == NO_NOISE or (way == 0.0 and angle == 0.0):
             return stretch
         longer = self.way_std_in(way, angle) * chance.standard_normal()
-        turned = sqrt(self.alpha1 * abs(angle) + self.alpha2 * abs(way)) * chance.standard_normal()
+        turned = self.turn_std_rad(way, angle) * chance.standard_normal()
         scale = 1.0 + longer / way if way else 1.0
         return Stretch(
             duration,

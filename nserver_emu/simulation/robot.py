@@ -9,7 +9,7 @@ contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import copysign
+from math import copysign, cos, sin
 from typing import Final, NamedTuple
 
 from nserver_emu.simulation.axis import Command
@@ -23,6 +23,7 @@ from nserver_emu.simulation.laser import ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
+from nserver_emu.simulation.reach import STAYS, Reach
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.sighting import NOBODY, Eye, Lookout
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing
@@ -150,9 +151,29 @@ class SimulatedRobot:
         drive, setup = self._drive, self.setup
         if self._exact:
             return drive.fastest * span_s
-        really_s = span_s * max(map(abs, setup.odometry.scales[:2]))
-        way_in = drive.fastest * really_s
-        return way_in + STRAY * setup.motion.way_std_in(way_in, drive.fastest_turn * really_s)
+        span_s *= max(map(abs, setup.odometry.scales[:2]))
+        way_in = drive.fastest * span_s
+        return way_in + STRAY * setup.motion.way_std_in(way_in, drive.fastest_turn * span_s)
+
+    def reach(self, span_s: float) -> Reach:
+        """The same by directions."""
+        drive = self._drive
+        reach_in = self.reach_in(span_s)
+        if not reach_in:
+            return STAYS
+        least, most = drive.extremes
+        aside_rad, stray_in = drive.fastest_turn * span_s, 0.0
+        if not self._exact:
+            odometry, noise = self.setup.odometry, self.setup.motion
+            span_s *= max(map(abs, odometry.scales[:2]))
+            way_in, angle_rad = drive.fastest * span_s, drive.fastest_turn * span_s
+            drift_rad = max(map(abs, odometry.drifts)) * (drive.axes[0].fastest + drive.axes[1].fastest) * span_s
+            aside_rad = angle_rad + drift_rad + STRAY * noise.turn_std_rad(way_in, angle_rad)
+            stray_in = reach_in - way_in
+        heading = self._chassis.heading(drive.steering_rad)
+        x, y = span_s * cos(heading), span_s * sin(heading)
+        stray_in += max(most, -least) * span_s * aside_rad
+        return Reach(most * x, most * y, least * x, least * y, stray_in)
 
     @property
     def velocities(self) -> Velocities:
