@@ -9,6 +9,7 @@
     ├── WireError (ValueError)             bytes that are no message, or values that no message can carry
     ├── WorldFileError (ValueError)        a world, model or setup file in TOML that cannot be used: file, key
     ├── StartError (ValueError)            a start pose that touches a wall or lies outside
+    ├── VariableError (ValueError)         an environment variable that says none of its words
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
     ├── FaultPlanError (ValueError)        a plan of faults that cannot be used: file, rule, key, what was expected
     ├── ControlError (ValueError)          what a daemon's control socket was asked and cannot do
@@ -99,6 +100,10 @@ class WorldFileError(NomadError, ValueError):
 
 class StartError(NomadError, ValueError):
     """A start pose that touches a wall or lies outside the world."""
+
+
+class VariableError(NomadError, ValueError):
+    """An environment variable has a value that is none of its words: which variable, which value, which words."""
 
 
 class SetupFileError(NomadError, ValueError):

@@ -27,6 +27,7 @@ from typing import TypeVar
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.log import read_recording
 from nserver_emu import ctl
+from nserver_emu.garbage import seldom_sought
 from nserver_emu.gateway import options as real_options
 from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.keeping import kept
@@ -52,6 +53,7 @@ from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer.options import add_options as add_viewer_options
 from nserver_emu.viewer.options import viewed
+from worlds.compiled import load_for
 from worlds.files import load_world, world_names
 from worlds.tables import nearest
 
@@ -116,6 +118,7 @@ async def _serve_with(
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
     emulator = beginning.emulator()
+    load_for(len(emulator.simulation.robots))
     if emulator.pace.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
@@ -138,7 +141,8 @@ async def _serve_with(
         ):
             for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control, *page):
                 print(line, flush=True)
-            await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
+            with seldom_sought():
+                await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
     finally:
         await daemon.close()
     return 0

@@ -17,6 +17,7 @@ import os
 from collections.abc import Callable
 from typing import Any, Final
 
+from nclient.errors import VariableError
 from worlds import ray
 
 VARIABLE: Final = "NOMAD_COMPILED"
@@ -57,11 +58,11 @@ FIRST_MET: Final = Kernel()
 def load_for(robots: int) -> None:
     """Load the machine code if so many robots are worth it.
 
-    Raises ValueError if the environment variable is none of its words.
+    Raises VariableError if the environment variable is none of its words.
     """
     word = os.environ.get(VARIABLE, "crowd")
     if word not in _FROM_ROBOTS:
-        raise ValueError(f"{VARIABLE} is {word!r}; it can be {', '.join(_FROM_ROBOTS)}")
+        raise VariableError(f"{VARIABLE} is {word!r}; it can be {', '.join(_FROM_ROBOTS)}")
     if robots >= _FROM_ROBOTS[word]:
         FIRST_MET.load()
 

@@ -116,6 +116,9 @@ def cast_each(origins: Sequence[complex], ways: Sequence[complex], walls: FloatA
 
     What is worth a look is looked at in plain numbers, in the order of the walls.
     """
+    if len(origins) == 1:
+        (origin,), (way,) = origins, ways
+        return [cast_ray(origin.real, origin.imag, way.real, way.imag, walls)[0]]
     corners = walls.view(np.complex128).reshape(1, -1)
     seen = (corners - np.array(origins)[:, np.newaxis]) * np.array(ways).conj()[:, np.newaxis]
     frames = seen.view(np.float64).reshape(len(origins) * len(walls), 4)

@@ -115,6 +115,17 @@ class Axis:
         return max((abs(phase.velocity) for phase in phases), default=0.0)
 
     @property
+    def extremes(self) -> tuple[float, float]:
+        """No more than its least and no less than its greatest velocity until the next command, nor than 0."""
+        least = most = 0.0
+        for _, velocity, _ in self._phases:
+            if velocity < least:
+                least = velocity
+            elif velocity > most:
+                most = velocity
+        return least, most
+
+    @property
     def pace(self) -> tuple[float, float, float]:
         """`phase_left_s`, `velocity` and `phase_acceleration` at once, which is quicker."""
         if not self._phases:

@@ -1,7 +1,8 @@
 """Several robots on one ground: who is near whom, and the discs that they are to one another. No motion, no sensors.
 
-    at most a SPAN    who cannot meet another within it runs through it as if alone
-    every TICK        the others run one after another, each against those near it as they stand: they never overlap
+    at most a SPAN    who cannot meet within it another that moves runs through it at once; who stands is in the way
+    half of it, ...   the same for those who are left
+    every TICK        whoever is left now run one after another, each against those near it: they never overlap
     a sensor fires    it sees where the others stood at the tick before, worked out afterwards from their tracks
 
 Ticks lie on simulated time itself, so what is seen and who is first does not depend on how the caller cuts it. Who is
@@ -11,11 +12,13 @@ first changes from tick to tick, so that no robot always has the way.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from math import hypot
 from typing import Final
 
 import numpy as np
 
 from nserver_emu.simulation.instants import PS_PER_S, to_s
+from nserver_emu.simulation.reach import STAYS, Reach
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.sighting import Sighting
 from worlds.geometry import FloatArray
@@ -26,9 +29,11 @@ TICK_PS: Final = PS_PER_S // 100
 SPAN_PS: Final = 12 * TICK_PS
 """Two firings of a ring at its usual rate, where motion is cut anyway."""
 
-STRAY_IN: Final = 1.2
-"""How much nearer than by their wheels two robots may come within a span: four standard deviations of the noise of two
-ways of 4 in. Where noise does more, they overlap by that, and are free to part."""
+SLACK_IN: Final = 0.01
+"""Robots come no nearer to others than this unless they are looked at: bumpers feel 1e-3 in, rounding is 1e-11."""
+
+Pair = tuple[int, int]
+"""Rows of two robots, the smaller first."""
 
 
 class Company:
@@ -76,65 +81,111 @@ def discs_of(robots: Iterable[SimulatedRobot], instant_ps: int | None = None) ->
     return np.array([robot.disc_at(instant_ps) for robot in robots])
 
 
-def near(robots: Sequence[SimulatedRobot], span_ps: int) -> dict[int, list[int]]:
-    """Rows of the robots that may meet others within a span of time, and the rows of those."""
+def near(robots: Sequence[SimulatedRobot], span_ps: int) -> list[Pair]:
+    """Those that may meet within a span of time, in their order."""
     discs = discs_of(robots)
-    discs[:, 2] += [robot.reach_in(to_s(span_ps)) for robot in robots]
-    return neighbours(discs, STRAY_IN)
+    span_s = to_s(span_ps)
+    discs[:, 2] += [robot.reach_in(span_s) for robot in robots]
+    return neighbours(discs, SLACK_IN)
 
 
-def neighbours(discs: FloatArray, within_in: float) -> dict[int, list[int]]:
-    """Rows of the discs (n, 3) that have others nearer than a gap, and the rows of those, both in their order.
+def neighbours(discs: FloatArray, within_in: float) -> list[Pair]:
+    """Those of the discs (n, 3) that are nearer to each other than a gap, in their order.
 
     Sorted by x, each is compared with the next, the one after the next ... until all those are too far away.
     """
     order = np.argsort(discs[:, 0])
     x, y, radius = discs[order].T
     reach = within_in + 2.0 * radius.max(initial=0.0)
-    near: dict[int, list[int]] = {}
+    pairs: list[Pair] = []
     for apart in range(1, len(discs)):
         dx = x[apart:] - x[:-apart]
         if dx.min() >= reach:
             break
         gaps = np.hypot(dx, y[apart:] - y[:-apart]) - (radius[apart:] + radius[:-apart])
         first = np.flatnonzero(gaps < within_in)
-        for row, other in zip(order[first].tolist(), order[first + apart].tolist(), strict=True):
-            near.setdefault(row, []).append(other)
-            near.setdefault(other, []).append(row)
-    return {row: sorted(near[row]) for row in sorted(near)}
+        rows = np.sort(np.column_stack((order[first], order[first + apart])))
+        pairs += [(row, other) for row, other in rows.tolist()]
+    return sorted(pairs)
+
+
+def touch(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair] | None = None) -> None:
+    """Let bumpers feel where the others of the crew stand now; of some pairs, if no others can touch."""
+    rows = range(len(crew)) if pairs is None else sorted({row for pair in pairs for row in pair})
+    beside = _beside(_may_meet(crew, near(crew, 0) if pairs is None else pairs, dict.fromkeys(rows, STAYS)))
+    for row in rows:
+        _stand(crew, row, beside.get(row, ()))
 
 
 def _run_span(crew: Sequence[SimulatedRobot], begin_ps: int, end_ps: int) -> None:
-    """Who cannot meet anybody until the end goes there at once, the others from tick to tick."""
-    close = list(near(crew, end_ps - begin_ps))
-    alone = set(range(len(crew))).difference(close)
-    for row in alone:
-        crew[row].stand_beside(None)
+    """Who cannot meet anybody until the end goes there at once, the others by and by."""
+    pairs = near(crew, end_ps - begin_ps)
+    for row in set(range(len(crew))).difference(*pairs):
+        _stand(crew, row, ())
         crew[row].advance_to(end_ps)
-    while close and begin_ps < end_ps:
-        tick = begin_ps // TICK_PS
-        begin_ps = min(end_ps, (tick + 1) * TICK_PS)
-        first = tick % len(crew)
-        turns = [row for row in close if row >= first] + [row for row in close if row < first]
-        _run_together([crew[row] for row in turns], begin_ps)
-    touch([crew[row] for row in close])
+    _run_pairs(crew, pairs, begin_ps, end_ps)
+    for row in {row for pair in pairs for row in pair}:
+        crew[row].advance_to(end_ps)
+    touch(crew, pairs)
 
 
-def _run_together(crew: Sequence[SimulatedRobot], until_ps: int) -> None:
-    """One after another, each against those that are near where they stand just then."""
-    beside = near(crew, TICK_PS)
-    for row, robot in enumerate(crew):
-        if any(robot.moving):
-            robot.stand_beside(_discs(crew, beside.get(row, ())))
-        robot.advance_to(until_ps)
+def _run_pairs(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair], begin_ps: int, end_ps: int) -> None:
+    """Let time pass in all who are in pairs and move; in no others can they meet. Who stands may wait.
+
+    Who moves and may meet another that moves is held back: it takes its turns in each tick, and in longer spans those
+    that are held back go the first half and then the second, as if these were all there is.
+    """
+    span_s = to_s(end_ps - begin_ps)
+    reach = {row: crew[row].reach(span_s) for row in {row for pair in pairs for row in pair}}
+    moving = {row for row in reach if reach[row] is not STAYS}
+    pairs = _may_meet(crew, [pair for pair in pairs if not moving.isdisjoint(pair)], reach)
+    beside = _beside(pairs)
+    held = {row for pair in pairs if moving.issuperset(pair) for row in pair}
+    for row in moving - held:
+        _advance(crew, row, beside.get(row, ()), end_ps)
+    ticks = range(begin_ps // TICK_PS + 1, -(-end_ps // TICK_PS))
+    if held and ticks:
+        left = [pair for pair in pairs if not held.isdisjoint(pair)]
+        middle_ps = ticks[len(ticks) // 2] * TICK_PS
+        _run_pairs(crew, left, begin_ps, middle_ps)
+        _run_pairs(crew, left, middle_ps, end_ps)
+        return
+    first = begin_ps // TICK_PS % len(crew)
+    for row in sorted(held, key=lambda row: (row < first, row)):
+        _advance(crew, row, beside[row], end_ps)
 
 
-def touch(crew: Sequence[SimulatedRobot]) -> None:
-    """Let bumpers feel where the others of the crew stand now."""
-    beside = near(crew, 0)
-    for row, robot in enumerate(crew):
-        robot.stand_beside(_discs(crew, beside.get(row, ())))
+def _advance(crew: Sequence[SimulatedRobot], row: int, others: Iterable[int], end_ps: int) -> None:
+    """Let time pass in one robot, the others as they stand."""
+    _stand(crew, row, others)
+    crew[row].advance_to(end_ps)
 
 
-def _discs(crew: Sequence[SimulatedRobot], rows: Sequence[int]) -> FloatArray | None:
-    return discs_of(crew[row] for row in rows) if rows else None
+def _stand(crew: Sequence[SimulatedRobot], row: int, others: Iterable[int]) -> None:
+    """Let one robot be stopped and felt by those others, and by no more."""
+    crew[row].stand_beside([crew[other].disc for other in others])
+
+
+def _may_meet(crew: Sequence[SimulatedRobot], pairs: Iterable[Pair], reach: Mapping[int, Reach]) -> list[Pair]:
+    """Those of the pairs that may meet where each comes no farther than its reach."""
+    met: list[Pair] = []
+    for row, other in pairs:
+        (x, y, radius), (u, v, beside) = crew[row].disc, crew[other].disc
+        dx, dy = u - x, v - y
+        apart = hypot(dx, dy)
+        gap = apart - radius - beside - SLACK_IN
+        if gap > 0.0:
+            dx, dy = dx / apart, dy / apart
+            gap -= reach[row].towards(dx, dy) + reach[other].towards(-dx, -dy)
+        if gap <= 0.0:
+            met.append((row, other))
+    return met
+
+
+def _beside(pairs: Iterable[Pair]) -> dict[int, list[int]]:
+    """The rows of all who are in pairs, and who is in one with each, in their order."""
+    beside: dict[int, list[int]] = {}
+    for row, other in pairs:
+        beside.setdefault(row, []).append(other)
+        beside.setdefault(other, []).append(row)
+    return beside

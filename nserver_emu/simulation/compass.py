@@ -48,6 +48,11 @@ TRUE_NEEDLE: Final = CompassNoise()
 """Every reading as it is."""
 
 
+def last_reading_ps(until_ps: int) -> int:
+    """The instant of the last reading up to then."""
+    return until_ps // INTERVAL_PS * INTERVAL_PS
+
+
 class Compass:
     """See the head of this file. `direction_rad` [0, 2 pi) is the last reading, taken at `taken_ps`.
 
@@ -60,8 +65,9 @@ class Compass:
         self.calibrated = False
         self._chance = chance
         self._least_rad = self._most_rad = 0.0
-        self._count = now_ps // INTERVAL_PS
-        self.taken_ps = self._count * INTERVAL_PS
+        self.taken_ps = last_reading_ps(now_ps)
+        self.due_ps = self.taken_ps + INTERVAL_PS
+        """When the next reading is due."""
         self.direction_rad = once_round(direction_rad + self._error(direction_rad, 1))
 
     def configure(self, mode: int, angle_rad: float) -> None:
@@ -75,20 +81,15 @@ class Compass:
         self._least_rad += after_rad - before_rad
         self._most_rad += after_rad - before_rad
 
-    def due(self, until_ps: int) -> int | None:
-        """The instant of the last reading up to then, if it is yet to be taken."""
-        if until_ps < (self._count + 1) * INTERVAL_PS:
-            return None
-        return until_ps // INTERVAL_PS * INTERVAL_PS
-
     def take(self, instant_ps: int, direction_rad: float, angle_rad: float) -> None:
-        """Read at a due instant; the readings skipped before it only spend their chance.
+        """Read at `due_ps` or some whole readings later; those skipped before it only spend their chance.
 
         direction_rad   where the turret points
         angle_rad       its angle
         """
-        count, self._count = instant_ps // INTERVAL_PS - self._count, instant_ps // INTERVAL_PS
-        error = self._error(direction_rad, count)
+        skipped = (instant_ps - self.due_ps) // INTERVAL_PS
+        self.due_ps = instant_ps + INTERVAL_PS
+        error = self._error(direction_rad, skipped + 1)
         if self.mode is CompassMode.OFF:
             return
         self._turn_to(angle_rad)
@@ -98,11 +99,16 @@ class Compass:
         self.direction_rad = once_round(direction_rad + error)
 
     def _turn_to(self, angle_rad: float) -> None:
-        self._least_rad = min(self._least_rad, angle_rad)
-        self._most_rad = max(self._most_rad, angle_rad)
+        if angle_rad < self._least_rad:
+            self._least_rad = angle_rad
+        elif angle_rad > self._most_rad:
+            self._most_rad = angle_rad
 
     def _error(self, direction_rad: float, count: int) -> float:
         """What a reading is off, the last of `count` draws: each reading has its own, looked at or not."""
-        drawn = self.noise.std_rad * float(self._chance.standard_normal(count)[-1]) if self.noise.std_rad else 0.0
-        iron = 0.0 if self.calibrated else self.noise.deviation_rad * sin(direction_rad + self.noise.phase_rad)
-        return drawn + iron
+        noise, error = self.noise, 0.0
+        if noise.std_rad:
+            error = noise.std_rad * float(self._chance.standard_normal(count)[-1])
+        if noise.deviation_rad and not self.calibrated:
+            error += noise.deviation_rad * sin(direction_rad + noise.phase_rad)
+        return error

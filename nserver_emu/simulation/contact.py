@@ -5,16 +5,15 @@ length 0. The gap to a capsule is a convex function of the way along a straight 
 falls again, so a robot that touches may leave in every direction in which the gap does not fall.
 
     path -> chords no farther from it than CHORD_ERROR_IN -> first chord that touches -> Newton on the path itself
+
+Arrays only say which walls are near; the few things that can be touched are looked at in plain numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from math import ceil, cos, hypot, sin, sqrt
+from collections.abc import Sequence
+from math import ceil, cos, hypot, inf, sin, sqrt
 from typing import Final, NamedTuple
-
-import numpy as np
 
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray, nearest_points
@@ -48,46 +47,75 @@ class Contact(NamedTuple):
         return way < -PRESSING if velocity > 0.0 else way > PRESSING
 
 
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """All that can be touched: capsules as segments (m, 4), rows x1 y1 x2 y2, and thickness (m,), inches."""
+class Thing(NamedTuple):
+    """A capsule: the segment from (x1, y1) to (x2, y2), and how thick it is all around, inches."""
 
-    segments: FloatArray
-    thickness: FloatArray
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+    thickness: float = 0.0
 
     @classmethod
-    def of(cls, walls: FloatArray, discs: FloatArray | None = None) -> Ground:
-        """Walls (m, 4), rows x1 y1 x2 y2, and discs (k, 3), rows x y radius, inches."""
-        round_things = np.empty((0, 3)) if discs is None else discs
-        segments = np.concatenate((walls, round_things[:, [0, 1, 0, 1]]))
-        return cls(segments, np.concatenate((np.zeros(len(walls)), round_things[:, 2])))
+    def disc(cls, x_in: float, y_in: float, radius_in: float) -> Thing:
+        """Another robot."""
+        return cls(x_in, y_in, x_in, y_in, radius_in)
 
-    def clearance(self, x_in: float, y_in: float) -> float:
-        """Distance from a point to the nearest thing, inches; inf where there is none."""
-        _, distances = nearest_points((x_in, y_in), self.segments)
-        return float((distances - self.thickness).min(initial=np.inf))
-
-    def touched(self, x_in: float, y_in: float, reach_in: float) -> FloatArray:
-        """Directions (k,) in which things lie no farther than `reach_in` from a point, radians."""
-        nearest, distances = nearest_points((x_in, y_in), self.segments)
-        close = distances - self.thickness <= reach_in
-        towards: FloatArray = np.arctan2(nearest[close, 1] - y_in, nearest[close, 0] - x_in)
-        return towards
-
-    def away(self, row: int, radius_in: float, x_in: float, y_in: float) -> tuple[float, float, float]:
-        """Gap between thing number `row` and a disc, and the unit vector from the one to the centre of the other.
+    def away(self, radius_in: float, x_in: float, y_in: float) -> tuple[float, float, float]:
+        """Its gap to a disc, and the unit vector from it to the centre of that.
 
         With the centre on the thing no direction is right; the vector is then 0, which nothing presses against.
         """
-        x1, y1, x2, y2 = self.segments[row].tolist()
+        x1, y1, x2, y2, thickness = self
         along_x, along_y = x2 - x1, y2 - y1
+        dx, dy = x_in - x1, y_in - y1
         squared = along_x * along_x + along_y * along_y
-        share = ((x_in - x1) * along_x + (y_in - y1) * along_y) / squared if squared else 0.0
-        share = min(max(share, 0.0), 1.0)
-        dx, dy = x_in - x1 - share * along_x, y_in - y1 - share * along_y
+        if squared:
+            share = min(max((dx * along_x + dy * along_y) / squared, 0.0), 1.0)
+            dx, dy = dx - share * along_x, dy - share * along_y
         distance = hypot(dx, dy)
         per = 1.0 / distance if distance else 0.0
-        return distance - float(self.thickness[row]) - radius_in, dx * per, dy * per
+        return distance - thickness - radius_in, dx * per, dy * per
+
+    def free_share(self, x_in: float, y_in: float, dx_in: float, dy_in: float, radius_in: float) -> float:
+        """The share of a straight way (dx, dy) from (x, y) that a disc can go before it touches; inf if it never does.
+
+        In the frame of the thing, `along` it and `across`: its side is reached where |across| falls to the reach, its
+        rounded ends by the quadratic equation of a point and a circle; the nearest of the three that is real counts.
+        """
+        x1, y1, x2, y2, thickness = self
+        reach, length = thickness + radius_in, hypot(x2 - x1, y2 - y1)
+        unit_x, unit_y = ((x2 - x1) / length, (y2 - y1) / length) if length else (1.0, 0.0)
+        x, y = x_in - x1, y_in - y1
+        along, across = x * unit_x + y * unit_y, y * unit_x - x * unit_y
+        d_along, d_across = dx_in * unit_x + dy_in * unit_y, dy_in * unit_x - dx_in * unit_y
+        beyond = along - min(max(along, 0.0), length)
+        distance, way = hypot(beyond, across), hypot(d_along, d_across)
+        if beyond * d_along + across * d_across >= -PRESSING * distance * way:
+            return inf
+        if distance <= reach:
+            return 0.0
+        share = min(_to_circle(along - end, across, d_along, d_across, reach) for end in (0.0, length))
+        closing = -d_across if across > 0.0 else d_across
+        if closing > 0.0:
+            side = (abs(across) - reach) / closing
+            if side >= 0.0 and 0.0 <= along + side * d_along <= length:
+                share = min(share, side)
+        return share
+
+
+class Ground:
+    """Walls (m, 4), rows x1 y1 x2 y2 in inches."""
+
+    def __init__(self, walls: FloatArray) -> None:
+        self.walls = walls
+
+    def near(self, x_in: float, y_in: float, reach_in: float) -> tuple[tuple[Thing, ...], float]:
+        """The walls no farther than that from a point, in their order, and how far the nearest of the rest is."""
+        _, distances = nearest_points((x_in, y_in), self.walls)
+        near = distances <= reach_in
+        things = tuple(Thing(*wall) for wall in self.walls[near].tolist())
+        return things, float(distances[~near].min(initial=inf))
 
 
 class Course(NamedTuple):
@@ -110,8 +138,8 @@ class Course(NamedTuple):
         return speed * cos(heading), speed * sin(heading)
 
 
-def first_contact(course: Course, radius_in: float, ground: Ground) -> Contact | None:
-    """Where a disc on its course first touches the ground, or None if it stays free.
+def first_contact(course: Course, radius_in: float, things: Sequence[Thing]) -> Contact | None:
+    """Where a disc on its course first touches one of some things, or None if it stays free.
 
     A disc that touches already, or overlaps, is in contact at 0 s if it presses on; if not, it is free to leave.
     Contacts are found to CHORD_ERROR_IN or better, to GAP_SOLVED_IN unless the path only grazes.
@@ -119,31 +147,37 @@ def first_contact(course: Course, radius_in: float, ground: Ground) -> Contact |
     stretch, duration = course.stretch, course.stretch.duration_s
     sagittas = stretch.length_bound(duration) * stretch.turn_bound(duration) / (8.0 * CHORD_ERROR_IN)
     count = max(1, ceil(sqrt(sagittas)))
-    times = [duration * number / count for number in range(count + 1)]
-    hit = first_chord(np.array([course.place(time) for time in times]), radius_in, ground)
-    if hit is None:
-        return None
-    chord, share, row = hit
-    guess = times[chord] + share * (times[chord + 1] - times[chord])
-    window = times[max(chord - 1, 0)], times[min(chord + 2, count)]
-    time = _solve(course, lambda x, y: ground.away(row, radius_in, x, y), guess, window)
-    _, away_x, away_y = ground.away(row, radius_in, *course.place(time))
-    return Contact(time, away_x, away_y)
+    x, y = course.place(0.0)
+    for chord in range(count):
+        end_x, end_y = course.place(duration * (chord + 1) / count)
+        share, row = _first_touched(x, y, end_x - x, end_y - y, radius_in, things)
+        if share <= 1.0:
+            thing = things[row]
+            window = duration * max(chord - 1, 0) / count, duration * min(chord + 2, count) / count
+            time = _solve(course, thing, radius_in, duration * (chord + share) / count, window)
+            _, away_x, away_y = thing.away(radius_in, *course.place(time))
+            return Contact(time, away_x, away_y)
+        x, y = end_x, end_y
+    return None
 
 
-def _solve(
-    course: Course,
-    away: Callable[[float, float], tuple[float, float, float]],
-    guess_s: float,
-    window_s: tuple[float, float],
-) -> float:
-    """The time in a window at which a gap is 0, by Newton's method; the guess where it does not converge.
+def _first_touched(
+    x_in: float, y_in: float, dx_in: float, dy_in: float, radius_in: float, things: Sequence[Thing]
+) -> tuple[float, int]:
+    """The share of a straight way that is free of all things, inf for more than that, and the row of the first met."""
+    least, first = inf, 0
+    for row, thing in enumerate(things):
+        share = thing.free_share(x_in, y_in, dx_in, dy_in, radius_in)
+        if share < least:
+            least, first = share, row
+    return least, first
 
-    away    the gap at a place, inches, and the unit vector along which it grows
-    """
+
+def _solve(course: Course, thing: Thing, radius_in: float, guess_s: float, window_s: tuple[float, float]) -> float:
+    """The time in a window at which the gap is 0, by Newton's method; the guess where it does not converge."""
     time = guess_s
     for _ in range(NEWTON_STEPS):
-        gap, away_x, away_y = away(*course.place(time))
+        gap, away_x, away_y = thing.away(radius_in, *course.place(time))
         if abs(gap) < GAP_SOLVED_IN:
             return time
         vx, vy = course.velocity(time)
@@ -154,49 +188,8 @@ def _solve(
     return guess_s
 
 
-def first_chord(points: FloatArray, radius_in: float, ground: Ground) -> tuple[int, float, int] | None:
-    """The first of the n chords between points (n + 1, 2) on which a disc touches.
-
-    Returns (chord, share of it that is free in [0, 1], row of the thing touched), or None.
-    """
-    shares = _free_shares(points[:-1, None], np.diff(points, axis=0)[:, None], radius_in, ground)
-    touching = np.flatnonzero((shares <= 1.0).any(axis=1))
-    if not touching.size:
-        return None
-    chord = int(touching[0])
-    row = int(shares[chord].argmin())
-    return chord, float(shares[chord, row]), row
-
-
-def _free_shares(starts: FloatArray, ways: FloatArray, radius_in: float, ground: Ground) -> FloatArray:
-    """Shares (n, m) of n straight ways (n, 1, 2) that a disc can go before it touches each of m things, inf if none.
-
-    In the frame of each thing, `along` it and `across`: its side is reached where |across| falls to the reach, its
-    rounded ends by the quadratic equation of a point and a circle; the nearest of the three that is real counts.
-    """
-    first, axis = ground.segments[:, :2], ground.segments[:, 2:] - ground.segments[:, :2]
-    length = np.hypot(axis[:, 0], axis[:, 1])
-    unit = axis / np.where(length > 0.0, length, 1.0)[:, None]
-    unit[length == 0.0] = (1.0, 0.0)
-    offset, reach = starts - first, ground.thickness + radius_in
-    along, across = (offset * unit).sum(-1), offset[..., 1] * unit[:, 0] - offset[..., 0] * unit[:, 1]
-    d_along, d_across = (ways * unit).sum(-1), ways[..., 1] * unit[:, 0] - ways[..., 0] * unit[:, 1]
-    beyond = along - np.clip(along, 0.0, length)
-    distance, far = np.hypot(beyond, across), np.hypot(d_along, d_across)
-    falls = beyond * d_along + across * d_across < -PRESSING * distance * far
-    closing = np.where(across > 0.0, -d_across, d_across)
-    side = (np.abs(across) - reach) / np.where(closing > 0.0, closing, np.nan)
-    met = along + side * d_along
-    shares = np.where((side >= 0.0) & (met >= 0.0) & (met <= length), side, np.inf)
-    for end in (np.zeros_like(length), length):
-        shares = np.fmin(shares, _to_circle(along - end, across, d_along, d_across, reach))
-    return np.where(falls, np.where(distance <= reach, 0.0, shares), np.inf)
-
-
-def _to_circle(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatArray, radius: FloatArray) -> FloatArray:
+def _to_circle(x: float, y: float, dx: float, dy: float, radius: float) -> float:
     """The share of the way (dx, dy) after which the point (x, y), outside, meets the circle around 0; inf if never."""
     squared, dot = dx * dx + dy * dy, x * dx + y * dy
     root = dot * dot - squared * (x * x + y * y - radius * radius)
-    meets = (root >= 0.0) & (dot < 0.0)
-    share: FloatArray = (-dot - np.sqrt(np.where(meets, root, 0.0))) / np.where(squared > 0.0, squared, 1.0)
-    return np.where(meets, share, np.inf)
+    return (-dot - sqrt(root)) / squared if root >= 0.0 and dot < 0.0 else inf

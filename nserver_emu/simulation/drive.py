@@ -70,6 +70,16 @@ class SynchroDrive:
         """No less than the robot's speed at any time until the next command, in/s."""
         return self.translation.fastest
 
+    @property
+    def fastest_turn(self) -> float:
+        """No less than the heading's turn rate at any time until the next command, rad/s."""
+        return self.steering.fastest
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """No more than the least and no less than the greatest speed until the next command, nor than 0, in/s."""
+        return self.translation.extremes
+
     def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
         """What translation and steering do on a stretch."""
         return Rate(stretch.speed, stretch.acceleration), Rate(stretch.turn_rate, stretch.turn_acceleration)
@@ -169,6 +179,17 @@ class DifferentialDrive:
     def fastest(self) -> float:
         """No less than the robot's speed at any time until the next command, in/s."""
         return max(self.right.fastest, self.left.fastest)
+
+    @property
+    def fastest_turn(self) -> float:
+        """No less than the heading's turn rate at any time until the next command, rad/s."""
+        return (self.right.fastest + self.left.fastest) / self.track_in
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """No more than the least and no less than the greatest speed until the next command, nor than 0, in/s."""
+        (least, most), (left_least, left_most) = self.right.extremes, self.left.extremes
+        return 0.5 * (least + left_least), 0.5 * (most + left_most)
 
     def wheels(self, stretch: Stretch) -> tuple[Rate, Rate]:
         """What the right and the left wheel do on a stretch."""

@@ -66,6 +66,14 @@ class MotionNoise:
         """
         return cls(alpha1=turn**2, alpha2=drift**2, alpha3=along**2)
 
+    def way_std_in(self, way_in: float, angle_rad: float) -> float:
+        """Standard deviation of the length of a way on which the robot turns by an angle, inches."""
+        return sqrt(self.alpha3 * abs(way_in) + self.alpha4 * abs(angle_rad))
+
+    def turn_std_rad(self, way_in: float, angle_rad: float) -> float:
+        """Standard deviation of the turn of the body on the same way."""
+        return sqrt(self.alpha1 * abs(angle_rad) + self.alpha2 * abs(way_in))
+
     def disturbed(self, stretch: Stretch, chance: np.random.Generator) -> Stretch:
         """The stretch that is really driven: the same seconds, another length, and a turn that carries the body along.
 
@@ -76,8 +84,8 @@ class MotionNoise:
         way, angle = stretch.distance_at(duration), stretch.turn_at(duration)
         if self == NO_NOISE or (way == 0.0 and angle == 0.0):
             return stretch
-        longer = sqrt(self.alpha3 * abs(way) + self.alpha4 * abs(angle)) * chance.standard_normal()
-        turned = sqrt(self.alpha1 * abs(angle) + self.alpha2 * abs(way)) * chance.standard_normal()
+        longer = self.way_std_in(way, angle) * chance.standard_normal()
+        turned = self.turn_std_rad(way, angle) * chance.standard_normal()
         scale = 1.0 + longer / way if way else 1.0
         return Stretch(
             duration,

@@ -9,12 +9,12 @@ contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import copysign
-from typing import NamedTuple
+from math import copysign, cos, sin
+from typing import Final, NamedTuple
 
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.chassis import Chassis
-from nserver_emu.simulation.compass import Compass
+from nserver_emu.simulation.compass import Compass, last_reading_ps
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
 from nserver_emu.simulation.infrared import InfraredRing
@@ -23,12 +23,17 @@ from nserver_emu.simulation.laser import ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
+from nserver_emu.simulation.reach import STAYS, Reach
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.sighting import NOBODY, Eye, Lookout
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing
+from nserver_emu.simulation.standing import Disc
 from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
 from worlds.world import StartPose
+
+STRAY: Final = 6.0
+"""Standard deviations of the noise of a way that are allowed for."""
 
 
 class Leg(NamedTuple):
@@ -42,11 +47,12 @@ class Leg(NamedTuple):
     free_s: float
 
     def place(self, time_s: float) -> tuple[float, float]:
-        """(x, y) in inches, so long after its beginning."""
-        if time_s == 0.0:
-            return self.x_in, self.y_in
-        dx, dy = self.stretch.displacement(self.heading_rad, min(time_s, self.free_s))
-        return self.x_in + dx, self.y_in + dy
+        """(x, y) in inches, so long after its beginning; before that, where it begins."""
+        _, x, y, heading, stretch, free_s = self
+        if time_s <= 0.0:
+            return x, y
+        dx, dy = stretch.displacement(heading, time_s if time_s < free_s else free_s)
+        return x + dx, y + dy
 
 
 class SimulatedRobot:
@@ -80,13 +86,12 @@ class SimulatedRobot:
         """When the time-out last struck, simulated time."""
         self._zeroing = False
         self._walls = walls
-        self._beside_others = False
         self._track: list[Leg] | None = None
         self.join(lookout, own)
         self._drive = model.drive(setup.ramps)
         self._drive.put(start.steering_rad, start.turret_rad)
         self._encoders = Encoders(start.x_in, start.y_in)
-        self._chassis = Chassis(model.body, Ground.of(walls), start.x_in, start.y_in)
+        self._chassis = Chassis(model.body, Ground(walls), start.x_in, start.y_in)
         self._chance = identity.stream(Purpose.MOTION)
         self._exact = setup.motion == NO_NOISE and setup.odometry.turns_as_told
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
@@ -126,23 +131,49 @@ class SimulatedRobot:
         return self._chassis.pose(self._drive.steering_rad, self._drive.turret_rad)
 
     @property
-    def disc(self) -> tuple[float, float, float]:
+    def disc(self) -> Disc:
         """What the robot is to others: x, y, radius in inches."""
         return (*self._chassis.place, self.model.body.radius_in)
 
-    def disc_at(self, instant_ps: int) -> tuple[float, float, float]:
+    def disc_at(self, instant_ps: int) -> Disc:
         """The disc at an instant since `begin_track`."""
         if not self._track:
             return self.disc
         for leg in reversed(self._track):
             if leg.begin_ps <= instant_ps:
                 break
-        return (*leg.place(to_s(max(instant_ps - leg.begin_ps, 0))), self.model.body.radius_in)
+        x, y = leg.place((instant_ps - leg.begin_ps) / PS_PER_S)
+        return x, y, self.model.body.radius_in
 
     def reach_in(self, span_s: float) -> float:
-        """No less than it goes within some seconds if no command comes, inches; noise may add to that."""
-        way_in = self._drive.fastest * span_s
-        return way_in if self._exact else way_in * max(map(abs, self.setup.odometry.scales[:2]))
+        """No less than it goes within some seconds if no command comes, inches; 0 only where it stays. Noise may take
+        it farther, but not once in a thousand million times."""
+        drive, setup = self._drive, self.setup
+        if self._exact:
+            return drive.fastest * span_s
+        span_s *= max(map(abs, setup.odometry.scales[:2]))
+        way_in = drive.fastest * span_s
+        return way_in + STRAY * setup.motion.way_std_in(way_in, drive.fastest_turn * span_s)
+
+    def reach(self, span_s: float) -> Reach:
+        """The same by directions."""
+        drive = self._drive
+        reach_in = self.reach_in(span_s)
+        if not reach_in:
+            return STAYS
+        least, most = drive.extremes
+        aside_rad, stray_in = drive.fastest_turn * span_s, 0.0
+        if not self._exact:
+            odometry, noise = self.setup.odometry, self.setup.motion
+            span_s *= max(map(abs, odometry.scales[:2]))
+            way_in, angle_rad = drive.fastest * span_s, drive.fastest_turn * span_s
+            drift_rad = max(map(abs, odometry.drifts)) * (drive.axes[0].fastest + drive.axes[1].fastest) * span_s
+            aside_rad = angle_rad + drift_rad + STRAY * noise.turn_std_rad(way_in, angle_rad)
+            stray_in = reach_in - way_in
+        heading = self._chassis.heading(drive.steering_rad)
+        x, y = span_s * cos(heading), span_s * sin(heading)
+        stray_in += max(most, -least) * span_s * aside_rad
+        return Reach(most * x, most * y, least * x, least * y, stray_in)
 
     @property
     def velocities(self) -> Velocities:
@@ -310,7 +341,7 @@ class SimulatedRobot:
             until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
-            if self.compass is not None:
+            if self.compass is not None and until >= self.compass.due_ps:
                 self._read_compass(self.compass, until)
             self._move((until - self._time_ps) / PS_PER_S)
             self._time_ps = until
@@ -320,11 +351,10 @@ class SimulatedRobot:
                 self._expire()
             self._fire_due()
 
-    def stand_beside(self, discs: FloatArray | None) -> None:
-        """From now on these discs (k, 3), rows x y radius in inches, can be touched, and no others; None: none."""
-        if discs is not None or self._beside_others:
-            self._chassis.enter(Ground.of(self._walls, discs))
-            self._beside_others = discs is not None
+    def stand_beside(self, discs: Sequence[Disc]) -> None:
+        """From now on these discs, x y radius in inches, can be touched, and no others."""
+        if discs or not self._chassis.alone:
+            self._chassis.stand_beside(discs)
 
     def join(self, lookout: Lookout, own: int) -> None:
         """From now on sensors see the robots that this lookout tells of, but for row `own`: that is this one."""
@@ -335,14 +365,13 @@ class SimulatedRobot:
         """From now on the robot keeps where it comes along, for `disc_at`."""
         self._track = []
 
-    def enter(self, walls: FloatArray, discs: FloatArray | None = None) -> None:
-        """From now on these are the walls (m, 4), and the discs (k, 3) rows x y radius that can be touched, inches."""
+    def enter(self, walls: FloatArray) -> None:
+        """From now on these are the walls (m, 4), rows x1 y1 x2 y2 in inches."""
         self._walls = walls
-        self._beside_others = discs is not None
         self.sonar.surround(walls)
         if self.infrared is not None:
             self.infrared.surround(walls)
-        self._chassis.enter(Ground.of(walls, discs))
+        self._chassis.enter(Ground(walls))
 
     def _take_over(self) -> None:
         """A motion command came: it ends what was under way."""
@@ -381,14 +410,13 @@ class SimulatedRobot:
             self.infrared.flash_due(self._eye(), self._stamp())
 
     def _read_compass(self, compass: Compass, until_ps: int) -> None:
-        """Its last reading up to an instant that this piece of time reaches, before anything moves.
+        """Its last reading up to an instant that this piece of time reaches, if one is due, before anything moves.
 
         Time is not cut for it: the drive tells how far the turret will have turned by then.
         """
-        due_ps = compass.due(until_ps)
-        if due_ps is not None:
-            turret_rad = self._drive.turret_in(to_s(due_ps - self._time_ps))
-            compass.take(due_ps, self._chassis.turret_direction(turret_rad), turret_rad)
+        due_ps = last_reading_ps(until_ps)
+        turret_rad = self._drive.turret_in((due_ps - self._time_ps) / PS_PER_S)
+        compass.take(due_ps, self._chassis.turret_direction(turret_rad), turret_rad)
 
     def _carry_compass(self, before_rad: float) -> None:
         """The turret's angle was set, and not by turning."""

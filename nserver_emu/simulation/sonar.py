@@ -87,7 +87,8 @@ class SonarNoise:
         return [self._misheard(far - body.sonar_ring_radius_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
 
     def _misheard(self, range_in: float, cry: Cry) -> float:
-        return inf if range_in == inf else range_in + cry.chances[0] * self.std_in(range_in)
+        chance = cry.chances[0]
+        return range_in + chance * self.std_in(range_in) if chance and range_in < inf else range_in
 
 
 def _met(first_met: Callable[..., float], cry: Cry, eye: Eye, walls: FloatArray) -> float:

@@ -62,9 +62,11 @@ class Stretch(NamedTuple):
         heading + turn / 2; else by Gauss quadrature, good to 1e-12 in for ways of some inches.
         """
         _, speed, acceleration, turn_rate, turn_acceleration = self
-        if acceleration == 0.0 and turn_acceleration == 0.0:
+        if acceleration == turn_acceleration == 0.0:
             half = 0.5 * turn_rate * time_s
-            chord = speed * time_s * _sinc(half)
+            chord = speed * time_s
+            if half:
+                chord *= _sinc(half)
             return chord * cos(heading_rad + half), chord * sin(heading_rad + half)
         if turn_rate == 0.0 and turn_acceleration == 0.0:
             way = self.distance_at(time_s)

@@ -28,6 +28,10 @@ def test_json_holds_each_figure_beside_its_yardstick_and_target() -> None:
     few = found["4 robots"]
     assert "target_times_real_time" not in few
     assert few["times_real_time"] == pytest.approx(1e6 / (4 * few["us_a_robot_and_second"]), rel=0.02)
+    late = found["4 robots, seconds 15 to 20"]
+    assert late["times_real_time"] == pytest.approx(1e6 / (4 * late["us_a_robot_and_second"]), rel=0.02)
+    assert late["slowest"] <= late["times_real_time"]
+    assert found["50 robots, seconds 15 to 20"]["target_times_real_time"] == 10.0
     against = found["against ir-sim"]
     assert "pip install" in against if isinstance(against, str) else against["ratio"] > 0
 

@@ -51,6 +51,14 @@ def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]
     assert "usage: nserver" in capsys.readouterr().err
 
 
+def test_a_word_for_machine_code_that_is_none_exits_1_and_names_those_there_are(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("NOMAD_COMPILED", "yes")
+    assert cli.main(["--port", "0"]) == 1
+    assert capsys.readouterr().err == "nserver: NOMAD_COMPILED is 'yes'; it can be always, crowd, never\n"
+
+
 def test_a_port_in_use_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

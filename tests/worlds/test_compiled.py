@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from nclient.errors import VariableError
 from worlds import compiled, ray
 from worlds.compiled import CROWD, VARIABLE, Kernel, load_for
 from worlds.geometry import FloatArray, polygon_segments
@@ -110,7 +111,7 @@ def test_a_crowd_loads_it_or_who_wants_it(
 
 def test_a_word_that_is_none_is_refused(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "yes")
-    with pytest.raises(ValueError, match="NOMAD_COMPILED is 'yes'; it can be always, crowd, never"):
+    with pytest.raises(VariableError, match="NOMAD_COMPILED is 'yes'; it can be always, crowd, never"):
         load_for(1)
     assert not fresh.tried
 

@@ -18,7 +18,7 @@ WALLS = np.array(
 
 
 def chassis(x: float, y: float) -> Chassis:
-    return Chassis(N150, Ground.of(WALLS), x, y)
+    return Chassis(N150, Ground(WALLS), x, y)
 
 
 def test_the_cached_room_changes_no_contact() -> None:
@@ -61,7 +61,12 @@ def test_a_new_ground_is_seen_at_once() -> None:
     robot = chassis(0.0, 0.0)
     ahead = Stretch(1.0, 5.0, 0.0, 0.0, 0.0)
     assert robot.first_contact(ahead, 0.0) is None
-    robot.enter(Ground.of(WALLS, np.array([[20.0, 0.0, 8.0]])))
+    robot.stand_beside([(20.0, 0.0, 8.0)])
     contact = robot.first_contact(ahead, 0.0)
     assert contact is not None
     assert contact.time_s == pytest.approx((20.0 - 8.0 - N150.radius_in) / 5.0)
+    robot.stand_beside(())
+    assert robot.alone
+    assert robot.first_contact(ahead, 0.0) is None
+    robot.enter(Ground(WALLS * 0.25))
+    assert robot.first_contact(ahead, 0.0) is not None

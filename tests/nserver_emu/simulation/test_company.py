@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from math import hypot, pi, radians
 
@@ -10,10 +12,13 @@ import numpy as np
 import pytest
 
 from nclient.errors import StartError
-from nserver_emu.simulation.company import STRAY_IN, TICK_PS, discs_of, near, neighbours
+from nserver_emu.simulation.company import SLACK_IN, TICK_PS, discs_of, near, neighbours
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
+from nserver_emu.simulation.noise import MotionNoise
+from nserver_emu.simulation.odometry import Odometry
 from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import SonarNoise
 from worlds.world import Polygon, StartPose, World
 
 TOUCHING = 2.0 * N150.body.radius_in
@@ -133,18 +138,16 @@ def test_starts_keep_clear_of_other_robots(room: World) -> None:
 
 def test_neighbours_by_their_gaps() -> None:
     discs = np.array([[0.0, 0.0, 9.0], [18.0 + 1.9, 0.0, 9.0], [0.0, 17.0 + 2.1, 8.0]])
-    assert neighbours(discs, 2.0) == {0: [1], 1: [0]}
-    assert neighbours(discs[:1], 2.0) == neighbours(discs[:0], 2.0) == {}
+    assert neighbours(discs, 2.0) == [(0, 1)]
+    assert neighbours(discs[:1], 2.0) == neighbours(discs[:0], 2.0) == []
 
 
 @pytest.mark.parametrize("count", [2, 7, 60])
 def test_neighbours_are_those_that_a_look_at_all_pairs_finds(count: int) -> None:
     chance = np.random.default_rng(count)
     discs = np.column_stack((chance.uniform(-100.0, 100.0, (count, 2)), chance.uniform(5.0, 9.0, count)))
-    found: dict[int, list[int]] = {}
-    for row, (x, y, radius) in enumerate(discs):
-        rest = [other for other, (u, v, s) in enumerate(discs) if hypot(x - u, y - v) - radius - s < 6.0]
-        found |= {row: [other for other in rest if other != row]} if len(rest) > 1 else {}
+    pairs = combinations(enumerate(discs.tolist()), 2)
+    found = [(row, other) for (row, (x, y, r)), (other, (u, v, s)) in pairs if hypot(x - u, y - v) - r - s < 6.0]
     assert neighbours(discs, 6.0) == found
 
 
@@ -154,10 +157,82 @@ def test_who_may_meet_depends_on_how_fast_they_go(room: World, model: RobotModel
     crew = [simulation.add_robot(number, StartPose(35.0 * number, 0.0), model) for number in (0, 1)]
     gap = 35.0 - 2.0 * model.body.radius_in
     second = 100 * TICK_PS
-    assert near(crew, second) == {}
+    assert near(crew, second) == []
     crew[0].set_velocities(15.0, 15.0, 0.0)
-    assert near(crew, round(second * (gap - STRAY_IN - 0.1) / 15.0)) == {}
-    assert near(crew, round(second * (gap - STRAY_IN + 0.1) / 15.0)) == {0: [1], 1: [0]}
+    assert near(crew, round(second * (gap - 2.0 * SLACK_IN) / 15.0)) == []
+    assert near(crew, round(second * gap / 15.0)) == [(0, 1)]
+
+
+@pytest.mark.parametrize("model", [N150, SCOUT])
+def test_noise_and_bad_wheels_reach_farther(room: World, model: RobotModel) -> None:
+    noise = RobotSetup("sideways", False, MotionNoise(alpha3=0.01, alpha4=0.04), SonarNoise())
+    robots = [
+        Simulation(room).add_robot(1, model=model, setup=setup)
+        for setup in (noise, replace(noise, odometry=Odometry(scales=(1.21, 1.21, 1.0))))
+    ]
+    assert [robot.reach_in(2.0) for robot in robots] == [0.0, 0.0]
+    for robot in robots:
+        robot.set_velocities(*((10.0, 0.5, 0.0) if model is N150 else (10.0, 6.0, 0.0)))
+    turn_rad = 1.0 if model.track_in is None else 2.0 * 16.0 / model.track_in
+    std_in = (0.01 * 20.0 + 0.04 * turn_rad) ** 0.5
+    assert robots[0].reach_in(2.0) == pytest.approx(20.0 + 6.0 * std_in)
+    assert robots[1].reach_in(2.0) == pytest.approx(24.2 + 6.6 * std_in)
+    for robot in robots:
+        robot.set_velocities(0.0, 0.0, 1.0)
+    assert [robot.reach_in(2.0) for robot in robots] == [0.0, 0.0]
+
+
+def roaming(seed: int, world: World, setup: RobotSetup, count: int = 14) -> Iterator[Simulation]:
+    """So many robots of three kinds in a small room, told something new every 0.3 s: at each of these instants."""
+    chance, simulation = np.random.default_rng(seed), Simulation(world, seed)
+    for number in range(count):
+        start = StartPose(-75.0 + 37.0 * (number % 5), -60.0 + 40.0 * (number // 5), number, number)
+        simulation.add_robot(number + 1, start, (N150, N200, SCOUT)[number % 3], setup)
+    for _ in range(25):
+        for robot in simulation.robots.values():
+            if chance.uniform() < 0.7:
+                first, second = chance.uniform(-18.0, 18.0, 2).tolist()
+                robot.set_velocities(first, first + 0.2 * second if robot.model is SCOUT else 0.05 * second, 0.1)
+        yield simulation
+
+
+def by_ticks(simulation: Simulation, begin_ps: int, end_ps: int) -> None:
+    """What `Company.run` does, without a thought for who is where: all by turns in each tick, each against all."""
+    crew = list(simulation.robots.values())
+    for tick in range(begin_ps // TICK_PS, end_ps // TICK_PS):
+        for turn in range(len(crew)):
+            robot = crew[(tick + turn) % len(crew)]
+            robot.stand_beside([other.disc for other in crew if other is not robot])
+            robot.advance_to((tick + 1) * TICK_PS)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_running_those_who_may_meet_is_running_all_by_ticks_but_for_rounding(room: World, seed: int) -> None:
+    """To the bit it cannot be: a path that is not cut at ticks sums up otherwise, and a contact is solved to 1e-10."""
+    touched = 0
+    ramps = RobotSetup("ramps", seed % 2 == 0, IDEAL.motion, IDEAL.sonar)
+    for step, (quick, slow) in enumerate(zip(roaming(seed, room, ramps), roaming(seed, room, ramps), strict=True)):
+        quick.step(0.3)
+        by_ticks(slow, 30 * step * TICK_PS, 30 * (step + 1) * TICK_PS)
+        for robot, other in zip(quick.robots.values(), slow.robots.values(), strict=True):
+            assert robot.actual[:2] == pytest.approx(other.actual[:2], abs=1e-8)
+            assert (robot.moving, robot.bumpers) == (other.moving, other.bumpers)
+        assert apart(quick) > -1e-9
+        touched += apart(quick) < 1e-3
+    assert touched > 2
+
+
+@pytest.mark.parametrize("setup", [IDEAL, NOISY])
+def test_a_crowd_that_meets_runs_the_same_twice_and_from_a_copy(room: World, setup: RobotSetup) -> None:
+    def told(simulation: Simulation) -> list[object]:
+        return [(robot.actual, robot.encoder, robot.bumpers) for robot in simulation.robots.values()]
+
+    for step, (first, again) in enumerate(zip(roaming(9, room, setup), roaming(9, room, setup), strict=True)):
+        twin = copy.deepcopy(first) if step % 8 == 0 else again
+        for simulation in {id(one): one for one in (first, again, twin)}.values():
+            simulation.step(0.3)
+        assert told(first) == told(again) == told(twin)
+        assert apart(first) > -1e-6
 
 
 @pytest.mark.parametrize("setup", [IDEAL, RobotSetup("ramps", True, IDEAL.motion, IDEAL.sonar)])
@@ -273,25 +348,31 @@ def test_robots_that_wake_together_see_each_other_whoever_came_first(room: World
     assert first[1][8] == pytest.approx(first[0][0], abs=2.0)
 
 
-def strayed(room: World, seed: int, others: tuple[StartPose, ...]) -> tuple[float, float]:
+def strayed(room: World, seed: int, *others: StartPose, speed: float = 0.0) -> tuple[float, float]:
     """How far a noisy robot ends from where it was sent, beside such others: along its way and across it."""
     simulation = Simulation(room, seed)
     robot = simulation.add_robot(1, StartPose(-60.0, 0.0), setup=NOISY)
     for number, start in enumerate(others, start=2):
-        simulation.add_robot(number, start, setup=NOISY)
+        simulation.add_robot(number, start, setup=NOISY).set_velocities(speed, 0.0, 0.0)
     robot.move_relative(50.0, 0.0, 0.0)
     simulation.step(4.0)
     return robot.actual.x_in + 10.0, robot.actual.y_in
 
 
-def test_who_is_far_does_not_change_a_robots_chance(room: World) -> None:
-    assert strayed(room, 3, ()) == strayed(room, 3, (StartPose(60.0, 60.0), StartPose(60.0, -60.0)))
+BESIDE = StartPose(-10.0 + TOUCHING + 4.0, 0.0, pi, 0.0)
+"""Before the end of the way."""
 
 
-def test_who_is_near_changes_the_numbers_drawn_and_not_their_spread(room: World) -> None:
-    beside = (StartPose(-35.0, TOUCHING + 3.0),)
-    assert strayed(room, 3, ()) != strayed(room, 3, beside)
-    alone, near_another = (np.array([strayed(room, seed, others) for seed in range(120)]) for others in ((), beside))
+def test_who_is_far_or_stands_does_not_change_a_robots_chance(room: World) -> None:
+    alone = strayed(room, 3)
+    assert alone == strayed(room, 3, StartPose(60.0, 60.0), StartPose(60.0, -60.0), speed=1.0)
+    assert alone == strayed(room, 3, BESIDE)
+
+
+def test_who_moves_near_changes_the_numbers_drawn_and_not_their_spread(room: World) -> None:
+    alone = np.array([strayed(room, seed) for seed in range(120)])
+    near_another = np.array([strayed(room, seed, BESIDE, speed=0.5) for seed in range(120)])
+    assert (alone != near_another).any(axis=1).sum() > 20
     spread = alone.std(axis=0)
     assert np.abs(near_another.mean(axis=0) - alone.mean(axis=0)).max() < 4.0 * spread.max() * (2.0 / 60) ** 0.5
     assert near_another.std(axis=0) / spread == pytest.approx(1.0, abs=4.0 / 60**0.5)

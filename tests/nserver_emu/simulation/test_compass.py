@@ -8,7 +8,7 @@ from math import pi, radians, sin, tau
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.compass import INTERVAL_PS, TRUE_NEEDLE, Compass, CompassMode, CompassNoise
+from nserver_emu.simulation.compass import INTERVAL_PS, TRUE_NEEDLE, Compass, CompassMode, CompassNoise, last_reading_ps
 from nserver_emu.simulation.instants import to_ps
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
@@ -30,11 +30,11 @@ def compass(noise: CompassNoise = TRUE_NEEDLE) -> Compass:
 
 def test_a_reading_is_due_every_tenth_of_a_second_and_the_last_one_counts() -> None:
     needle = compass()
-    assert needle.due(INTERVAL_PS - 1) is None
-    assert needle.due(INTERVAL_PS) == INTERVAL_PS
-    assert needle.due(to_ps(0.78)) == 7 * INTERVAL_PS
+    assert needle.due_ps == INTERVAL_PS
+    assert last_reading_ps(INTERVAL_PS) == INTERVAL_PS
+    assert last_reading_ps(to_ps(0.78)) == 7 * INTERVAL_PS
     needle.take(7 * INTERVAL_PS, 1.0, 1.0)
-    assert (needle.direction_rad, needle.taken_ps, needle.due(to_ps(0.78))) == (1.0, 7 * INTERVAL_PS, None)
+    assert (needle.direction_rad, needle.taken_ps, needle.due_ps) == (1.0, 7 * INTERVAL_PS, 8 * INTERVAL_PS)
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.037, 0.5, 3.0])
@@ -86,7 +86,7 @@ def test_switched_off_it_keeps_its_reading_and_no_mode_is_refused() -> None:
     needle.configure(0, 1.0)
     needle.take(2 * INTERVAL_PS, 2.0, 2.0)
     assert (needle.direction_rad, needle.taken_ps) == (1.0, INTERVAL_PS)
-    assert needle.due(3 * INTERVAL_PS - 1) is None
+    assert needle.due_ps == 3 * INTERVAL_PS
     needle.configure(1, 2.0)
     needle.take(3 * INTERVAL_PS, 2.0, 2.0)
     assert (needle.direction_rad, needle.taken_ps) == (2.0, 3 * INTERVAL_PS)

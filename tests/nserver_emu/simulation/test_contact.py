@@ -9,12 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.contact import TOUCH_IN, Contact, Course, Ground, first_contact
+from nserver_emu.simulation.contact import TOUCH_IN, Contact, Course, Ground, Thing, first_contact
 from nserver_emu.simulation.stretch import Stretch
 
 RADIUS = 9.72
 WALL = np.array([[50.0, -40.0, 50.0, 40.0]])
 LONG_WALL = np.array([[50.0, -120.0, 50.0, 120.0]])
+
+
+def all_of(walls: np.ndarray) -> tuple[Thing, ...]:
+    return tuple(Thing(*wall) for wall in walls.tolist())
 
 
 def straight(speed: float, seconds: float) -> Stretch:
@@ -30,19 +34,19 @@ def gap(walls: np.ndarray, x: float, y: float) -> float:
 
 def test_head_on() -> None:
     for speed, heading in ((10.0, 0.0), (-10.0, pi)):
-        contact = first_contact(Course(0.0, 3.0, heading, straight(speed, 10.0)), RADIUS, Ground.of(WALL))
+        contact = first_contact(Course(0.0, 3.0, heading, straight(speed, 10.0)), RADIUS, all_of(WALL))
         assert contact is not None
         assert contact.time_s == pytest.approx((50.0 - RADIUS) / 10.0, abs=1e-9)
         assert (contact.away_x, contact.away_y) == pytest.approx((-1.0, 0.0))
 
 
 def test_too_short_a_way_touches_nothing() -> None:
-    assert first_contact(Course(0.0, 3.0, 0.0, straight(10.0, 4.0)), RADIUS, Ground.of(WALL)) is None
-    assert first_contact(Course(0.0, 0.0, 0.0, straight(10.0, 4.0)), RADIUS, Ground.of(np.empty((0, 4)))) is None
+    assert first_contact(Course(0.0, 3.0, 0.0, straight(10.0, 4.0)), RADIUS, all_of(WALL)) is None
+    assert first_contact(Course(0.0, 0.0, 0.0, straight(10.0, 4.0)), RADIUS, ()) is None
 
 
 def test_the_end_of_a_wall_is_round() -> None:
-    contact = first_contact(Course(0.0, 45.0, 0.0, straight(10.0, 10.0)), RADIUS, Ground.of(WALL))
+    contact = first_contact(Course(0.0, 45.0, 0.0, straight(10.0, 10.0)), RADIUS, all_of(WALL))
     assert contact is not None
     across = sqrt(RADIUS**2 - 5.0**2)
     assert contact.time_s == pytest.approx((50.0 - across) / 10.0, abs=1e-9)
@@ -50,17 +54,17 @@ def test_the_end_of_a_wall_is_round() -> None:
 
 
 def test_a_disc_is_another_robot() -> None:
-    ground = Ground.of(np.empty((0, 4)), np.array([[40.0, 0.0, 9.0]]))
-    contact = first_contact(Course(0.0, 0.0, 0.0, straight(10.0, 10.0)), RADIUS, ground)
+    disc = Thing.disc(40.0, 0.0, 9.0)
+    contact = first_contact(Course(0.0, 0.0, 0.0, straight(10.0, 10.0)), RADIUS, (disc,))
     assert contact is not None
     assert contact.time_s == pytest.approx((40.0 - 9.0 - RADIUS) / 10.0)
-    assert ground.clearance(0.0, 0.0) == pytest.approx(31.0)
-    assert ground.touched(40.0, 20.0, 11.0) == pytest.approx([-pi / 2])
+    assert disc.away(RADIUS, 0.0, 0.0) == pytest.approx((31.0 - RADIUS, -1.0, 0.0))
+    assert disc.away(RADIUS, 40.0, 20.0) == pytest.approx((11.0 - RADIUS, 0.0, 1.0))
 
 
 def test_an_accelerated_approach() -> None:
     course = Course(0.0, 0.0, 0.0, Stretch(10.0, 0.0, 2.0, 0.0, 0.0))
-    contact = first_contact(course, RADIUS, Ground.of(WALL))
+    contact = first_contact(course, RADIUS, all_of(WALL))
     assert contact is not None
     assert contact.time_s == pytest.approx(sqrt(50.0 - RADIUS), abs=1e-9)
 
@@ -68,7 +72,7 @@ def test_an_accelerated_approach() -> None:
 def test_an_arc_into_a_wall() -> None:
     radius, rate = 60.0, 0.25
     course = Course(0.0, -radius, 0.0, Stretch(20.0, radius * rate, 0.0, rate, 0.0))
-    contact = first_contact(course, RADIUS, Ground.of(LONG_WALL))
+    contact = first_contact(course, RADIUS, all_of(LONG_WALL))
     assert contact is not None
     turn = rate * contact.time_s
     assert radius * sin(turn) == pytest.approx(50.0 - RADIUS, abs=1e-9)
@@ -91,7 +95,7 @@ def test_a_slow_march_finds_the_same(things: np.ndarray, run: Stretch, heading: 
     if gap(things, 0.0, 0.0) < 0.5:
         return
     course = Course(0.0, 0.0, heading, run)
-    contact = first_contact(course, RADIUS, Ground.of(things))
+    contact = first_contact(course, RADIUS, all_of(things))
     end = run.duration_s if contact is None else contact.time_s
     gaps = [gap(things, *course.place(end * number / 60.0)) for number in range(61)]
     assert min(gaps) > -2e-4
@@ -101,7 +105,7 @@ def test_a_slow_march_finds_the_same(things: np.ndarray, run: Stretch, heading: 
 
 
 def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
-    ground = Ground.of(WALL)
+    ground = all_of(WALL)
     for inset in (0.0, 1e-9, -1e-9, 2.0):
         x = 50.0 - RADIUS + inset
         for heading in (pi / 2, -pi / 2, pi / 2 + 0.01, pi):
@@ -118,7 +122,7 @@ def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
 def test_a_path_that_leaves_one_wall_may_meet_another() -> None:
     corner = np.array([[50.0, -40.0, 50.0, 40.0], [-40.0, 40.0, 50.0, 40.0]])
     course = Course(50.0 - RADIUS, 0.0, pi / 2, straight(10.0, 9.0))
-    contact = first_contact(course, RADIUS, Ground.of(corner))
+    contact = first_contact(course, RADIUS, all_of(corner))
     assert contact is not None
     assert contact.time_s == pytest.approx((40.0 - RADIUS) / 10.0)
     assert (contact.away_x, contact.away_y) == pytest.approx((0.0, -1.0))
@@ -128,14 +132,14 @@ def test_a_grazing_arc_is_found_within_the_chord_error() -> None:
     radius, rate = 30.0, 0.3
     graze = 5e-5
     course = Course(50.0 - RADIUS - radius + graze, -radius, 0.0, Stretch(12.0, radius * rate, 0.0, rate, 0.0))
-    contact = first_contact(course, RADIUS, Ground.of(LONG_WALL))
+    contact = first_contact(course, RADIUS, all_of(LONG_WALL))
     end = 12.0 if contact is None else contact.time_s
     deepest = max(course.place(end * number / 500)[0] for number in range(501)) + RADIUS - 50.0
     assert deepest < TOUCH_IN / 5.0
 
 
 def test_an_arc_around_a_post_that_its_chords_cut_is_no_worse_than_its_chords() -> None:
-    post = Ground.of(np.empty((0, 4)), np.array([[0.0, 0.0, 5.0]]))
+    post = (Thing.disc(0.0, 0.0, 5.0),)
     for extra, way in ((2e-5, 1.0), (2e-5, -1.0), (1e-3, 1.0)):
         radius = RADIUS + 5.0 + extra
         course = Course(radius, 0.0, way * pi / 2, Stretch(2.0, 10.0, 0.0, way * 10.0 / radius, 0.0))
@@ -145,9 +149,17 @@ def test_an_arc_around_a_post_that_its_chords_cut_is_no_worse_than_its_chords() 
 
 def test_a_centre_on_the_wall_may_go_anywhere() -> None:
     course = Course(50.0, 0.0, 0.3, straight(10.0, 1.0))
-    assert first_contact(course, RADIUS, Ground.of(WALL)) is None
-    assert Ground.of(WALL).away(0, 0.0, 50.0, 0.0) == (0.0, 0.0, 0.0)
-    assert Ground.of(np.empty((0, 4))).clearance(0.0, 0.0) == inf
+    assert first_contact(course, RADIUS, all_of(WALL)) is None
+    assert all_of(WALL)[0].away(0.0, 50.0, 0.0) == (0.0, 0.0, 0.0)
+    assert Thing.disc(50.0, 0.0, 9.0).away(1.0, 50.0, 0.0) == (-10.0, 0.0, 0.0)
+
+
+def test_the_ground_tells_the_walls_near_and_how_far_the_others_are() -> None:
+    things, rest = Ground(np.concatenate((WALL, LONG_WALL + 30.0))).near(0.0, 0.0, 50.0)
+    assert (things, rest) == (all_of(WALL), 80.0)
+    assert Ground(WALL).near(0.0, 0.0, 50.0) == (all_of(WALL), inf)
+    assert Ground(WALL).near(0.0, 0.0, 49.9) == ((), 50.0)
+    assert Ground(np.empty((0, 4))).near(0.0, 0.0, 1e4) == ((), inf)
 
 
 def test_pressing_knows_forward_from_backward() -> None:
