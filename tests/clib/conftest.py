@@ -28,3 +28,11 @@ def kind(request: pytest.FixtureRequest) -> Kind:
     if wanted.bits == 32 and not makes_32_bits():
         pytest.skip(NO_32_BITS)
     return wanted
+
+
+@pytest.fixture
+def can_build(request: pytest.FixtureRequest) -> None:
+    """For tests with a `width` of their own: 32 bits only where they can be made."""
+    width: Kind = request.getfixturevalue("width")
+    if width.bits == 32 and not makes_32_bits():
+        pytest.skip(NO_32_BITS)
