@@ -160,8 +160,10 @@ static void get_laser(struct reader *from, struct reply *reply, int width)
 {
     long readings = (long)nomad_get_bytes(from, 2);
 
-    if (!nomad_begin_laser(reply, readings))
+    if (!nomad_begin_laser(reply, readings)) {
         from->failed = 1;
+        return;
+    }
     for (long k = 0; k < readings * width && !from->failed; k++)
         nomad_add_to_laser(reply, width == PIXELS ? (long)nomad_get_bytes(from, 2) : nomad_get_signed(from, 2));
     nomad_end_laser(reply, readings, width);

@@ -141,8 +141,10 @@ static void get_laser(struct reader *from, struct reply *reply, int width)
 {
     long readings = nomad_get_word(from);
 
-    if (!nomad_begin_laser(reply, readings))
+    if (!nomad_begin_laser(reply, readings)) {
         from->failed = 1;
+        return;
+    }
     for (long k = 0; k < readings * width && !from->failed; k++)
         nomad_add_to_laser(reply, nomad_get_word(from));
     nomad_end_laser(reply, readings, width);

@@ -87,8 +87,11 @@ class Workshop:
                 (place / "whole").touch()
         return place
 
-    def program(self, source: Path, kind: Kind, library: str = "nclient", flags: tuple[str, ...] = ()) -> Path:
-        """A program made of one source and a library; `flags`: of the compiler, the standard first."""
+    def program(
+        self, source: Path, kind: Kind, library: str = "nclient", flags: tuple[str, ...] = (),
+        beside: tuple[str, ...] = (),
+    ) -> Path:
+        """A program made of one source and a library, others `beside` it; `flags`: the standard first."""
         libraries = self.libraries(kind)
         made = libraries / f"{source.stem}-{library}"
         with self._alone(f"{kind.name}-{made.name}"):
@@ -96,7 +99,7 @@ class Workshop:
                 partial = made.with_suffix(".partial")
                 run([
                     "cc", *(flags or ("-std=c99", *WARNINGS)), "-g", *kind.flags, "-I", str(CLIB / "include"),
-                    "-I", str(CLIB / "src"), str(source), "-L", str(libraries), f"-l{library}", "-o", str(partial),
+                    "-I", str(CLIB / "src"), str(source), "-L", str(libraries), f"-l{library}", *beside, "-o", str(partial),
                 ])  # fmt: skip
                 partial.rename(made)
         return made
