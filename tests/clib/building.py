@@ -2,6 +2,7 @@
 
     build("64")             both libraries, once for all workers of a test run
     program("replay", ...)  a program of programs/, linked
+    held([...], script)     what programs/replay.c holds after each call of a script
 
 Rules: everything is made in the run's own temporary folder, never in the tree. 32 bits are tried where the compiler
 can make them; `WIDTHS` says so, and scripts/test sees to it that it can.
@@ -11,16 +12,19 @@ from __future__ import annotations
 
 import fcntl
 import functools
+import json
 import shutil
 import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 CLIB = ROOT / "clib"
 PROGRAMS = Path(__file__).parent / "programs"
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
+PATIENCE_S = 60.0
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
@@ -97,10 +101,10 @@ class Workshop:
         with self._alone(f"{kind.name}-{made.name}"):
             if not made.exists():
                 partial = made.with_suffix(".partial")
-                run([
-                    "cc", *(flags or ("-std=c99", *WARNINGS)), "-g", *kind.flags, "-I", str(CLIB / "include"),
-                    "-I", str(CLIB / "src"), str(source), "-L", str(libraries), f"-l{library}", *beside, "-o", str(partial),
-                ])  # fmt: skip
+                headers = ("-I", str(CLIB / "include"), "-I", str(CLIB / "src"))
+                linked = ("-L", str(libraries), f"-l{library}", *beside)
+                standard = flags or ("-std=c99", *WARNINGS)
+                run(["cc", *standard, "-g", *kind.flags, *headers, str(source), *linked, "-o", str(partial)])
                 partial.rename(made)
         return made
 
@@ -126,3 +130,10 @@ def run(command: list[str]) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
     return done.stdout + done.stderr
+
+
+def held(program: list[str], script: str) -> list[dict[str, Any]]:
+    """What programs/replay.c held after each call of a script; the last tells what went to stderr."""
+    done = subprocess.run(program, input=script, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()] + [{"stderr": done.stderr}]

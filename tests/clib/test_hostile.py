@@ -9,9 +9,8 @@ import subprocess
 import threading
 from collections.abc import Iterator
 
-from building import PROGRAMS, SANITIZED, Kind, Workshop
+from building import PROGRAMS, SANITIZED, Kind, Workshop, held
 from recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
-from test_recorded import held
 
 from nclient.protocol import language
 from nclient.protocol.commands import NAK_TYPE

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import socket
-import subprocess
 import threading
 import tty
 from collections.abc import Callable, Iterator
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from building import PROGRAMS, Kind, Workshop
+from building import PROGRAMS, Kind, Workshop, held
 from recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 from nclient.protocol.commands import COMMANDS
@@ -74,13 +72,6 @@ def comparable(call: str, request: bytes) -> bytes:
         used = (len(call) - len("tk ")) % 4 + 1
         return request[:-4] + request[-used:]
     return request
-
-
-def held(program: list[str], script: str) -> list[dict[str, Any]]:
-    """What the program held after each call of a script."""
-    done = subprocess.run(program, input=script, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert done.returncode == 0, done.stderr
-    return [json.loads(line) for line in done.stdout.splitlines()] + [{"stderr": done.stderr}]
 
 
 def check(case: dict[str, Any], found: dict[str, Any]) -> None:
