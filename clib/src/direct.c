@@ -2,7 +2,9 @@
  *
  * Rules: a command goes out once, after the input was emptied, and the frame of its type or a NAK answers it; other
  * frames are late answers of others and are passed over. Silence or an answer that does not fit is FALSE, State as it
- * was, and the line stays usable. A ct or conf_ls that was not answered leaves the shape of states unknown: it is said
+ * was, and the line stays usable. A question without answer stays owed: before another of its type goes out, one of a
+ * type that is not owed is asked, for a robot answers in order, and behind that answer nothing late can come (st and lp
+ * go out at once all the same). A ct or conf_ls that was not answered leaves the shape of states unknown: it is said
  * again before anything else. What a model's line does not have is refused here and not sent.
  */
 #include "address.h"
@@ -19,6 +21,9 @@ enum {
     HELLO_MS = 5000,
     OPEN_MS = 5000,
     GAP_MS = 250,    /* silence within an answer after which no more of it comes */
+    QUIET = 2,       /* times the usual patience: silence after which no late answer comes, for want of a better way */
+    LONGEST_QUIET = 10,
+    TYPES = 256,
     HELLO_SIZE = 11, /* what a N200 says first over TCP: mask and laser mode in force */
     GREETINGS = 3,
     LONGEST_WAIT_S = 255
@@ -34,6 +39,7 @@ struct line {
 static int fd = -1;
 static struct terms terms;
 static struct line_frames frames;
+static unsigned char owed[TYPES];  /* types whose answer may still come late */
 static struct request doubtful[2]; /* ct and conf_ls, while nobody knows whether they were heard */
 
 /* One exchange */
@@ -79,6 +85,15 @@ static int next_frame(struct line_frame *frame, milliseconds deadline)
     return SILENT;
 }
 
+static int owes_any(void)
+{
+    for (int k = 0; k < TYPES; k++)
+        if (owed[k])
+            return 1;
+    return 0;
+}
+
+/* While others are owed, a NAK may be any's, and counts as nobody's. */
 static enum answer hear(const struct request *request, milliseconds deadline, struct reply *reply)
 {
     static struct line_frame frame;
@@ -89,14 +104,17 @@ static enum answer hear(const struct request *request, milliseconds deadline, st
         if (heard == LOST)
             return lost(request);
         if (heard == SILENT) {
+            owed[request->command->line_type] = 1;
             nomad_complain("%s: no good answer came", request->command->name);
             return NO_ANSWER;
         }
-        if (frame.type == NAK_TYPE && frame.size == 0)
+        if (frame.type == NAK_TYPE && frame.size == 0 && !owes_any())
             return NOT_ACKNOWLEDGED;
         if (frame.type == request->command->line_type)
             break;
+        owed[frame.type] = 0;
     }
+    memset(owed, 0, sizeof owed); /* what was asked before and has not come is lost */
     if (!nomad_read_line_reply(request->command->line_reply, frame.data, frame.size, &terms, reply)) {
         nomad_complain("%s: the answer does not fit it; is the robot of this model?", request->command->name);
         return NO_ANSWER;
@@ -111,22 +129,68 @@ static milliseconds patience(const struct request *request)
 
     if (request->command == &nomad_commands[CMD_WS])
         return usual + request->args[3] * 1000;
-    return own > usual ? own : usual;
+    return own > USUAL_MS && own > usual ? own : usual;
 }
 
-static enum answer exchange(const struct request *request, struct reply *reply)
+static int say(const struct request *request)
 {
     unsigned char bytes[HOST_LIMIT];
     size_t size = nomad_line_request(request, bytes, sizeof bytes);
 
     if (size == 0) {
         nomad_complain("%s: a frame of a host has at most %d bytes", request->command->name, HOST_LIMIT);
-        return NO_ANSWER;
+        return 0;
     }
     empty_input();
-    if (nomad_send(fd, bytes, size, nomad_now() + USUAL_MS) != 1)
-        return lost(request);
-    return hear(request, nomad_now() + patience(request), reply);
+    if (nomad_send(fd, bytes, size, nomad_now() + USUAL_MS) == 1)
+        return 1;
+    lost(request);
+    return 0;
+}
+
+static int wait_for_quiet(void)
+{
+    unsigned char rubbish[512];
+    milliseconds usual = nomad_patience(USUAL_MS), end = nomad_now() + LONGEST_QUIET * usual;
+
+    while (nomad_now() < end) {
+        long got = nomad_receive(fd, rubbish, sizeof rubbish, nomad_now() + QUIET * usual);
+
+        if (got == SILENT)
+            memset(owed, 0, sizeof owed);
+        if (got <= 0)
+            return got == SILENT;
+    }
+    return 0;
+}
+
+/* See to it that no late answer can pass for this question's. */
+static int see_off(const struct request *request, struct reply *reply)
+{
+    static const enum command_id PROBES[] = {CMD_GET_RA, CMD_GET_RV, CMD_GET_RC, CMD_GET_BP, CMD_GET_SN};
+    struct request probe = {0};
+
+    for (size_t k = 0; k < sizeof PROBES / sizeof *PROBES && probe.command == NULL; k++)
+        if (!owed[nomad_commands[PROBES[k]].line_type])
+            probe.command = &nomad_commands[PROBES[k]];
+    if (probe.command ? say(&probe) && hear(&probe, nomad_now() + patience(&probe), reply) == ANSWERED
+                      : wait_for_quiet())
+        return 1;
+    nomad_complain("%s: held back, since a late answer could have passed for its own", request->command->name);
+    return 0;
+}
+
+static enum answer exchange(const struct request *request, struct reply *reply)
+{
+    int is_urgent = request->command == &nomad_commands[CMD_ST] || request->command == &nomad_commands[CMD_LP];
+
+    if (owed[request->command->line_type]) {
+        if (is_urgent && !say(request))
+            return NO_ANSWER;
+        if (!see_off(request, reply))
+            return NO_ANSWER;
+    }
+    return say(request) ? hear(request, nomad_now() + patience(request), reply) : NO_ANSWER;
 }
 
 /* Around it */
@@ -331,6 +395,7 @@ static void begin(const struct line *line)
     terms.laser_mode = DEFAULT_LASER_MODE;
     terms.laser_width = PIXELS;
     frames.held = 0;
+    memset(owed, 0, sizeof owed);
     doubtful[0].command = doubtful[1].command = NULL;
     nomad_begin_holding(mask);
 }

@@ -16,7 +16,7 @@ import pytest
 from answering import ScriptedServer, by_script, error, on_socket, simple
 from building import PROGRAMS, SANITIZED, Workshop, held
 from recorded import TCP
-from robot_line import NAK, ScriptedLine
+from robot_line import NAK, Late, ScriptedLine
 
 from nclient.protocol.commands import Call
 from nclient.protocol.hello import Hello, build_hello
@@ -258,12 +258,44 @@ def test_rubbish_and_late_answers_are_passed_over(direct: str) -> None:
     assert [after["return"] for after in found] == [1, 1, 0, 1]
 
 
+def velocities(*numbers: int) -> Reply:
+    return Reply("velocity", dict(zip((38, 39, 40), numbers, strict=True)))
+
+
+def test_a_late_answer_is_never_the_next_ones(direct: str) -> None:
+    robot = ScriptedLine({"get_rv": [Late(velocities(1, 1, 1)), velocities(2, 2, 2)], "st": [None]})
+    late, fine, silent, stopped = with_line(direct, robot, "get_rv", "get_rv", "st", "st")
+    assert [after["return"] for after in (late, fine, silent, stopped)] == [0, 1, 0, 1]
+    assert fine["State"][38:41] == [2, 2, 2]
+    assert robot.names() == ["get_rv", "get_ra", "get_rv", "st", "st", "get_ra", "st"]
+
+
+def test_a_nak_may_be_an_older_questions(direct: str) -> None:
+    robot = ScriptedLine({"vm": [None], "st": NAK})
+    lost, nobodys, held_back = with_line(direct, robot, "vm 1 2 3", "st", "vm 1 2 3")
+    assert [after["return"] for after in (lost, nobodys, held_back)] == [0, 0, 1]
+
+
+def test_a_question_is_held_back_while_the_line_is_dead(direct: str) -> None:
+    robot = ScriptedLine({"get_rv": [None], "get_ra": None})
+    _, held_back = with_line(direct, robot, "get_rv", "get_rv")
+    assert held_back["error"] == "get_rv: held back, since a late answer could have passed for its own"
+
+
+def test_where_every_question_is_owed_quiet_is_waited_for(direct: str) -> None:
+    asked = ("get_ra", "get_rv", "get_rc", "get_bp", "get_sn")
+    robot = ScriptedLine({name: [None] for name in asked})
+    *silent, fine = with_line(direct, robot, *asked, "get_rv")
+    assert [after["return"] for after in (*silent, fine)] == [0, 0, 0, 0, 0, 1]
+    assert robot.names() == [*asked, "get_rv"]
+
+
 def test_a_mask_that_nobody_answered_is_said_again(direct: str) -> None:
     robot = ScriptedLine(model=N200)
     robot.answers["ct"] = [robot.frame("ct"), None]
     lost, after = with_line(direct, robot, "posDataRequest 2", "gs")
     assert (lost["return"], after["return"]) == (0, 1)
-    assert robot.names() == ["ct", "ct", "ct", "gs"]
+    assert robot.names() == ["ct", "ct", "get_ra", "ct", "gs"]
     assert after["State"][17] == 57
 
 
