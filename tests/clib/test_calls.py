@@ -9,6 +9,7 @@ import subprocess
 import threading
 import tty
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from nclient.protocol.hello import Hello, build_hello
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N200, SCOUT, Model
 from nclient.protocol.replies import Reply
+from nclient.protocol.serial_frame import build_frame
 
 
 @pytest.fixture(scope="module")
@@ -194,6 +196,40 @@ def test_whether_a_server_runs(client: str) -> None:
     assert held([client, port], "server_is_running\n")[0]["return"] == 0
 
 
+def test_edges(workshop: Workshop) -> None:
+    program = workshop.program(PROGRAMS / "edges.c", SANITIZED)
+    server = ScriptedServer({"special_request": Reply("special", values=(4, 0, 0, 200))})
+
+    def two_clients() -> None:
+        for calls in (3, 11):
+            with listener.accept()[0] as connection:
+                by_script(server, calls)(connection)
+                assert connection.recv(1) == b""
+
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:
+        serving = thread.submit(two_clients)
+        port = str(listener.getsockname()[1])
+        done = subprocess.run([str(program), port], capture_output=True, text=True, timeout=60, check=False)
+        serving.result(10)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    checks = [call for call in server.calls if call.name == "motion_check"]
+    assert checks[0].args == (0, -12340, 290, 21474836470, -21474836470)
+    assert checks[1].args[:5] == (1, -21474836470, 21474836470, 1570, -3140)
+
+
+def test_nobody_takes_the_connection(client: str) -> None:
+    with socket.socket() as full, contextlib.ExitStack() as waiting:
+        full.bind(("127.0.0.1", 0))
+        full.listen(0)
+        for _ in range(3):  # who comes now is not answered at all
+            first = waiting.enter_context(socket.socket())
+            first.setblocking(False)
+            first.connect_ex(full.getsockname())
+        found, _ = held([client, str(full.getsockname()[1])], "connect_robot 1\n")
+    assert found["return"] == 0
+    assert "Connection timed out" in found["error"]
+
+
 # on a robot's own line
 
 
@@ -297,6 +333,36 @@ def test_a_mask_that_nobody_answered_is_said_again(direct: str) -> None:
     assert (lost["return"], after["return"]) == (0, 1)
     assert robot.names() == ["ct", "ct", "get_ra", "ct", "gs"]
     assert after["State"][17] == 57
+
+
+def test_a_command_is_held_back_while_the_shape_of_states_is_unknown(direct: str) -> None:
+    robot = ScriptedLine(model=N200)
+    robot.answers["ct"] = [robot.frame("ct"), None, None]
+    _, held_back, after = with_line(direct, robot, "posDataRequest 2", "gs", "gs")
+    assert held_back["error"] == "gs: held back, since ct before it was not answered"
+    assert after["return"] == 1
+
+
+def test_a_mask_that_was_not_acknowledged_is_not_in_force(direct: str) -> None:
+    robot = ScriptedLine(model=N200)
+    robot.answers["ct"] = [robot.frame("ct"), NAK]
+    nak, after = with_line(direct, robot, "posDataRequest 2", "gs")
+    assert (nak["return"], after["return"]) == (1, 1)
+
+
+def test_a_robot_of_another_model_is_not_understood(direct: str) -> None:
+    robot = ScriptedLine({"gs": build_frame(7, b"123")})
+    (found,) = with_line(direct, robot, "gs")
+    assert (found["return"], found["error"]) == (0, "gs: the answer does not fit it; is the robot of this model?")
+
+
+def test_a_line_that_is_gone(direct: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with on_socket(lambda _: None) as port:
+        monkeypatch.setenv("NOMAD_ROBOT", f"robotd://127.0.0.1:{port}?model=n150")
+        connected, gone, after, _ = held([direct], "connect_robot 1\ngs\ngs\n")
+    assert [connected["return"], gone["return"], after["return"]] == [1, 0, 0]
+    assert gone["error"] == "gs: the line is gone; connect again"
+    assert after["error"] == "gs: no robot is connected; connect_robot comes first"
 
 
 @pytest.mark.parametrize(("model", "call", "reason"), [
