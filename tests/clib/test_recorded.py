@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from building import PROGRAMS, Kind, Workshop, held
-from recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
+from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 from nclient.protocol.commands import COMMANDS
 from nclient.protocol.hello import Hello, build_hello
@@ -149,6 +149,27 @@ def test_a_recorded_session_with_a_server(session: str, kind: Kind, workshop: Wo
     assert len(cases) > 20
     for case, after in zip(cases, found, strict=True):
         check(case, after)
+
+
+def narrowed(message: bytes, value_at: int) -> bytes:
+    """A message of the old library's 64-bit build as it should have been: four bytes a word, not eight."""
+    words = [message[k + value_at : k + value_at + 4] for k in range(4, len(message), 8)]
+    return message[:4] + b"".join(words)
+
+
+def test_what_the_old_library_got_wrong_at_64_bits(kind: Kind, workshop: Workshop) -> None:
+    steps = [
+        (str(k), narrowed(bytes.fromhex(exchange["request"]), 4), narrowed(bytes.fromhex(exchange.get("reply", "")), 0))
+        for k, exchange in enumerate(LP64["exchanges"])
+    ]
+    program = workshop.program(PROGRAMS / "replay.c", kind)
+    with on_socket(steps) as (port, recorder):
+        *found, _ = held([str(program), port], "connect_robot 1\nvm 100 -50 0\ngs\ndisconnect_robot 1\n")
+    assert recorder.wrong == []
+    for after, old in zip(found, LP64["decoded"], strict=True):
+        assert old["State"][35] == 2**32 - 200
+        assert after["State"] == [*old["State"][:35], -200, *old["State"][36:]]
+        assert (after["return"], after["time"]) == (old["return"], old["time"])
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,12 @@ ROWS = Path(__file__).parents[3] / "clib" / "src" / "commands.inc"
 
 def test_the_file_in_the_tree_is_up_to_date() -> None:
     assert c_table.written() == ROWS.read_text(), "run scripts/clib-table"
+
+
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules.*:RuntimeWarning")
+def test_run_as_a_module_it_says_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_module("nclient.protocol.c_table", run_name="__main__")
+    assert capsys.readouterr().out == ROWS.read_text()
 
 
 def test_a_row_a_command() -> None:
