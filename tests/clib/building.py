@@ -3,6 +3,7 @@
     build("64")             both libraries, once for all workers of a test run
     program("replay", ...)  a program of programs/, linked
     held([...], script)     what programs/replay.c holds after each call of a script
+    daemon(...)             an Nserver of the project, as its own process
 
 Rules: everything is made in the run's own temporary folder, never in the tree. 32 bits are tried where the compiler
 can make them; `WIDTHS` says so, and scripts/test sees to it that it can.
@@ -10,12 +11,16 @@ can make them; `WIDTHS` says so, and scripts/test sees to it that it can.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import functools
 import json
 import shutil
+import signal
 import subprocess
+import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -137,3 +142,19 @@ def held(program: list[str], script: str) -> list[dict[str, Any]]:
     done = subprocess.run(program, input=script, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()] + [{"stderr": done.stderr}]
+
+
+@contextlib.contextmanager
+def daemon(*words: str) -> Iterator[str]:
+    """A daemon; its port."""
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            port = process.stdout.readline().rpartition(":")[2].strip()
+            if "--serial-link" in words:
+                process.stdout.readline()
+            yield port
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(PATIENCE_S)

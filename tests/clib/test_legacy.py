@@ -5,46 +5,26 @@ One daemon for all of them: robot 1 has a line of its own, robot 2 is an Nserver
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
-import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from building import NARROW, PLAIN, PROGRAMS, Kind, Workshop
+from building import NARROW, PATIENCE_S, PLAIN, PROGRAMS, Kind, Workshop, daemon
 
-PATIENCE_S = 60.0
 OLD = ("-std=gnu89",)
 LEGACY = PROGRAMS / "legacy"
 
 
 @pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+def robots(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
     """A port and a link."""
     link = tmp_path_factory.mktemp("line") / "nomad"
-    with running("--speed", "10", "--robots", "2", "--start", "0,0,0,0", "--start", "60,70,0,0",
-                 "--serial-link", str(link)) as port:  # fmt: skip
+    with daemon("--speed", "10", "--robots", "2", "--start", "0,0,0,0", "--start", "60,70,0,0",
+                "--serial-link", str(link)) as port:  # fmt: skip
         yield port, link
-
-
-@contextlib.contextmanager
-def running(*words: str) -> Iterator[str]:
-    """A daemon; its port."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            port = process.stdout.readline().rpartition(":")[2].strip()
-            if "--serial-link" in words:
-                process.stdout.readline()
-            yield port
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(PATIENCE_S)
 
 
 def says(program: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -54,8 +34,8 @@ def says(program: Path, *words: str, **variables: str) -> subprocess.CompletedPr
                           timeout=PATIENCE_S, check=False)  # fmt: skip
 
 
-def test_a_tour_with_a_server(kind: Kind, daemon: tuple[str, Path], workshop: Workshop) -> None:
-    port, _ = daemon
+def test_a_tour_with_a_server(kind: Kind, robots: tuple[str, Path], workshop: Workshop) -> None:
+    port, _ = robots
     done = says(workshop.program(LEGACY / "tour.c", kind, flags=OLD), "127.0.0.1", port, "2")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
@@ -73,16 +53,16 @@ def test_a_tour_with_a_server(kind: Kind, daemon: tuple[str, Path], workshop: Wo
 @pytest.mark.parametrize("width", [PLAIN, NARROW], ids=lambda kind: kind.name)
 @pytest.mark.parametrize("library", ["nclient", "ndirect"])
 def test_wandering_by_its_number_alone(
-    width: Kind, library: str, daemon: tuple[str, Path], workshop: Workshop, can_build: None
+    width: Kind, library: str, robots: tuple[str, Path], workshop: Workshop, can_build: None
 ) -> None:
     del can_build
-    port, link = daemon
+    port, link = robots
     address = f"nserver://127.0.0.1:{port}/1" if library == "nclient" else f"serial://{link}?model=n150&baud=38400"
     wandered(says(workshop.program(LEGACY / "wander.c", width, library, OLD), NOMAD_ROBOT=address))
 
 
-def test_wandering_as_the_direct_library_names_a_line(daemon: tuple[str, Path], workshop: Workshop) -> None:
-    _, link = daemon
+def test_wandering_as_the_direct_library_names_a_line(robots: tuple[str, Path], workshop: Workshop) -> None:
+    _, link = robots
     wandered(says(workshop.program(LEGACY / "wander.c", PLAIN, "ndirect", OLD), str(link), "38400"))
 
 
