@@ -1,0 +1,303 @@
+/* The calls of the robots' own C library, for programs written then and machines of today.
+ *
+ *     #include "Nclient.h"                              cc prog.c -lnclient       a robot of an Nserver
+ *     strcpy(SERVER_MACHINE_NAME, "lab");               cc prog.c -lndirect       a robot on its own line
+ *     if (connect_robot(1)) {
+ *         vm(100, 0, 0);                                forward at 10 inches a second
+ *         while (State[STATE_SONAR_0] > 20) gs();       until 20 inches before a wall
+ *         st();
+ *         disconnect_robot(1);
+ *     }
+ *
+ * Units everywhere: lengths 1/10 inch, angles 1/10 degree, counter-clockwise positive, speeds per second, sonar whole
+ * inches. A call gives TRUE, or FALSE where it was refused, could not be sent, or had no good answer; why is said on
+ * stderr. The code of a server's refusal stands in State[STATE_ERROR]: 1 unknown message, 2 wrong number or range of
+ * values, 3 not connected, 4 not available on this model, 5 refused by the setup, 6 the real robot did not answer.
+ * A number beyond what a message can carry is brought to the nearest that it can.
+ *
+ * One program, one thread, one robot. Callable from C89, C99 and C++. What is not of the old library
+ * stands in nomad.h, so that no old program meets a name that it does not expect. MIT licence; see clib/README.md.
+ */
+#ifndef NCLIENT_H
+#define NCLIENT_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifndef TRUE
+#define TRUE 1
+#endif
+#ifndef FALSE
+#define FALSE 0
+#endif
+
+/* State: what the robot last said of itself. */
+
+#define NUM_STATE 45
+#define STATE_SIM_SPEED 0 /* 10 = real time; not on a robot's own line */
+#define STATE_IR_0 1      /* 16 infrareds, 0..15, lower is nearer, 15 nothing */
+#define STATE_IR_1 2
+#define STATE_IR_2 3
+#define STATE_IR_3 4
+#define STATE_IR_4 5
+#define STATE_IR_5 6
+#define STATE_IR_6 7
+#define STATE_IR_7 8
+#define STATE_IR_8 9
+#define STATE_IR_9 10
+#define STATE_IR_10 11
+#define STATE_IR_11 12
+#define STATE_IR_12 13
+#define STATE_IR_13 14
+#define STATE_IR_14 15
+#define STATE_IR_15 16
+#define STATE_SONAR_0 17 /* 16 sonars, inches from the ring, 255 nothing; number i at turret + 22.5 deg x i */
+#define STATE_SONAR_1 18
+#define STATE_SONAR_2 19
+#define STATE_SONAR_3 20
+#define STATE_SONAR_4 21
+#define STATE_SONAR_5 22
+#define STATE_SONAR_6 23
+#define STATE_SONAR_7 24
+#define STATE_SONAR_8 25
+#define STATE_SONAR_9 26
+#define STATE_SONAR_10 27
+#define STATE_SONAR_11 28
+#define STATE_SONAR_12 29
+#define STATE_SONAR_13 30
+#define STATE_SONAR_14 31
+#define STATE_SONAR_15 32
+#define STATE_BUMPER 33 /* a bit a bumper; on the own line of a N200 or N150 0xF00000 at rest */
+#define STATE_CONF_X 34
+#define STATE_CONF_Y 35
+#define STATE_CONF_STEER 36  /* 0..3599 */
+#define STATE_CONF_TURRET 37 /* 0..3599 */
+#define STATE_VEL_TRANS 38   /* Scout: right wheel */
+#define STATE_VEL_STEER 39   /* Scout: left wheel */
+#define STATE_VEL_TURRET 40
+#define STATE_VEL_RIGHT STATE_VEL_TRANS
+#define STATE_VEL_LEFT STATE_VEL_STEER
+#define STATE_MOTOR_STATUS 41 /* bits 0 1 2: translation, steering, turret is moving */
+#define STATE_LASER 42        /* laser mode */
+#define STATE_COMPASS 43
+#define STATE_ERROR 44 /* code of the last refusal; 0 after every state that comes from a server */
+
+extern long State[NUM_STATE];
+
+/* Smask: what State is to hold; ct sends it. [0] is the sum of POS_ bits, the others are 0 or 1 for the slot of State
+ * with that number. connect_robot sets all on and position data off. */
+
+#define NUM_MASK 44
+#define SMASK_POS_DATA 0
+#define SMASK_IR_1 1
+#define SMASK_IR_2 2
+#define SMASK_IR_3 3
+#define SMASK_IR_4 4
+#define SMASK_IR_5 5
+#define SMASK_IR_6 6
+#define SMASK_IR_7 7
+#define SMASK_IR_8 8
+#define SMASK_IR_9 9
+#define SMASK_IR_10 10
+#define SMASK_IR_11 11
+#define SMASK_IR_12 12
+#define SMASK_IR_13 13
+#define SMASK_IR_14 14
+#define SMASK_IR_15 15
+#define SMASK_IR_16 16
+#define SMASK_SONAR_1 17
+#define SMASK_SONAR_2 18
+#define SMASK_SONAR_3 19
+#define SMASK_SONAR_4 20
+#define SMASK_SONAR_5 21
+#define SMASK_SONAR_6 22
+#define SMASK_SONAR_7 23
+#define SMASK_SONAR_8 24
+#define SMASK_SONAR_9 25
+#define SMASK_SONAR_10 26
+#define SMASK_SONAR_11 27
+#define SMASK_SONAR_12 28
+#define SMASK_SONAR_13 29
+#define SMASK_SONAR_14 30
+#define SMASK_SONAR_15 31
+#define SMASK_SONAR_16 32
+#define SMASK_BUMPER 33
+#define SMASK_CONF_X 34
+#define SMASK_CONF_Y 35
+#define SMASK_CONF_STEER 36
+#define SMASK_CONF_TURRET 37
+#define SMASK_VEL_TRANS 38
+#define SMASK_VEL_STEER 39
+#define SMASK_VEL_TURRET 40
+#define SMASK_LASER 42
+#define SMASK_COMPASS 43
+
+extern int Smask[NUM_MASK];
+
+/* Laser: [0] is a count n; then n readings: points (x, y), lines (x1, y1, x2, y2) or pixels, by the laser's mode. */
+
+#define NUM_LASER 482
+
+extern int Laser[2 * NUM_LASER + 1];
+
+/* Where to connect to. */
+
+extern char SERVER_MACHINE_NAME[80]; /* host of the server, or host:port; this machine where empty */
+extern int SERV_TCP_PORT;            /* its port, 7019 where the program says nothing */
+
+/* Where libndirect finds a robot that connect_robot(1) names by its number alone. */
+
+extern char ROBOT_MACHINE_NAME[80];  /* host behind which the robot's line is; where empty, it is a serial port */
+extern int CONN_TCP_PORT;            /* the port of that host, 65001 */
+extern char DEFAULT_SERIAL_PORT[80]; /* "/dev/ttyS0" */
+extern int DEFAULT_SERIAL_BAUD;      /* 38400 */
+extern int DEFAULT_ROBOT_MODEL;      /* MODEL_N150 */
+
+#define MODEL_N200 0
+#define MODEL_N150 1
+#define MODEL_SCOUT 2
+
+/* Connecting. connect_robot(1) gives the server's port (libndirect: TRUE), or FALSE. With libndirect
+ * connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) or connect_robot(1, MODEL_N200, "host", 65001) says where the
+ * robot is; libnclient reads nothing behind the number. A robot that is connected is left first. */
+
+extern int connect_robot(long robot_id, ...);
+extern int create_robot(long robot_id);
+extern int disconnect_robot(long robot_id);
+extern int server_is_running(void);
+extern int quit_server(void);
+extern int real_robot(void);
+extern int simulated_robot(void);
+
+/* How many arguments were given can be told in C by a macro alone. */
+#if defined(__cplusplus) || !defined(__STRICT_ANSI__) || (defined(__STDC_VERSION__) && __STDC_VERSION__ >= 199901L)
+#define NOMAD_NO_MORE (-20047)
+#define connect_robot(...) nomad_connect_robot(__VA_ARGS__, NOMAD_NO_MORE)
+#endif
+extern int nomad_connect_robot(long robot_id, ...);
+
+/* Motion. The axes are translation, steering, turret; Scout: right wheel, left wheel, 0. */
+
+#define MV_IGNORE 0 /* modes of mv: leave the axis as it is */
+#define MV_VM 1     /* velocity */
+#define MV_PR 2     /* distance */
+#define MV_LP 3     /* limp */
+#define MV_AC 4     /* set its acceleration */
+#define MV_SP 5     /* set its speed */
+
+extern int ac(int t_ac, int s_ac, int r_ac);
+extern int sp(int t_sp, int s_sp, int r_sp);
+extern int pr(int t_pr, int s_pr, int r_pr);
+extern int pa(int t_pa, int s_pa, int r_pa); /* a N200's own line alone */
+extern int vm(int t_vm, int s_vm, int r_vm);
+extern int mv(int t_mode, int t_mv, int s_mode, int s_mv, int r_mode, int r_mv);
+extern int st(void);
+extern int lp(void);
+extern int zr(void);
+extern int ws(int t_ws, int s_ws, int r_ws, int timeout); /* seconds */
+extern int dp(int x, int y);
+extern int da(int th, int tu);
+extern int place_robot(int x, int y, int th, int tu);
+
+#define ROTATION_CONSTANT 0.118597 /* inches that a Scout's wheel travels for each degree of turn */
+#define RIGHT(trans, steer) ((int)(trans) + (int)((steer)*ROTATION_CONSTANT))
+#define LEFT(trans, steer) ((int)(trans) - (int)((steer)*ROTATION_CONSTANT))
+
+extern int scout_vm(int trans, int steer);
+extern int scout_pr(int trans, int steer);
+
+/* Configuration. */
+
+extern int ct(void);
+extern int conf_ir(int history, int order[16]);
+extern int conf_sn(int rate, int order[16]); /* rate in steps of 4 ms; 255 ends the order */
+extern int conf_cp(int mode);
+extern int conf_ls(int mode, int threshold, int width, int num_data, int processing);
+extern int conf_tm(int timeout); /* seconds; 0 never */
+extern int conf_sg(int threshold, int min_points, int gap);
+extern int conf_ser(int port, int baud); /* a N150's or Scout's own line alone */
+
+/* Questions. */
+
+extern int gs(void);
+extern int get_ir(void);
+extern int get_sn(void);
+extern int get_rc(void); /* x, y, steering, turret */
+extern int get_rv(void); /* velocities */
+extern int get_ra(void); /* accelerations, in the place of the velocities */
+extern int get_cp(void);
+extern int get_ls(void);
+extern int get_sg(void);
+extern int get_bp(void);
+extern int get_rpx(long *robot_pos);     /* long[31]: n, then n times x, y, heading; ten robots at most */
+extern int get_robot_conf(long *conf);   /* long[4]: x, y, steering, turret, clicked in the server's window */
+
+/* Position data: where the robot was, by its encoders, when a sensor took its reading. The order of the nine numbers
+ * is the robot's, the names are ours; a long[9] is laid out the same. */
+
+typedef struct PosData {
+    long x, y, steer, turret;
+    long v_trans, v_steer, v_turret;
+    unsigned long pose_time, sensor_time; /* ms of the robot's clock */
+} PosData;
+
+#define POS_NONE 0
+#define POS_INFRARED 1
+#define POS_SONAR 2
+#define POS_BUMPER 4
+#define POS_LASER 8
+#define POS_COMPASS 16
+#define POS_ALL 31
+
+extern int posDataRequest(int posRequest); /* the sum of POS_ bits; FALSE for others */
+extern int posDataCheck(void);
+extern int posInfraredRingGet(PosData posData[16]);
+extern int posInfraredGet(PosData *posData, int infraredNumber);
+extern int posSonarRingGet(PosData posData[16]);
+extern int posSonarGet(PosData *posData, int sonarNumber);
+extern int posBumperGet(PosData *posData);
+extern int posLaserGet(PosData *posData);
+extern int posCompassGet(PosData *posData);
+extern int posTimeGet(void); /* the robot's clock in ms when it last told it */
+
+extern float voltCpuGet(void);
+extern float voltMotorGet(void);
+
+/* Speech, user packets, the arm. A packet is length (low byte, high byte; its own four bytes included), serial, type,
+ * data; at most 254 bytes, and that is how long the buffer for the answer must be. */
+
+extern int tk(char *talk);
+extern int special_request(unsigned char *user_send_buffer, unsigned char *user_receive_buffer);
+extern int arm_zr(int override);
+extern int arm_ws(int lift, int grip, long timeout, long *time_remain);
+extern int arm_mv(long l_mode, long l_v, long g_mode, long g_v);
+
+/* The world and its windows: an Nserver alone. obs is long[21]: n, x1, y1 .. xn, yn; n is at most 10. */
+
+extern int add_obstacle(long obs[21]);
+extern int delete_obstacle(long obs[21]);
+extern int move_obstacle(long obs[21], long dx, long dy); /* obs is where it is then */
+extern int new_world(void);
+extern int predict_sensors(int x, int y, int th, int tu, long *state, int *laser); /* as State and Laser */
+extern int motion_check(long type, double a1, double a2, double a3, double a4, double a5, double a6, double a7,
+                        double collide[3]); /* 1 when it hits: x, y, inward normal in radians */
+extern int draw_robot(long x, long y, int th, int tu, int mode);
+extern int draw_line(long x_1, long y_1, long x_2, long y_2, int mode);
+extern int draw_arc(long x_0, long y_0, long w, long h, int th1, int th2, int mode);
+extern int refresh_all(void);
+extern int refresh_all_traces(void);
+extern int refresh_actual_trace(void);
+extern int refresh_encoder_trace(void);
+extern int refresh_all_sensors(void);
+extern int refresh_bumper_sensor(void);
+extern int refresh_infrared_sensor(void);
+extern int refresh_sonar_sensor(void);
+extern int refresh_laser_sensor(void);
+extern int refresh_client_graphics(void);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

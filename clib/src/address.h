@@ -1,0 +1,20 @@
+/* NOMAD_ROBOT, the address that the Python programs of this project take too:
+ *
+ *     nserver://host[:port][/id]       serial:///dev/ttyUSB0?model=n150&baud=38400       robotd://host[:port]?model=n200
+ *
+ * It tells a program that names no machine where its robot is. The number of the robot is the program's own.
+ */
+#ifndef NOMAD_ADDRESS_H
+#define NOMAD_ADDRESS_H
+
+struct address {
+    char scheme[16];
+    char place[80]; /* host, with its port where given; or a device */
+    int model;      /* -1: not said */
+    int baud;       /* 0: not said */
+};
+
+/* 1; 0 where the variable is not set; -1 and a complaint where it makes no sense. */
+int nomad_address(struct address *address);
+
+#endif

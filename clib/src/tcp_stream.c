@@ -1,0 +1,101 @@
+/* Connecting over TCP. */
+#include "complain.h"
+#include "stream.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+/* "lab:7654" and "[::1]:7654" bring their port; a bare IPv6 address has colons of its own. */
+static int split(const char *given, char *host, size_t size, int port)
+{
+    const char *colon = strrchr(given, ':');
+    size_t length = strlen(given);
+
+    if (colon && colon[1] != '\0' && strspn(colon + 1, "0123456789") == strlen(colon + 1)
+        && (strchr(given, ':') == colon || colon[-1] == ']')) {
+        port = atoi(colon + 1);
+        length = (size_t)(colon - given);
+    }
+    if (length > 1 && given[0] == '[' && given[length - 1] == ']') {
+        given++;
+        length -= 2;
+    }
+    snprintf(host, size, "%.*s", (int)length, given);
+    return port;
+}
+
+/* 0, or the errno that says why not. */
+static int join(int fd, const struct addrinfo *at, milliseconds deadline)
+{
+    int error = 0;
+    socklen_t size = sizeof error;
+
+    if (connect(fd, at->ai_addr, at->ai_addrlen) == 0)
+        return 0;
+    if (errno != EINPROGRESS && errno != EINTR)
+        return errno;
+    for (;;) {
+        struct pollfd waited = {fd, POLLOUT, 0};
+        milliseconds left = deadline - nomad_now();
+        int ready = poll(&waited, 1, left < 0 ? 0 : (int)left);
+
+        if (ready > 0)
+            return getsockopt(fd, SOL_SOCKET, SO_ERROR, &error, &size) == 0 ? error : errno;
+        if (ready == 0)
+            return ETIMEDOUT;
+        if (errno != EINTR)
+            return errno;
+    }
+}
+
+static int opened(const struct addrinfo *at, milliseconds deadline, int *error)
+{
+    int fd = socket(at->ai_family, at->ai_socktype, at->ai_protocol), on = 1;
+
+    if (fd < 0) {
+        *error = errno;
+        return -1;
+    }
+    fcntl(fd, F_SETFD, FD_CLOEXEC);
+    fcntl(fd, F_SETFL, O_NONBLOCK);
+    *error = join(fd, at, deadline);
+    if (*error == 0)
+        setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+    else
+        nomad_close(&fd);
+    return fd;
+}
+
+int nomad_open_tcp(const char *given, int port, milliseconds patience, int aloud)
+{
+    struct addrinfo wanted, *found = NULL;
+    char host[256], service[16];
+    int fd = -1, error = 0, unknown;
+
+    port = split(given, host, sizeof host, port);
+    snprintf(service, sizeof service, "%d", port);
+    memset(&wanted, 0, sizeof wanted);
+    wanted.ai_socktype = SOCK_STREAM;
+    unknown = getaddrinfo(host, service, &wanted, &found);
+    if (unknown) {
+        if (aloud)
+            nomad_complain("there is no host %s (%s); is its name right, and this machine on its network?", host,
+                           gai_strerror(unknown));
+        return -1;
+    }
+    for (const struct addrinfo *at = found; at && fd < 0; at = at->ai_next)
+        fd = opened(at, nomad_now() + patience, &error);
+    freeaddrinfo(found);
+    if (fd < 0 && aloud)
+        nomad_complain("nobody answers at %s:%d (%s); is nserver running there?", host, port, strerror(error));
+    return fd;
+}

@@ -1,0 +1,53 @@
+"""What clib/README.md tells a reader to type: build, install, compile the program that stands there, run it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+from answering import ScriptedServer, by_script, on_socket
+from building import CLIB, PLAIN, ROOT, Workshop, run
+
+README = (CLIB / "README.md").read_text()
+MAKEFILE = (CLIB / "Makefile").read_text()
+
+
+def test_every_command_of_the_readme_is_one_that_make_knows() -> None:
+    (block,) = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
+    for line in block.splitlines():
+        words = line.split("#")[0].split()
+        assert words[:3] == ["make", "-C", "clib"]
+        for word in words[3:]:
+            name, is_setting, _ = word.partition("=")
+            assert re.search(rf"^ifdef {name}$|^{name} \?=" if is_setting else rf"^{name}:", MAKEFILE, re.MULTILINE)
+
+
+def test_every_file_that_the_readme_names_is_there() -> None:
+    named = set(re.findall(r"`(src/[\w.]+)`", README))
+    assert len(named) > 10
+    for file in named:
+        assert (CLIB / file).is_file()
+    assert (ROOT / "scripts" / "clib-table").is_file()
+
+
+def test_the_program_of_the_readme_runs_on_what_was_installed(workshop: Workshop, tmp_path: Path) -> None:
+    built, prefix = workshop.libraries(PLAIN), tmp_path / "usr"
+    told = (f"BUILD={built}", f"CFLAGS={PLAIN.optimised}", f"PREFIX={prefix}")
+    run(["make", "-s", "-C", str(CLIB), "install", *told])
+    (text,) = re.findall(r"```c\n(.*?)```", README, re.DOTALL)
+    program, server = tmp_path / "program.c", ScriptedServer()
+    server.slots = {0: 10, 17: 42, 34: 240, 35: -3}
+    with on_socket(by_script(server, 6)) as port:
+        program.write_text(text.replace("localhost", "127.0.0.1").replace("7019", str(port)))
+        described = (prefix / "lib" / "pkgconfig" / "nclient.pc").read_text().replace("${prefix}", str(prefix))
+        flags = [word for line in described.splitlines() if line.startswith(("Cflags:", "Libs:"))
+                 for word in line.split()[1:]]  # fmt: skip
+        run(["cc", "-Wall", "-Wextra", "-Werror", str(program), *flags, "-o", str(tmp_path / "program")])
+        said = run([str(tmp_path / "program")])
+    assert said == "at 240, -3 tenths of an inch; wall ahead 42 in\n"
+    assert server.names() == ["zr", "pr", "ws", "get_sn"]
+    assert {file.name for file in (prefix / "include").iterdir()} == {"Nclient.h", "nomad.h"}
+    assert os.access(prefix / "lib" / "libndirect.a", os.R_OK)
+    assert subprocess.run(["make", "-q", "-C", str(CLIB), *told], check=False).returncode == 0
