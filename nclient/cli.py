@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import difflib
 import importlib.util
 import os
 import re
@@ -22,7 +21,9 @@ from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from typing import Protocol
 
+from nclient.arguments import Parser
 from nclient.errors import NomadError
+from nclient.suggesting import nearest
 
 GROUP = "nomad.commands"
 DISTRIBUTION = "nomad-nserver"
@@ -74,7 +75,7 @@ def _dispatch(arguments: list[str]) -> int:
     except ImportError as error:
         return _complain(_unloadable(name, error))
     about, _, _ = (command.__doc__ or "").partition("\n\nRules")
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"nomad {name}", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     command.add_arguments(parser)
@@ -89,7 +90,7 @@ def _as_value(word: str) -> str:
 def _top_parser(commands: dict[str, EntryPoint]) -> argparse.ArgumentParser:
     width = max(map(len, commands), default=0)
     lines = [f"  {name:{width}}  {summary(point)}".rstrip() for name, point in sorted(commands.items())]
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="nomad",
         usage="nomad COMMAND ...",
         description="Nomad robots and their Nserver from the command line.",
@@ -114,8 +115,8 @@ def summary(point: EntryPoint) -> str:
 
 
 def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
-    nearest = difflib.get_close_matches(name, commands, n=1, cutoff=0.5)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are: {', '.join(sorted(commands))}"
+    near = nearest(name, commands, likeness=0.5)
+    hint = f"did you mean {near}?" if near else f"there are: {', '.join(sorted(commands))}"
     return f"no command {name!r}; {hint}"
 
 

@@ -19,13 +19,14 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
+from nclient.arguments import Parser
 from nclient.errors import NomadError, SnapshotError
 from nclient.recording.log import read_recording
+from nclient.suggesting import did_you_mean
 from nserver_emu import ctl
 from nserver_emu.gateway import options as real_options
 from nserver_emu.gateway.gateway import Gateway
@@ -53,7 +54,6 @@ from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer.options import add_options as add_viewer_options
 from nserver_emu.viewer.options import viewed
 from worlds.files import load_world, world_names
-from worlds.tables import nearest
 
 log = logging.getLogger(__name__)
 
@@ -148,8 +148,7 @@ def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Na
     """Wrong usage, where no file could know the model."""
     for name in options.robot or ():
         if options.model_file is None and name.lower() not in READY_MODELS:
-            near = get_close_matches(name.lower(), READY_MODELS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = did_you_mean(name.lower(), READY_MODELS)
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
 
 
@@ -199,7 +198,7 @@ def _list_worlds() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="nserver",
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
         epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
@@ -308,7 +307,8 @@ def _setup(text: str) -> str:
     """The name of a setup, or a file, which is read later."""
     if text not in SETUPS and not text.endswith(SUFFIX):
         raise argparse.ArgumentTypeError(
-            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{nearest(text, SETUPS)}"
+            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
+            f"{did_you_mean(text, SETUPS)}"
         )
     return text
 

@@ -96,7 +96,7 @@ def test_options_alone_are_no_command(argument: str, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize(("name", "told"), [
-    ("fien", "no command 'fien'; did you mean 'fine'?"),
+    ("fien", "no command 'fien'; did you mean fine?"),
     ("xyzzy", "no command 'xyzzy'; there are: absent, builtin, extra, fine, gone, nameless, odd"),
     ("extra", "the command 'extra' needs the module 'no_such_extra', which is not installed; pip install "
               "'nomad-nserver[all]' brings all there is"),
