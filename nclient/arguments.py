@@ -31,8 +31,10 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(args, namespace)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As argparse does; what is left over is told with the nearest option."""
+        """As argparse does, with options among other words; what is left over is told with the nearest option."""
         options, left = self.parse_known_args(args, namespace)
+        if left and self._subparsers is None and not any(word.startswith("-") for word in left):
+            options, left = self.parse_known_intermixed_args(args, namespace)
         if left and left[0].startswith("-"):
             self._refuse(left[0].partition("=")[0])
         if left:

@@ -13,6 +13,7 @@
     ├── FaultPlanError (ValueError)        a plan of faults that cannot be used: file, rule, key, what was expected
     ├── ControlError (ValueError)          what a daemon's control socket was asked and cannot do
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
+    ├── ShellError (ValueError)            a line of the shell or of its scripts that cannot be done
     └── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
 
 Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
@@ -114,6 +115,10 @@ class ControlError(NomadError, ValueError):
 
 class SnapshotError(NomadError, ValueError):
     """A saved simulation that cannot be written or read back; the message names the file and what is wrong."""
+
+
+class ShellError(NomadError, ValueError):
+    """A line of the shell or of one of its scripts that is no command, or cannot be done; the message says why."""
 
 
 class RecordingError(NomadError, ValueError):

@@ -53,6 +53,13 @@ def test_what_is_known_is_read_as_ever(words: list[str], parser: Parser) -> None
     assert parser.parse_args(words) == argparse.Namespace(file="x", line="tcp", verbose=False)
 
 
+def test_options_may_stand_among_other_words() -> None:
+    parser = Parser()
+    parser.add_argument("words", nargs="*")
+    parser.add_argument("--line")
+    assert parser.parse_args(["a", "--line", "tcp", "b"]) == argparse.Namespace(words=["a", "b"], line="tcp")
+
+
 def test_behind_two_dashes_all_is_a_value(parser: Parser) -> None:
     assert parser.parse_args(["--", "--hlep"]).file == "--hlep"
 
