@@ -19,7 +19,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from nclient.arguments import Parser
 from nclient.errors import NomadError
@@ -74,12 +74,35 @@ def _dispatch(arguments: list[str]) -> int:
         command: Subcommand = commands[name].load()
     except ImportError as error:
         return _complain(_unloadable(name, error))
-    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
-    parser = Parser(
-        prog=f"nomad {name}", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog=f"nomad {name}", **_description(command))
     command.add_arguments(parser)
     return command.run(parser.parse_args([_as_value(word) for word in rest]))
+
+
+def whole_parser() -> Parser:
+    """All subcommands as subparsers of one, for completion: those that cannot be loaded by their names alone."""
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    parser = _top_parser(points)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, point in sorted(points.items()):
+        try:
+            command: Subcommand = point.load()
+        except ImportError:
+            commands.add_parser(name, help=_plain(summary(point)))
+            continue
+        below = commands.add_parser(name, help=_plain(summary(point)), **_description(command))
+        command.add_arguments(below)
+    return parser
+
+
+def _description(command: Subcommand) -> dict[str, Any]:
+    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
+    return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
+
+
+def _plain(text: str) -> str:
+    """Help in which argparse finds nothing to fill in."""
+    return text.replace("%", "%%")
 
 
 def _as_value(word: str) -> str:
@@ -87,7 +110,7 @@ def _as_value(word: str) -> str:
     return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
-def _top_parser(commands: dict[str, EntryPoint]) -> argparse.ArgumentParser:
+def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
     width = max(map(len, commands), default=0)
     lines = [f"  {name:{width}}  {summary(point)}".rstrip() for name, point in sorted(commands.items())]
     parser = Parser(

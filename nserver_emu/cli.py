@@ -34,6 +34,7 @@ from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.server import restore_options, snapshot
+from nserver_emu.server.control import BY_NAME
 from nserver_emu.server.control_options import add_options as add_control_options
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
@@ -197,7 +198,14 @@ def _list_worlds() -> None:
         print(f"{name:16} {load_world(name).title}")
 
 
-def _parser() -> argparse.ArgumentParser:
+def whole_parser() -> Parser:
+    """The parser, with what `nserver ctl` takes: for completion."""
+    parser = _parser()
+    parser.followers[CONTROL] = tuple(dict.fromkeys(word for name in BY_NAME for word in name.split()))
+    return parser
+
+
+def _parser() -> Parser:
     parser = Parser(
         prog="nserver",
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
