@@ -98,7 +98,8 @@ def _completer(
     prog: str, names: list[str], offered: tuple[str, ...], first: dict[str, tuple[str, ...]], files: bool
 ) -> dict[str, Any]:
     """A shell function that offers words, files as well, or what follows a first word that is a command of its own."""
-    name = "_".join(("", prog, *(re.sub(r"\W", "", word).lower() for word in names), *(["file"] if files else [])))
+    kinds = [re.sub(r"\W", "", word).lower() for word in names]
+    name = "_".join(("", prog, *kinds, *(["file"] if files and "file" not in kinds else [])))
     words = " ".join((*offered, *first))
     functions = {}
     for shell, (function, case, paths) in _FUNCTIONS.items():
