@@ -23,10 +23,10 @@ from typing import Any, Protocol
 
 from nclient.arguments import Parser
 from nclient.errors import NomadError
+from nclient.extras import DISTRIBUTION, remedy
 from nclient.suggesting import nearest
 
 GROUP = "nomad.commands"
-DISTRIBUTION = "nomad-nserver"
 USAGE, INTERRUPTED, READER_GONE = 2, 130, 141
 
 
@@ -146,10 +146,7 @@ def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
 def _unloadable(name: str, error: ImportError) -> str:
     if not isinstance(error, ModuleNotFoundError):
         return f"the command {name!r} cannot be loaded: {error}"
-    return (
-        f"the command {name!r} needs the module {error.name!r}, which is not installed; "
-        f"pip install '{DISTRIBUTION}[all]' brings all there is"
-    )
+    return f"the command {name!r} needs {error.name}, which is not installed: {remedy(error.name or '')}"
 
 
 def _complain(message: str) -> int:
