@@ -4,8 +4,7 @@
                          add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
 
 Rules: knows no subcommand by name and imports only the one that is asked for, so that one which lacks an extra
-hurts no other. Exit codes: 0 done, 1 a NomadError (told on stderr), 2 wrong usage or a missing extra, 130 Ctrl-C,
-141 the reader of our output went away.
+hurts no other. A NomadError is told on stderr; exit codes are those of nclient.exit_codes.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from typing import Any, Protocol
 
 from nclient.arguments import Parser
 from nclient.errors import NomadError
+from nclient.exit_codes import ExitCode, in_short
 from nclient.extras import DISTRIBUTION, remedy
 from nclient.suggesting import nearest
 
 GROUP = "nomad.commands"
-USAGE, INTERRUPTED, READER_GONE = 2, 130, 141
 
 
 class Subcommand(Protocol):
@@ -52,12 +51,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except NomadError as error:
         print(f"nomad: {error}", file=sys.stderr)
-        return 1
+        return ExitCode.FAILED
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     except BrokenPipeError:
         _let_stdout_go()
-        return READER_GONE
+        return ExitCode.READER_GONE
     return code
 
 
@@ -116,7 +115,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
     parser = Parser(
         prog="nomad",
         usage="nomad COMMAND ...",
-        description="Nomad robots and their Nserver from the command line.",
+        description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
         epilog="\n".join(("commands (nomad COMMAND --help says more):", *lines)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -151,7 +150,7 @@ def _unloadable(name: str, error: ImportError) -> str:
 
 def _complain(message: str) -> int:
     print(f"nomad: {message}", file=sys.stderr)
-    return USAGE
+    return ExitCode.USAGE
 
 
 def _let_stdout_go() -> None:

@@ -4,7 +4,7 @@
     nserver ctl COMMAND                                         says one thing to a daemon that runs (ctl.py)
 
 Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
-Exit codes: 0 stopped as asked, 1 could not start (the reason on stderr), 2 wrong usage.
+Exit codes are those of nclient.exit_codes.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from typing import TypeVar
 
 from nclient.arguments import Parser
 from nclient.errors import NomadError, SnapshotError
+from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
 from nclient.suggesting import did_you_mean
-from nserver_emu import ctl
+from nserver_emu import ctl, logs
 from nserver_emu.gateway import options as real_options
 from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.keeping import kept
@@ -83,23 +84,19 @@ def main(argv: list[str] | None = None) -> int:
     real_options.refuse(parser, options)
     restore_options.refuse(parser, options, words)
     options.keeps_pace = restore_options.keeps_pace(parser, words)
-    logging.basicConfig(
-        level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
-        format="%(asctime)s %(levelname)s %(message)s",
-        stream=sys.stderr,
-    )
+    logs.begin(options)
     try:
         if options.list_worlds:
             _list_worlds()
-            return 0
+            return ExitCode.DONE
         if options.replay:
             return _replay(options.replay)
         return asyncio.run(_serve(options))
     except NomadError as error:
-        print(f"nserver: {error}", file=sys.stderr)
-        return 1
+        logs.tell_failure(options, error)
+        return ExitCode.FAILED
     except KeyboardInterrupt:
-        return 0
+        return ExitCode.DONE
 
 
 async def _serve(options: argparse.Namespace) -> int:
@@ -142,7 +139,7 @@ async def _serve_with(
             await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
     finally:
         await daemon.close()
-    return 0
+    return ExitCode.DONE
 
 
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -165,7 +162,7 @@ def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
 
 
 def _replay(path: Path) -> int:
-    """Ask a fresh emulator what a recording asked; 1 where it says something else."""
+    """Ask a fresh emulator what a recording asked; FAILED where it says something else."""
     recording = read_recording(path)
     if recording.cut:
         log.warning("%s", recording.cut)
@@ -173,7 +170,7 @@ def _replay(path: Path) -> int:
     print(f"{outcome.answers} answers, {outcome.size} bytes as recorded{', then not' if outcome.difference else ''}")
     if outcome.difference:
         print(f"nserver: {outcome.difference}", file=sys.stderr)
-    return int(bool(outcome.difference))
+    return ExitCode.FAILED if outcome.difference else ExitCode.DONE
 
 
 def _now() -> str:
@@ -254,7 +251,7 @@ def _parser() -> Parser:
     add_control_options(parser)
     add_viewer_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
+    logs.add_options(parser)
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
     return parser
 

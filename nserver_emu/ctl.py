@@ -2,8 +2,8 @@
 
     nserver ctl [--control PATH] [--json] COMMAND [ARGUMENT]
 
-Rules: files are read here and named by their whole path, since the daemon may stand in another folder. Exit codes:
-0 done, 1 refused or nobody there (the reason on stderr), 2 wrong usage.
+Rules: files are read here and named by their whole path, since the daemon may stand in another folder. Exit codes are
+those of nclient.exit_codes.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any, Final
 
 from nclient.arguments import Parser
 from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.exit_codes import ExitCode
 from nclient.faults.plan_file import read_plan
 from nclient.suggesting import did_you_mean
 from nserver_emu.server.control import BY_NAME, COMMANDS
@@ -38,15 +39,15 @@ def main(argv: Sequence[str]) -> int:
     name, argument = _command(parser, options.words)
     if name == HELP:
         parser.print_help()
-        return 0
+        return ExitCode.DONE
     path = options.control or default_path(os.environ)
     try:
         said = ask(path, name, _argument(name, argument))
     except NomadError as error:
         print(f"nserver ctl: {error}", file=sys.stderr)
-        return 1
+        return ExitCode.FAILED
     print(json.dumps(said, indent=2) if options.json else "\n".join(shown(said)))
-    return 0
+    return ExitCode.DONE
 
 
 def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:

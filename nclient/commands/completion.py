@@ -20,6 +20,7 @@ from typing import Any
 import shtab
 
 from nclient.arguments import Parser
+from nclient.exit_codes import ExitCode
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.models import MODELS
 from nclient.schemes import known_schemes
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
             Parser(prog="nomad completion").error(f"no program {name!r}; there are {', '.join(sorted(programs))}")
         whole: Callable[[], Parser] = programs[name].load()
         print(script(whole(), options.shell, words_of_metavars()))
-    return 0
+    return ExitCode.DONE
 
 
 def words_of_metavars() -> dict[str, tuple[str, ...]]:

@@ -25,6 +25,7 @@ from nclient.commands.leaving import left_in_order
 from nclient.commands.serving import tell
 from nclient.connect import address_or_default
 from nclient.errors import NomadError, ShellError
+from nclient.exit_codes import ExitCode
 from nclient.schemes import Wanted, opening_of
 from nclient.shell.language import parse
 from nclient.shell.session import Session
@@ -80,8 +81,8 @@ def converse(session: Session, keys: Reader, watcher: Watcher) -> int:
             watcher.pause()
         _do_one(session, text)
         if session.robot.closed:
-            return 1
-    return 0
+            return ExitCode.FAILED
+    return ExitCode.DONE
 
 
 def _do_one(session: Session, text: str) -> None:
@@ -122,12 +123,12 @@ def _do_lines(session: Session, lines: Iterable[str], name: str) -> int:
             return _failed(name, number, error)
         if session.finished:
             break
-    return 0
+    return ExitCode.DONE
 
 
 def _failed(name: str, number: int, error: NomadError) -> int:
     tell(f"{name}:{number}: {error}")
-    return 1
+    return ExitCode.FAILED
 
 
 def _show(lines: Iterator[str]) -> None:

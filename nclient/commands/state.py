@@ -21,6 +21,7 @@ from collections.abc import Callable
 from nclient.commands.durations import seconds
 from nclient.connect import address_or_default
 from nclient.errors import AddressError, ShellError
+from nclient.exit_codes import ExitCode
 from nclient.robot import Robot
 from nclient.schemes import Wanted, known_schemes, opening_of
 from nclient.shell import glance
@@ -49,10 +50,10 @@ def run(options: argparse.Namespace) -> int:
     try:
         watch(robot, parts, looks, options.every, as_json=options.json, sleep=time.sleep)
     except KeyboardInterrupt:
-        return 0  # which is how one ends it
+        return ExitCode.DONE  # which is how one ends it
     finally:
         robot.disconnect()
-    return 0
+    return ExitCode.DONE
 
 
 def watch(
