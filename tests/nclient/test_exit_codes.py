@@ -45,7 +45,7 @@ def test_above_128_a_code_is_its_signals(name: str) -> None:
     ([*NOMAD, "stat"], ExitCode.USAGE),
     ([*NSERVER, "--porrt", "0"], ExitCode.USAGE),
     ([*NSERVER, "ctl", "statsu"], ExitCode.USAGE),
-    ([*NOMAD, *"localize sim:thesis_room --map thesis_room --waypoints 0,0 60,40 --time-limit 1".split()],
+    ([*NOMAD, "localize", "sim:", "--map", "thesis_room", "--waypoints", "0,0", "60,40", "--time-limit", "1"],
      ExitCode.NOT_REACHED),
 ], ids=lambda value: value.name if isinstance(value, ExitCode) else " ".join(value[2:5]))  # fmt: skip
 def test_a_command_ends_with_its_code(command: list[str], code: ExitCode) -> None:

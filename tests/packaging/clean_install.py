@@ -151,12 +151,13 @@ def _faults_of_the_page(environment: Environment, check: Check) -> Iterator[str]
         try:
             lines = [daemon.stdout.readline() for _ in range(2)]
             address = re.search(r"(http://[^/\s]+)(/\?token=\S+)", "".join(lines))
-            for name in (address[2], "/page/main.js") if address else ():
+            if address is None:
+                yield f"no page: {lines}"
+                return
+            for name in (address[2], "/page/main.js"):
                 with urllib.request.urlopen(address[1] + name, timeout=30) as page:
                     if not page.read():
                         yield f"{name} is empty"
-            if not address:
-                yield f"no page: {lines}"
         finally:
             daemon.terminate()
 

@@ -21,7 +21,8 @@ from clean_install import (
     missing_from,
 )
 
-QUICK = tuple(check for check in CHECKS if (check.extra and check.says) or check.words[-1] in ("--version", str(USER_SCRIPT)))
+WORKING = ("--version", str(USER_SCRIPT))
+QUICK = tuple(check for check in CHECKS if (check.extra and check.says) or check.words[-1] in WORKING)
 
 
 @pytest.fixture(scope="module")
