@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -101,7 +102,8 @@ def _rolls(speed_in_s: float) -> bool:
 @pytest.mark.parametrize("way", ["closed window", "quit"])
 def test_leaving_stops_the_robot(way: str, daemon: str, tmp_path: Path) -> None:
     with connect(daemon + "?tm_s=0") as watcher:
-        with shell(daemon, tmp_path) as terminal:
+        said = tmp_path / "said"
+        with shell(f"{daemon}?record={said}", tmp_path) as terminal:
             terminal.see("n150>")
             terminal.type("vm 50 0 0\r")
             terminal.see("moving: translation.*n150>")
@@ -113,3 +115,5 @@ def test_leaving_stops_the_robot(way: str, daemon: str, tmp_path: Path) -> None:
         while _rolls(watcher.refresh().translation_in_s):
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
+    calls = re.findall(r'"call": ?"(\w+)"', said.read_text())
+    assert calls[-2:] == ["st", "disconnect_robot"]
