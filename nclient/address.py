@@ -10,7 +10,6 @@ ValueError with what it wants to see; `Address` adds which address and option th
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote_plus, urlsplit
 
 from nclient.errors import AddressError, NomadError
+from nclient.suggesting import did_you_mean
 
 Reader = Callable[[str], Any]
 
@@ -56,7 +56,7 @@ class Address(NamedTuple):
             if name in readers:
                 values[name] = self._value(name, given, readers[name])
             elif not others:
-                raise AddressError(f"{self.text!r}: no option {name!r}{nearest(name, readers, '; ')} "
+                raise AddressError(f"{self.text!r}: no option {name!r}{did_you_mean(name, readers)} "
                                    f"There are {', '.join(readers)}.")
         return values
 
@@ -78,12 +78,6 @@ def parsed(text: str) -> Address:
         if times > 1:
             raise AddressError(f"{text.strip()!r}: {name} is given {times} times; expected once")
     return Address(text.strip(), scheme.lower() if colon else "", dict(options))
-
-
-def nearest(name: str, known: Iterable[str], before: str = "", after: str = "?") -> str:
-    """`did you mean ...?` with the nearest known name, nothing where none is near."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f"{before}did you mean {near[0]}{after}" if near else ""
 
 
 # readers of an option's text

@@ -4,15 +4,13 @@
                          add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
 
 Rules: knows no subcommand by name and imports only the one that is asked for, so that one which lacks an extra
-hurts no other. Exit codes: 0 done, 1 a NomadError (told on stderr), 2 wrong usage or a missing extra, 130 Ctrl-C,
-141 the reader of our output went away.
+hurts no other. A NomadError is told on stderr; exit codes are those of nclient.exit_codes.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import difflib
 import importlib.util
 import os
 import re
@@ -20,13 +18,15 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+from nclient.arguments import Parser
 from nclient.errors import NomadError
+from nclient.exit_codes import ExitCode, in_short
+from nclient.extras import DISTRIBUTION, remedy
+from nclient.suggesting import nearest
 
 GROUP = "nomad.commands"
-DISTRIBUTION = "nomad-nserver"
-USAGE, INTERRUPTED, READER_GONE = 2, 130, 141
 
 
 class Subcommand(Protocol):
@@ -51,12 +51,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except NomadError as error:
         print(f"nomad: {error}", file=sys.stderr)
-        return 1
+        return ExitCode.FAILED
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return ExitCode.INTERRUPTED
     except BrokenPipeError:
         _let_stdout_go()
-        return READER_GONE
+        return ExitCode.READER_GONE
     return code
 
 
@@ -73,12 +73,35 @@ def _dispatch(arguments: list[str]) -> int:
         command: Subcommand = commands[name].load()
     except ImportError as error:
         return _complain(_unloadable(name, error))
-    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
-    parser = argparse.ArgumentParser(
-        prog=f"nomad {name}", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog=f"nomad {name}", **_description(command))
     command.add_arguments(parser)
     return command.run(parser.parse_args([_as_value(word) for word in rest]))
+
+
+def whole_parser() -> Parser:
+    """All subcommands as subparsers of one, for completion: those that cannot be loaded by their names alone."""
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    parser = _top_parser(points)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, point in sorted(points.items()):
+        try:
+            command: Subcommand = point.load()
+        except ImportError:
+            commands.add_parser(name, help=_plain(summary(point)))
+            continue
+        below = commands.add_parser(name, help=_plain(summary(point)), **_description(command))
+        command.add_arguments(below)
+    return parser
+
+
+def _description(command: Subcommand) -> dict[str, Any]:
+    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
+    return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
+
+
+def _plain(text: str) -> str:
+    """Help in which argparse finds nothing to fill in."""
+    return text.replace("%", "%%")
 
 
 def _as_value(word: str) -> str:
@@ -86,13 +109,13 @@ def _as_value(word: str) -> str:
     return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
 
 
-def _top_parser(commands: dict[str, EntryPoint]) -> argparse.ArgumentParser:
+def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
     width = max(map(len, commands), default=0)
     lines = [f"  {name:{width}}  {summary(point)}".rstrip() for name, point in sorted(commands.items())]
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="nomad",
         usage="nomad COMMAND ...",
-        description="Nomad robots and their Nserver from the command line.",
+        description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
         epilog="\n".join(("commands (nomad COMMAND --help says more):", *lines)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -114,23 +137,20 @@ def summary(point: EntryPoint) -> str:
 
 
 def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
-    nearest = difflib.get_close_matches(name, commands, n=1, cutoff=0.5)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"there are: {', '.join(sorted(commands))}"
+    near = nearest(name, commands, likeness=0.5)
+    hint = f"did you mean {near}?" if near else f"there are: {', '.join(sorted(commands))}"
     return f"no command {name!r}; {hint}"
 
 
 def _unloadable(name: str, error: ImportError) -> str:
     if not isinstance(error, ModuleNotFoundError):
         return f"the command {name!r} cannot be loaded: {error}"
-    return (
-        f"the command {name!r} needs the module {error.name!r}, which is not installed; "
-        f"pip install '{DISTRIBUTION}[all]' brings all there is"
-    )
+    return f"the command {name!r} needs {error.name}, which is not installed: {remedy(error.name or '')}"
 
 
 def _complain(message: str) -> int:
     print(f"nomad: {message}", file=sys.stderr)
-    return USAGE
+    return ExitCode.USAGE
 
 
 def _let_stdout_go() -> None:

@@ -26,7 +26,7 @@ from nclient.robot import Robot
 from nclient.schemes import Wanted, known_schemes, open_nserver, open_tcp, opening_of
 from nclient.transports.tcp import TcpStream, names_of_this_machine
 
-__all__ = ["Wanted", "connect", "connect_async", "is_listening", "known_schemes", "open_backend",
+__all__ = ["Wanted", "address_or_default", "connect", "connect_async", "is_listening", "known_schemes", "open_backend",
            "open_line", "open_machine"]  # fmt: skip
 
 DEFAULT_ADDRESS = "nserver://localhost:7019/1"
@@ -73,7 +73,12 @@ class Connecting:
 
 def open_backend(address: str | None, wanted: Wanted) -> Backend:
     """What answers at an address, connected. Raises as `connect` does."""
-    return opening_of(address or os.environ.get(VARIABLE) or DEFAULT_ADDRESS, wanted).backend()
+    return opening_of(address_or_default(address), wanted).backend()
+
+
+def address_or_default(address: str | None) -> str:
+    """The address, or where none is given the one that NOMAD_ROBOT names, or a local Nserver's first robot."""
+    return address or os.environ.get(VARIABLE) or DEFAULT_ADDRESS
 
 
 def open_machine(name: str, port: int, wanted: Wanted) -> Backend:

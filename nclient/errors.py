@@ -15,6 +15,7 @@
     ├── ControlError (ValueError)          what a daemon's control socket was asked and cannot do
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
     ├── EstimateFileError (ValueError)     a saved estimate that cannot be written, read back, or gone on from
+    ├── ShellError (ValueError)            a line of the shell or of its scripts that cannot be done
     └── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
 
 Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
@@ -125,6 +126,10 @@ class SnapshotError(NomadError, ValueError):
 class EstimateFileError(NomadError, ValueError):
     """A saved estimate that cannot be written, read back or gone on from; the message names the reason and the remedy.
     """
+
+
+class ShellError(NomadError, ValueError):
+    """A line of the shell or of one of its scripts that is no command, or cannot be done; the message says why."""
 
 
 class RecordingError(NomadError, ValueError):

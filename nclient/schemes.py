@@ -17,7 +17,7 @@ from pathlib import Path
 
 from nclient import address as text
 from nclient import openers, wrappers
-from nclient.address import Address, nearest
+from nclient.address import Address
 from nclient.backends import feeding, reconnecting, retrying
 from nclient.errors import AddressError
 from nclient.faults.plan_file import load_plan
@@ -26,6 +26,7 @@ from nclient.opening import Opening, Option, Scheme, Wanted
 from nclient.protocol.models import N150, model_named
 from nclient.recording.follower import HELLO_FIRST, SERIAL
 from nclient.recording.player import ORDERS
+from nclient.suggesting import did_you_mean
 from nclient.transports import memory
 
 __all__ = ["OPTIONS", "SCHEMES", "Opening", "Wanted", "known_schemes", "open_nserver", "open_tcp", "opening_of"]
@@ -96,6 +97,6 @@ def _scheme_named(address: Address) -> Scheme:
         return _IN_PROCESS_LINE if address.options.get("line") == "1" else _IN_PROCESS
     known = known_schemes()
     named = address.scheme or address.text.partition("/")[0].lower()
-    hint = nearest(named, known, after=":? ")
+    hint = did_you_mean(named, known, before="", after=":? ")
     names = ", ".join(f"{name}:" for name in known)
     raise AddressError(f"{address.text!r} is no address: {hint}There are {names} {EXAMPLES}")

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from nclient.errors import WireError
+from nclient.exit_codes import ExitCode
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING, Mask
@@ -117,7 +118,7 @@ def _encode(options: argparse.Namespace) -> int:
             print(language.line_request(call, line_terms(model)).hex())
         else:
             print(language.tcp_request(call, wide=options.line == "tcp64").hex())
-    return 0
+    return ExitCode.DONE
 
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
@@ -156,14 +157,14 @@ def _decode(options: argparse.Namespace) -> int:
         transcript.expect(options.call)
     found = transcript.read((">" if options.to == "robot" else "<") + "".join(options.hex))
     print(json.dumps(found))
-    return int("error" in found)
+    return ExitCode.FAILED if "error" in found else ExitCode.DONE
 
 
 def _dump(options: argparse.Namespace) -> int:
     transcript = Transcript(options.line, model_named(options.model))
     for line in sys.stdin.buffer:
         print(json.dumps(transcript.read(line.decode("utf-8", "replace"))), flush=True)
-    return 0
+    return ExitCode.DONE
 
 
 def _number(word: str) -> float:

@@ -4,7 +4,7 @@
     nserver ctl COMMAND                                         says one thing to a daemon that runs (ctl.py)
 
 Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
-Exit codes: 0 stopped as asked, 1 could not start (the reason on stderr), 2 wrong usage.
+Exit codes are those of nclient.exit_codes.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
+from nclient.arguments import Parser
 from nclient.errors import NomadError, SnapshotError
+from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
-from nserver_emu import ctl
+from nclient.suggesting import did_you_mean
+from nserver_emu import ctl, logs
 from nserver_emu.garbage import seldom_sought
 from nserver_emu.gateway import options as real_options
 from nserver_emu.gateway.gateway import Gateway
@@ -34,6 +36,7 @@ from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.server import restore_options, snapshot
+from nserver_emu.server.control import BY_NAME
 from nserver_emu.server.control_options import add_options as add_control_options
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
@@ -55,7 +58,6 @@ from nserver_emu.viewer.options import add_options as add_viewer_options
 from nserver_emu.viewer.options import viewed
 from worlds.compiled import load_for
 from worlds.files import load_world, world_names
-from worlds.tables import nearest
 
 log = logging.getLogger(__name__)
 
@@ -84,23 +86,19 @@ def main(argv: list[str] | None = None) -> int:
     real_options.refuse(parser, options)
     restore_options.refuse(parser, options, words)
     options.keeps_pace = restore_options.keeps_pace(parser, words)
-    logging.basicConfig(
-        level=logging.DEBUG if options.verbose > 1 else logging.INFO if options.verbose else logging.WARNING,
-        format="%(asctime)s %(levelname)s %(message)s",
-        stream=sys.stderr,
-    )
+    logs.begin(options)
     try:
         if options.list_worlds:
             _list_worlds()
-            return 0
+            return ExitCode.DONE
         if options.replay:
             return _replay(options.replay)
         return asyncio.run(_serve(options))
     except NomadError as error:
-        print(f"nserver: {error}", file=sys.stderr)
-        return 1
+        logs.tell_failure(options, error)
+        return ExitCode.FAILED
     except KeyboardInterrupt:
-        return 0
+        return ExitCode.DONE
 
 
 async def _serve(options: argparse.Namespace) -> int:
@@ -145,15 +143,14 @@ async def _serve_with(
                 await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
     finally:
         await daemon.close()
-    return 0
+    return ExitCode.DONE
 
 
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Wrong usage, where no file could know the model."""
     for name in options.robot or ():
         if options.model_file is None and name.lower() not in READY_MODELS:
-            near = get_close_matches(name.lower(), READY_MODELS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = did_you_mean(name.lower(), READY_MODELS)
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
 
 
@@ -169,7 +166,7 @@ def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
 
 
 def _replay(path: Path) -> int:
-    """Ask a fresh emulator what a recording asked; 1 where it says something else."""
+    """Ask a fresh emulator what a recording asked; FAILED where it says something else."""
     recording = read_recording(path)
     if recording.cut:
         log.warning("%s", recording.cut)
@@ -177,7 +174,7 @@ def _replay(path: Path) -> int:
     print(f"{outcome.answers} answers, {outcome.size} bytes as recorded{', then not' if outcome.difference else ''}")
     if outcome.difference:
         print(f"nserver: {outcome.difference}", file=sys.stderr)
-    return int(bool(outcome.difference))
+    return ExitCode.FAILED if outcome.difference else ExitCode.DONE
 
 
 def _now() -> str:
@@ -202,8 +199,15 @@ def _list_worlds() -> None:
         print(f"{name:16} {load_world(name).title}")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def whole_parser() -> Parser:
+    """The parser, with what `nserver ctl` takes: for completion."""
+    parser = _parser()
+    parser.followers[CONTROL] = tuple(dict.fromkeys(word for name in BY_NAME for word in name.split()))
+    return parser
+
+
+def _parser() -> Parser:
+    parser = Parser(
         prog="nserver",
         description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
         epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
@@ -251,7 +255,7 @@ def _parser() -> argparse.ArgumentParser:
     add_control_options(parser)
     add_viewer_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
-    parser.add_argument("-v", "--verbose", action="count", default=0, help="say more on stderr (-vv: everything)")
+    logs.add_options(parser)
     parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
     return parser
 
@@ -312,7 +316,8 @@ def _setup(text: str) -> str:
     """The name of a setup, or a file, which is read later."""
     if text not in SETUPS and not text.endswith(SUFFIX):
         raise argparse.ArgumentTypeError(
-            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{nearest(text, SETUPS)}"
+            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
+            f"{did_you_mean(text, SETUPS)}"
         )
     return text
 

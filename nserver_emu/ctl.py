@@ -2,8 +2,8 @@
 
     nserver ctl [--control PATH] [--json] COMMAND [ARGUMENT]
 
-Rules: files are read here and named by their whole path, since the daemon may stand in another folder. Exit codes:
-0 done, 1 refused or nobody there (the reason on stderr), 2 wrong usage.
+Rules: files are read here and named by their whole path, since the daemon may stand in another folder. Exit codes are
+those of nclient.exit_codes.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from nclient.arguments import Parser
 from nclient.errors import ConnectionLost, ControlError, NomadError
-from nclient.faults.plan import nearest
+from nclient.exit_codes import ExitCode
 from nclient.faults.plan_file import read_plan
+from nclient.suggesting import did_you_mean
 from nserver_emu.server.control import BY_NAME, COMMANDS
 from nserver_emu.server.control_socket import default_path
 
@@ -37,15 +39,15 @@ def main(argv: Sequence[str]) -> int:
     name, argument = _command(parser, options.words)
     if name == HELP:
         parser.print_help()
-        return 0
+        return ExitCode.DONE
     path = options.control or default_path(os.environ)
     try:
         said = ask(path, name, _argument(name, argument))
     except NomadError as error:
         print(f"nserver ctl: {error}", file=sys.stderr)
-        return 1
+        return ExitCode.FAILED
     print(json.dumps(said, indent=2) if options.json else "\n".join(shown(said)))
-    return 0
+    return ExitCode.DONE
 
 
 def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:
@@ -137,7 +139,7 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     length = 2 if words[0] in _GROUPS else 1
     name, arguments = " ".join(words[:length]), words[length:]
     if name not in BY_NAME:
-        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{nearest(name, BY_NAME)}")
+        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(name, BY_NAME)}")
     wanted = BY_NAME[name].argument
     if len(arguments) != bool(wanted):
         parser.error(f"{name} takes {wanted or 'no argument'}, not {' '.join(arguments) or 'nothing'}")
@@ -157,7 +159,7 @@ def _argument(name: str, given: str | None) -> object:
 
 def _parser() -> argparse.ArgumentParser:
     commands = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="nserver ctl",
         description="Say something to a daemon that was started with --control.",
         epilog=f"commands:\n{commands}",

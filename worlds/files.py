@@ -20,8 +20,9 @@ from typing import Any, Final
 import numpy as np
 
 from nclient.errors import WorldFileError
+from nclient.suggesting import did_you_mean
 from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
-from worlds.tables import SHORTEST_IN, Table, nearest
+from worlds.tables import SHORTEST_IN, Table
 from worlds.world import Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
@@ -99,7 +100,7 @@ def _find(name: str) -> FilePath:
         return SHIPPED / path.name
     raise WorldFileError(
         f"{name or repr(name)}: no such file, and no world that is shipped; "
-        f"expected a path or one of {', '.join(names)}{nearest(path.stem, names)}"
+        f"expected a path or one of {', '.join(names)}{did_you_mean(path.stem, names)}"
     )
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import isfinite, radians
 from typing import Any, Final, NoReturn
 
 from nclient.errors import WorldFileError
+from nclient.suggesting import did_you_mean
 
 INCHES: Final = {"in": 1.0, "cm": 1.0 / 2.54, "m": 100.0 / 2.54}
 """Inches in one of each unit that a key may end in."""
@@ -46,7 +46,7 @@ class Table:
         known = [*keys, *(key for name in lengths for key in _length_keys(name))]
         for key in self.values:
             if key not in known:
-                self.fail(key, f"unknown key; expected one of {', '.join(known)}{nearest(key, known)}")
+                self.fail(key, f"unknown key; expected one of {', '.join(known)}{did_you_mean(key, known)}")
 
     def text(self, key: str, default: str) -> str:
         """A text that is not empty."""
@@ -172,12 +172,6 @@ class Table:
         if not isfinite(number):
             self.fail(place, f"expected {what}, a finite number, found {found(value)}")
         return number
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """The end of a message: the known word that looks most like this one, or nothing."""
-    matches = get_close_matches(word, list(known), n=1)
-    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def found(value: object) -> str:

@@ -21,6 +21,7 @@ from urllib.parse import quote
 
 from nclient.commands.serving import add_door, open_door, tell, visitors
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
+from nclient.exit_codes import ExitCode
 from nclient.protocol.models import Model
 from nclient.recording.follower import Follower
 from nclient.recording.log import IN, OUT, Entry
@@ -64,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     finally:
         for far in waiting:
             far.close()
-    return 0
+    return ExitCode.DONE
 
 
 def pass_on(near: ByteStream, far: ByteStream) -> None:

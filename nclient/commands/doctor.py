@@ -18,6 +18,7 @@ from nclient.commands.durations import seconds
 from nclient.doctor.examination import EXCHANGES, INTERVAL_S, Examination
 from nclient.doctor.finding import Finding, Grade, worst
 from nclient.doctor.report import report
+from nclient.exit_codes import ExitCode
 from nclient.schemes import Wanted, opening_of
 
 
@@ -43,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         for finding in findings:
             print(finding)
-    return int(grade is Grade.FAIL)
+    return ExitCode.FAILED if grade is Grade.FAIL else ExitCode.DONE
 
 
 def _as_object(finding: Finding) -> dict[str, str]:

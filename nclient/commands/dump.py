@@ -20,6 +20,7 @@ from pathlib import Path
 
 from nclient.commands.serving import tell
 from nclient.errors import RecordingError
+from nclient.exit_codes import ExitCode
 from nclient.protocol.language import row_named
 from nclient.protocol.models import MODELS, N150, model_named
 from nclient.recording.follower import LINES, Follower
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
                 print(line)
     if recording.cut:
         tell(recording.cut)
-    return int(bool(recording.cut))
+    return ExitCode.FAILED if recording.cut else ExitCode.DONE
 
 
 def _captured(options: argparse.Namespace) -> Recording:

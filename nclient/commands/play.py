@@ -20,6 +20,7 @@ from pathlib import Path
 
 from nclient.commands.serving import add_door, open_door, tell, visitors
 from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
+from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
 from nclient.recording.player import ORDERS, STRICT, Player
 from nclient.recording.script import Piece, Script, script_of
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
 
     with contextlib.suppress(KeyboardInterrupt), open_door(options, "play") as door:
         visitors(door, options.once, talk)
-    return int(bool(strayed))
+    return ExitCode.FAILED if strayed else ExitCode.DONE
 
 
 def play(script: Script, order: str, peer: ByteStream, wait: Callable[[float], None] | None) -> None:

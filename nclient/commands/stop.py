@@ -24,6 +24,7 @@ from nclient.backends.first_stop import say_stop
 from nclient.commands.durations import seconds
 from nclient.commands.serving import tell
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
+from nclient.exit_codes import ExitCode
 from nclient.openers import line_talk_without_hello
 from nclient.opening import Opening
 from nclient.protocol.likeness import is_it_another
@@ -118,7 +119,7 @@ class Stopping:
         finally:
             self._hang_up()
         self._report(stands)
-        return 0 if stands else 1
+        return ExitCode.DONE if stands else ExitCode.FAILED
 
     def _try(self) -> bool:
         """Tell it once more; whether it answered that, and was seen to stand still."""

@@ -9,14 +9,13 @@ it for itself and on each line for itself, so that `every = 10` is exactly every
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
-from difflib import get_close_matches
 from enum import Enum
 
 from nclient.errors import FaultPlanError
 from nclient.faults.kinds import Fault, check_number, check_whole, fail
 from nclient.protocol.commands import BY_NAME
+from nclient.suggesting import did_you_mean
 
 GREETING = "hello"
 """What a plan calls the eleven bytes that an N200 sends first over TCP."""
@@ -164,7 +163,8 @@ def _check_command(rule: str, command: str) -> None:
     if row is not None and row.packet_type is not None:
         raise FaultPlanError(f"rule {rule!r}: command: on the wire {command} is a special_request; write that")
     if row is None and command != GREETING:
-        raise FaultPlanError(f"rule {rule!r}: command: no command {command!r}{nearest(command, (*BY_NAME, GREETING))}")
+        hint = did_you_mean(command, (*BY_NAME, GREETING))
+        raise FaultPlanError(f"rule {rule!r}: command: no command {command!r}{hint}")
 
 
 def _check_line(rule: str, line: str) -> None:
@@ -173,11 +173,7 @@ def _check_line(rule: str, line: str) -> None:
         known = ", ".join(LINE_KINDS)
         raise FaultPlanError(
             f"rule {rule!r}: line: no line {line!r}; a line is one of {known}, alone or with the robot's number, such "
-            f"as serial:1{nearest(kind, LINE_KINDS)}"
+            f"as serial:1{did_you_mean(kind, LINE_KINDS)}"
         )
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """The end of a message: the known word that looks most like this one, or nothing."""
-    matches = get_close_matches(word, list(known), n=1)
-    return f"; did you mean {matches[0]}?" if matches else ""

@@ -24,7 +24,8 @@ from typing import Any, Final
 
 from nclient.errors import FaultPlanError
 from nclient.faults.kinds import KINDS, Fault, check_choice
-from nclient.faults.plan import BOTH, Direction, Plan, Rule, When, nearest
+from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
+from nclient.suggesting import did_you_mean
 
 MOST_BYTES: Final = 1 << 20
 """More than any plan by hand; a larger file is something else."""
@@ -98,7 +99,7 @@ def _rule(table: Mapping[str, Any], number: int) -> Rule:
 
 def _kind(word: str) -> type[Fault]:
     if word not in KINDS:
-        raise FaultPlanError(f"do: no kind of fault {word!r}; there are {', '.join(KINDS)}{nearest(word, KINDS)}")
+        raise FaultPlanError(f"do: no kind of fault {word!r}; there are {', '.join(KINDS)}{did_you_mean(word, KINDS)}")
     return KINDS[word]
 
 
@@ -135,7 +136,7 @@ def _plain(key: str, value: Any) -> Any:
 def _allow(table: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for key in table:
         if key not in known:
-            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(known)}{nearest(key, known)}")
+            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(known)}{did_you_mean(key, known)}")
 
 
 def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:

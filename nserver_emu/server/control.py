@@ -20,8 +20,8 @@ from typing import Any, Final, Protocol
 
 from nclient.errors import ControlError, NomadError
 from nclient.faults.injector import total
-from nclient.faults.plan import nearest
 from nclient.faults.plan_file import parse_plan, plan_text
+from nclient.suggesting import did_you_mean
 from nserver_emu.server import snapshot
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
@@ -84,7 +84,7 @@ def _done(served: Served, line: bytes) -> Said:
         raise ControlError('a request is a line such as {"command": "speed", "argument": "10"}') from None
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
-        raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{nearest(str(name), BY_NAME)}")
+        raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(str(name), BY_NAME)}")
     if row.argument and argument is None:
         raise ControlError(f"{row.name} wants {row.argument}")
     return row.does(served, argument)

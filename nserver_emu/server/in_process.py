@@ -11,7 +11,6 @@ it does not understand takes a step of time, too. nclient finds this by entry po
 
 from __future__ import annotations
 
-import difflib
 import math
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from urllib.parse import parse_qs
 
 from nclient.errors import AddressError
 from nclient.protocol.models import model_named
+from nclient.suggesting import did_you_mean
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.line_session import LineSession
 from nserver_emu.server.session import REFUSED, Conversation, Session
@@ -109,8 +109,7 @@ def open_address(address: str) -> InProcess:
     given = parse_qs(query, keep_blank_values=True)
     for name, values in given.items():
         if name not in _OPTIONS:
-            near = difflib.get_close_matches(name, _OPTIONS, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
+            hint = did_you_mean(name, _OPTIONS)
             raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(_OPTIONS)}.")
         if len(values) > 1 and name not in _FOR_EACH:
             raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")

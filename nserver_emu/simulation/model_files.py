@@ -23,10 +23,11 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from nclient.errors import WorldFileError
+from nclient.suggesting import did_you_mean
 from nserver_emu.simulation.axis import AxisLimits
 from nserver_emu.simulation.models import MODELS, RobotModel
 from worlds.bodies import Body
-from worlds.tables import INCHES, Table, nearest
+from worlds.tables import INCHES, Table
 
 MOST_BUMPERS: Final = 24
 """Bits in the three bytes of State[33]."""
@@ -77,7 +78,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
         key = "like" if "like" in table.values else "name"
         table.fail(
             key, f"expected a model to be made from, `like` one of {', '.join(models)}, found {like!r}"
-            f"{nearest(like, models)}"
+            f"{did_you_mean(like, models)}"
         )  # fmt: skip
     base = models[like]
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS

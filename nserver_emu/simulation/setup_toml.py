@@ -21,12 +21,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.errors import AddressError, WorldFileError
+from nclient.suggesting import did_you_mean
 from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import IDEAL, SETUPS, RobotSetup
 from nserver_emu.simulation.setup_keys import KEYS, POLAROID, RAY, SONAR_NUMBERS, Key
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
 from worlds.bodies import SONARS
-from worlds.tables import Table, nearest
+from worlds.tables import Table
 
 SUFFIX: Final = ".toml"
 TABLES: Final = tuple(dict.fromkeys(key.table for key in KEYS if key.table))
@@ -39,7 +40,8 @@ def setup_named(name: str) -> RobotSetup:
         return SETUPS[name]
     if not name.endswith(SUFFIX):
         raise AddressError(
-            f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}{nearest(name, SETUPS)}"
+            f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
+            f"{did_you_mean(name, SETUPS)}"
         )
     return load_setup(Path(name))
 
@@ -66,7 +68,7 @@ def parse_setup(text: str, file: str, name: str) -> RobotSetup:
     base_name = top.text("base", IDEAL.name)
     if base_name not in SETUPS:
         known = ", ".join(SETUPS)
-        top.fail("base", f"expected one of {known}, found {base_name!r}{nearest(base_name, SETUPS)}")
+        top.fail("base", f"expected one of {known}, found {base_name!r}{did_you_mean(base_name, SETUPS)}")
     base = SETUPS[base_name]
     parts: dict[str, Any] = {part: _part(top.table(part), base) for part in TABLES if part in values}
     return replace(base, name=top.text("name", name), **_read(top, base, KEYS), **parts)
@@ -92,7 +94,7 @@ def _ears(table: Table, base: EchoModel) -> EchoModel:
     ours = RAY if isinstance(base, SonarNoise) else POLAROID
     asked = table.text("model", ours)
     if asked not in EARS:
-        table.fail("model", f"expected one of {', '.join(EARS)}, found {asked!r}{nearest(asked, EARS)}")
+        table.fail("model", f"expected one of {', '.join(EARS)}, found {asked!r}{did_you_mean(asked, EARS)}")
     if asked == ours:
         return base
     both = {field.name for field in fields(SonarNoise)} & {field.name for field in fields(Polaroid)}

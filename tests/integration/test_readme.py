@@ -140,6 +140,12 @@ def test_the_wire_tool_says_bytes(tmp_path: Path) -> None:
     assert run(encode, tmp_path).strip() == "01080005640032800000245c"
 
 
+def test_a_shell_and_a_look_at_the_state(tmp_path: Path) -> None:
+    (shell,), (state,) = commands("nomad shell"), commands("nomad state")
+    assert "x 24.0 in  y 0.0 in" in run(shell, tmp_path)
+    assert run(state, tmp_path).startswith("pose        x 0.0 in")
+
+
 def test_a_figure_comes_with_its_numbers(tmp_path: Path) -> None:
     (experiment,) = (command for command in commands("python -m") if "--json" in command)
     result = json.loads(run(f"{experiment} --out {tmp_path}", tmp_path))

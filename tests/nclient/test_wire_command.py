@@ -79,7 +79,8 @@ def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, 
 
 @pytest.mark.parametrize(("words", "wrong"), [
     ("encode ct --mask 1,2", "a mask has 44 numbers"), ("encode ct --mask on", "invalid literal"),
-    ("decode 00 --line usb", "invalid choice: 'usb'"), ("decode 00 --model n300", "invalid choice: 'n300'"),
+    ("decode 00 --line usb", "argument --line: no 'usb'; there are tcp, tcp64, serial"),
+    ("decode 00 --model n300", "no 'n300'; there are n150, n200, scout; did you mean n200?"),
     ("", "encode|decode|dump"),
 ])
 def test_arguments_that_make_no_sense(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:

@@ -1,4 +1,4 @@
-"""What a table gives, what it says of a value that it refuses, and which known word it offers."""
+"""What a table gives, what it says of a value that it refuses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import datetime
 import pytest
 
 from nclient.errors import WorldFileError
-from worlds.tables import Table, found, nearest
+from worlds.tables import Table, found
 
 
 @pytest.mark.parametrize(
@@ -31,11 +31,6 @@ def test_found_names_kind_and_value(value: object, words: str) -> None:
 def test_found_is_never_long() -> None:
     assert len(found("x" * 1000)) < 80
     assert found(list(range(1000))).endswith("...")
-
-
-def test_nearest_offers_one_word_or_none() -> None:
-    assert nearest("pionts_in", ["points_in", "corners_in"]) == "; did you mean points_in?"
-    assert nearest("zzz", ["points_in", "corners_in"]) == ""
 
 
 TABLE = Table("f", "t", {"n": 2, "on": True, "ns": [1, 2.5], "of": [3, 0], "no": "x"})

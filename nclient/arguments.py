@@ -1,0 +1,61 @@
+"""Arguments of a command line, read by argparse, which here also says what was probably meant.
+
+    nomad --hlep                    no option --hlep; did you mean --help?
+    nomad wire --line seriall       argument --line: no 'seriall'; there are tcp, tcp64, serial; did you mean serial?
+
+Rules: whatever argparse says is said by it; an option that nobody knows is named before all else that is wrong, since
+it is what the others come from.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from nclient.suggesting import did_you_mean
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser with suggestions; its subparsers are of the same kind.
+
+    `followers`: first words that are commands of their own, and what may follow each (for completion).
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.followers: dict[str, tuple[str, ...]] = {}
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does; ends with a suggestion where a long option is unknown."""
+        given: Sequence[str] = () if args is None else tuple(args)
+        known = self._options()
+        if self._subparsers is None:
+            for word in given[: given.index("--")] if "--" in given else given:
+                name = word.partition("=")[0]
+                if name.startswith("--") and not any(option.startswith(name) for option in known):
+                    self._refuse(name)
+        return super().parse_known_args(args, namespace)
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does, with options among other words; what is left over is told with the nearest option."""
+        options, left = self.parse_known_args(args, namespace)
+        if left and self._subparsers is None and not any(word.startswith("-") for word in left):
+            options, left = self.parse_known_intermixed_args(args, namespace)
+        if left and left[0].startswith("-"):
+            self._refuse(left[0].partition("=")[0])
+        if left:
+            self.error(f"too many arguments: {' '.join(left)}")
+        return options
+
+    def _refuse(self, name: str) -> NoReturn:
+        self.error(f"no option {name}{did_you_mean(name, self._options())}; --help shows them all")
+
+    def _options(self) -> list[str]:
+        return [option for action in self._actions for option in action.option_strings]
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = [str(choice) for choice in action.choices]
+            what = f"no {value!r}; there are {', '.join(known)}{did_you_mean(str(value), known)}"
+            raise argparse.ArgumentError(action, what)

@@ -1,0 +1,61 @@
+"""Completion scripts in real shells: bash and zsh, at a terminal, by Tab."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from at_terminal import Terminal
+
+BIN = str(Path(sys.executable).parent)
+TAB, TO_THE_BEGINNING = "\t", "\x01"
+CASES = {
+    "nomad doc": "nomad doctor",
+    "nomad state --wa": "nomad state --watch",
+    "nomad wire encode --line ser": "nomad wire encode --line serial",
+    "nomad doctor sim:the": "nomad doctor sim:thesis_room",
+    "nomad stop nser": "nomad stop nserver://localhost:7019/1",
+    "nomad state sim: son": "nomad state sim: sonar",
+    "nomad localize sim: --map sev": "nomad localize sim: --map several_walls",
+    "nomad shell --script squ": "nomad shell --script square.nomad",
+    "nserver --lock": "nserver --lockstep",
+    "nserver --robot sc": "nserver --robot scout",
+    "nserver thesis": "nserver thesis_room",
+    "nserver ctl pau": "nserver ctl pause",
+    "nserver --restore squ": "nserver --restore square.nomad",
+}
+START = {
+    "bash": (["bash", "--norc", "--noprofile", "-i"], 'PS1="ready> "; bind "set enable-bracketed-paste off"'),
+    "zsh": (["zsh", "-f", "-i"], 'PS1="ready> "; autoload -U compinit; compinit -u -D; setopt no_beep'),
+}
+
+
+@pytest.mark.parametrize("shell", START)
+def test_tab_completes_commands_options_choices_addresses_worlds_and_files(shell: str, tmp_path: Path) -> None:
+    assert shutil.which(shell), f"{shell} is missing: scripts/test installs it"
+    (tmp_path / "square.nomad").write_text("st\n")
+    command, settings = START[shell]
+    with Terminal(command, {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}, tmp_path) as terminal:
+        terminal.type(f'{settings}; eval "$(nomad completion {shell})"; echo set"tled"\r')
+        terminal.see("settled.*ready> ")
+        for typed, completed in CASES.items():
+            terminal.type(typed + TAB)
+            terminal.type(TO_THE_BEGINNING + "echo \r")
+            terminal.see(rf"\n{completed} ?\r.*ready> ")
+        terminal.type("exit\r")
+        assert terminal.leave() == 0
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["completion", "tcsh"], "no 'tcsh'; there are bash, zsh, fish"),
+    (["completion", "bash", "nsever"], "no program 'nsever'; there are nomad, nserver"),
+])
+def test_what_cannot_be_completed(words: list[str], told: str) -> None:
+    command = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())", *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert told in done.stderr

@@ -1,0 +1,108 @@
+"""The daemon's log: forms, levels, and that a line stays a line."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import warnings
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from nclient.arguments import Parser
+from nserver_emu import cli, logs
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture(autouse=True)
+def _as_it_was() -> Iterator[None]:
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield
+    logging.captureWarnings(False)
+    root.handlers[:], root.level = handlers, level
+
+
+def options(*words: str) -> argparse.Namespace:
+    parser = Parser()
+    logs.add_options(parser)
+    found = parser.parse_args(words)
+    assert isinstance(found, argparse.Namespace)
+    return found
+
+
+@pytest.mark.parametrize(("words", "level"), [
+    ([], logging.WARNING), (["-v"], logging.INFO), (["-vv"], logging.DEBUG), (["-vvv"], logging.DEBUG),
+    (["--log-level", "debug"], logging.DEBUG), (["--log-level", "error", "-vv"], logging.ERROR),
+    (["--log-level", "info"], logging.INFO),
+])
+def test_levels(words: list[str], level: int) -> None:
+    assert logs.level_of(options(*words)) == level
+
+
+def test_an_object_holds_what_is_said_and_what_kind_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    logs.begin(options("--log-format", "json"))
+    logging.getLogger("room").info("not said")
+    logging.getLogger("room").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
+    (line,) = capsys.readouterr().err.splitlines()
+    told = json.loads(line)
+    at = datetime.fromisoformat(told.pop("time"))
+    assert abs((datetime.now(UTC) - at).total_seconds()) < 60
+    assert told == {
+        "level": "warning", "logger": "room", "message": "lab: refused:\npr", "template": "%s: refused:\n%s",
+        "robot": 2, "path": "x",
+    }
+
+
+def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) -> None:
+    logs.begin(options("--log-format", "json"))
+    try:
+        raise ValueError("a fault of ours")
+    except ValueError:
+        logging.getLogger("room").exception("closed")
+    (line,) = capsys.readouterr().err.splitlines()
+    told = json.loads(line)
+    assert (told["level"], told["message"]) == ("error", "closed")
+    assert told["exception"].endswith("ValueError: a fault of ours")
+
+
+def test_text_is_as_ever_and_pythons_warnings_are_said_too(capsys: pytest.CaptureFixture[str]) -> None:
+    logs.begin(options())
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        logging.captureWarnings(True)
+        warnings.warn("old", stacklevel=1)
+        logging.captureWarnings(False)
+    first = capsys.readouterr().err.splitlines()[0]
+    assert "WARNING" in first
+    assert "UserWarning: old" in first
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["no_such_world.toml", "--log-format", form]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    if form == "text":
+        assert line.startswith("nserver: no_such_world.toml: no such file")
+    else:
+        told = json.loads(line)
+        assert told["level"] == "critical"
+        assert told["message"].startswith("no_such_world.toml: no such file")
+
+
+def test_a_level_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["--log-level", "warn"])
+    assert "no 'warn'; there are debug, info, warning, error; did you mean warning?" in capsys.readouterr().err
+
+
+def test_the_page_has_every_level_and_key() -> None:
+    page = (DOCS / "logs.md").read_text()
+    record = logging.LogRecord("room", logging.INFO, "", 0, "said", None, None)
+    keys = json.loads(logs.JsonLines().format(record))
+    assert all(f"`{key}`" in page for key in (*keys, "exception"))
+    assert all(f"| {level} |" in page for level in (*logs.LEVELS, "critical"))

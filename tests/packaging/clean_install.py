@@ -1,0 +1,229 @@
+"""The distribution as a stranger gets it: built, installed into an environment of its own, and asked what works.
+
+    built(folder) ──> wheel, sdist ──> Environment(folder, python).install(wheel, "shell") ──> faults(environment, ...)
+
+Run as a program (scripts/package-check) it does so for every Python there is and each extra alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+import urllib.request
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+VERSION: str = PROJECT["version"]
+EXTRAS = tuple(name for name in PROJECT["optional-dependencies"] if name not in ("dev", "bench", "all"))
+PYTHONS = ("3.11", "3.12", "3.13")
+USER_SCRIPT = Path(__file__).parent / "user_script.py"
+_PATIENCE_S = 300
+
+
+class Check(NamedTuple):
+    """Words of a command, what it prints, and the extra without which it says what to install instead.
+
+    `says`: whether it does say so; else it is not tried without the extra.
+    """
+
+    words: tuple[str, ...]
+    prints: str
+    extra: str = ""
+    says: bool = True
+
+
+LOCALIZE = ("nomad", "localize", "sim:thesis_room?noisy=1&seed=3", "--map", "thesis_room", "--waypoints", "0,0", "10,0")
+EXPERIMENT = ("python", "-m", "localization.experiments", "5.2", "--seeds", "1")
+MACHINE_CODE = "from worlds.compiled import FIRST_MET; print('loaded', FIRST_MET.load())"
+CHECKS = (
+    Check(("nomad", "--version"), rf"nomad {VERSION}\n"),
+    Check(("nserver", "--version"), rf"nserver {VERSION}\n"),
+    Check(("nomad", "--help"), "localize .*shell .*state .*wire "),
+    Check(("nserver", "--list-worlds"), "thesis_room"),
+    Check(("nomad", "shell", "sim:thesis_room?setup=worn", "--command", "pr 240 0 0; wait"), r"x 24\.\d in"),
+    Check(("nomad", "doctor", "sim:thesis_room", "--exchanges", "3"), "OK"),
+    Check(("nomad", "wire", "encode", "gs"), "000f0000"),
+    Check(LOCALIZE, "2 of 2 way-points reached"),
+    Check(("python", str(USER_SCRIPT)), "nearest .*turned 90 deg"),
+    Check(("nomad", "completion", "bash"), "_nomad_whole_words nomad.*_nserver_whole_words nserver", "shell"),
+    Check(("python", "-c", "from nclient.shell.prompting import PromptReader; print('reads')"), "reads", "shell",
+          says=False),
+    Check((*LOCALIZE, "--picture", "run.png"), "2 of 2 way-points reached", "plot"),
+    Check((*EXPERIMENT, "--jobs", "1"), "5.2", "plot"),
+    Check((*EXPERIMENT, "--no-pictures", "--cluster", "127.0.0.1:1"), "no Dask scheduler answers", "cluster"),
+    Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
+    Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", says=False),
+    Check(("python", "-c", MACHINE_CODE), "loaded"),
+)  # fmt: skip
+"""What is tried in every environment. Without an extra of its own a check works everywhere."""
+
+
+class Environment:
+    """A Python environment of its own; nothing of this one's is in it."""
+
+    def __init__(self, folder: Path, python: str = sys.executable) -> None:
+        self.folder = folder
+        subprocess.run([python, "-m", "venv", "--without-pip", folder], check=True, capture_output=True)
+
+    @property
+    def python(self) -> Path:
+        """Its interpreter."""
+        return self.folder / "bin" / "python"
+
+    def install(self, file: Path, extra: str = "") -> None:
+        """A wheel or an sdist, with an extra, by the pip that runs this."""
+        wanted = f"{file}[{extra}]" if extra else str(file)
+        pip = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check"]
+        command = [*pip, "install", "--quiet", "--no-compile", wanted]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+    def run(self, words: Iterable[str]) -> subprocess.CompletedProcess[str]:
+        """A command of this environment, in a folder where nothing of the project lies."""
+        program, *rest = words
+        command = [str(self.folder / "bin" / program), *rest]
+        try:
+            return subprocess.run(
+                command, cwd=self.folder, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            return subprocess.CompletedProcess(command, 124, str(error.stdout), str(error.stderr))
+
+
+def built(folder: Path) -> tuple[Path, Path]:
+    """Wheel and sdist, the wheel made from the sdist as a distributor would."""
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,), (sdist,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
+    return wheel, sdist
+
+
+def missing_from(wheel: Path) -> set[str]:
+    """Files of the packages that the wheel does not hold: code, worlds, the page, marks of being typed."""
+    kinds = {".py", ".toml", ".typed", ".js", ".css", ".html"}
+    packages = ("nclient", "nserver_emu", "localization", "worlds")
+    files = (path for package in packages for path in (ROOT / package).rglob("*"))
+    wanted = {path.relative_to(ROOT).as_posix() for path in files if path.suffix in kinds}
+    wanted |= {f"{package}/py.typed" for package in packages}
+    with zipfile.ZipFile(wheel) as held:
+        return wanted - set(held.namelist())
+
+
+def faults(environment: Environment, extras: Iterable[str], checks: Iterable[Check] = CHECKS) -> Iterator[str]:
+    """What does not go as it should where these extras are installed."""
+    there = frozenset(extras)
+    for check in checks:
+        if check.extra and check.extra not in there:
+            yield from _faults_without(environment, check) if check.says else ()
+        elif "--viewer" in check.words:
+            yield from _faults_of_the_page(environment, check)
+        else:
+            done = environment.run(check.words)
+            told = done.stdout + done.stderr
+            if not re.search(check.prints, told, re.DOTALL) or "Traceback" in told:
+                yield f"{' '.join(check.words)}: {check.prints!r} is not in: {told}"
+
+
+def _faults_without(environment: Environment, check: Check) -> Iterator[str]:
+    """One error, which names the extra, and nothing else."""
+    done = environment.run(check.words)
+    clear = f"pip install 'nomad-nserver[{check.extra}]'" in done.stderr and "Traceback" not in done.stderr
+    if not clear or done.returncode not in (1, 2):
+        yield f"{' '.join(check.words)}: the extra {check.extra} is not named: {done.returncode} {done.stderr}"
+
+
+def _faults_of_the_page(environment: Environment, check: Check) -> Iterator[str]:
+    """The page is asked for, with one of its files, which a wheel must hold."""
+    program, *rest = check.words
+    command = [str(environment.folder / "bin" / program), *rest]
+    with subprocess.Popen(command, cwd=environment.folder, stdout=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        try:
+            lines = [daemon.stdout.readline() for _ in range(2)]
+            address = re.search(r"(http://[^/\s]+)(/\?token=\S+)", "".join(lines))
+            if address is None:
+                yield f"no page: {lines}"
+                return
+            for name in (address[2], "/page/main.js"):
+                with urllib.request.urlopen(address[1] + name, timeout=30) as page:
+                    if not page.read():
+                        yield f"{name} is empty"
+        finally:
+            daemon.terminate()
+
+
+def faults_of_types(environment: Environment, version: str) -> Iterator[str]:
+    """What mypy --strict says of a user's script against what is installed there."""
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--python-version", version,
+               "--python-executable", str(environment.python), str(USER_SCRIPT)]  # fmt: skip
+    done = subprocess.run(command, cwd=environment.folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        yield done.stdout + done.stderr
+
+
+def interpreters() -> dict[str, str]:
+    """Every Python of PYTHONS that this machine has, found by its name, by pyenv's habit, or as this one."""
+    found = {}
+    for version in PYTHONS:
+        homes = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
+        path = shutil.which(f"python{version}", path=None) or (str(homes[-1]) if homes else None)
+        if path is not None and _is(path, version):
+            found[version] = path
+    return found
+
+
+def _is(path: str, version: str) -> bool:
+    asked = [path, "-c", "import sys, venv; print('%d.%d' % sys.version_info[:2])"]
+    return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() == version
+
+
+def main() -> int:
+    """Try all; the number of environments in which something was wrong."""
+    parser = argparse.ArgumentParser(description="Build, install and try the distribution in clean environments.")
+    parser.add_argument("--python", action="append", choices=PYTHONS, help="versions to try (default: all there are)")
+    parser.add_argument("--extra", action="append", choices=("none", *EXTRAS, "all"),
+                        help="extras to try, each alone; none: without (default: every one)")
+    options = parser.parse_args()
+    wrong = 0
+    with tempfile.TemporaryDirectory() as folder:
+        wheel, sdist = built(Path(folder))
+        lacking = missing_from(wheel)
+        print(f"{wheel.name} ({wheel.stat().st_size} bytes), {sdist.name}; missing: {', '.join(lacking) or 'nothing'}")
+        wrong += bool(lacking)
+        for version, python in interpreters().items():
+            if options.python and version not in options.python:
+                continue
+            for extra in options.extra or ("none", *EXTRAS, "all"):
+                wrong += _tried(Path(folder), wheel, version, python, "" if extra == "none" else extra)
+        wrong += _tried(Path(folder), sdist, "sdist", sys.executable, "")
+    return wrong
+
+
+def _tried(folder: Path, file: Path, version: str, python: str, extra: str) -> bool:
+    """Whether something is wrong in one environment, which is made and taken away."""
+    environment = Environment(folder / "environment", python)
+    try:
+        environment.install(file, extra)
+        there = EXTRAS if extra == "all" else (extra,)
+        told = list(faults(environment, there))
+        if not extra and version in PYTHONS:
+            told += faults_of_types(environment, version)
+    finally:
+        shutil.rmtree(environment.folder)
+    verdict = "WRONG" if told else "as it should be"
+    print(f"{version:6} {extra or 'no extra':10} {verdict}", *told, sep="\n  ", flush=True)
+    return bool(told)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
