@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from localization.belief import Belief
+from localization.belief import Belief, Floats
 from localization.filters.table import DEFAULT_METHOD
 from localization.localizer import Estimate
 from localization.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
@@ -82,6 +82,10 @@ class Helm:
         """The robot's clock at the last estimate."""
         return self.sight.estimate.clock_s
 
+    def fence(self, edges: Floats) -> None:
+        """Keep inside of these edges (k, 4) as if they were walls, from the next plan on."""
+        self.planner = Planner(np.concatenate((self.planner.walls, edges)), self.body.radius_in)
+
     def period(self, command: Velocities = STAND) -> Sight:
         """Drive so for a period; what is seen at its end. Raises what robot and watchers raise."""
         before = self.sight.state
@@ -103,5 +107,5 @@ class Helm:
         return Sight(estimate, state)
 
 
-def _walls(known: Surroundings) -> np.typing.NDArray[np.float64]:
+def _walls(known: Surroundings) -> Floats:
     return np.asarray(known.walls, dtype=np.float64)
