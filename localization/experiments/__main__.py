@@ -1,5 +1,6 @@
 """`python -m localization.experiments 5.4`: drive figures of the thesis and say what came of it. `... live`: methods
-side by side on live robots (live.command). `... all`: every figure, then that.
+side by side on live robots (live.command). `... plan`: ways planned and driven (plan.command). `... all`: every
+figure, then the live ones.
 
 Rules: words and files only; what is driven is in settings, trial and pool. With --json the numbers are alone on stdout;
 the progress bar (extra `plot`: tqdm) and the names of files go to stderr.
@@ -17,6 +18,7 @@ from localization.drawing import require_matplotlib
 from localization.experiments import figures
 from localization.experiments.live import command as live
 from localization.experiments.options import add_shared
+from localization.experiments.plan import command as plan
 from localization.experiments.pool import drive, drive_on_cluster
 from localization.experiments.progress import progress
 from localization.experiments.report import table
@@ -32,6 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         match given[:1]:
             case ["live"]:
                 live.main(given[1:])
+            case ["plan"]:
+                plan.main(given[1:])
             case ["all"]:
                 _drive_figures([*FIGURES, *given[1:]])
                 live.main(given[1:])
@@ -81,7 +85,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Drive figures of the thesis with many seeds at once: a simulated robot with ideal sonars and "
         "gaussian noise, an extended Kalman filter (but for 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
-        "instead of figures: `live`, methods side by side on live robots (`live --help`); `all`, all figures and that",
+        "instead of figures: `live`, methods side by side on live robots (`live --help`); `plan`, ways planned and "
+        "driven (`plan --help`); `all`, all figures and the live ones",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", choices=list(FIGURES), metavar="FIGURE", help="one or more, see below")

@@ -205,6 +205,8 @@ class Mission:
                     return
         finally:
             if self._step:
+                if not self._step.plans and pilot.log.plans:
+                    self._step.planned_in = pilot.log.plans[0].length_in
                 self._step.plans += len(pilot.log.plans)
                 self._step.touches += len(pilot.log.touches)
                 self._step.notes += [(at - self._began_s, words) for at, words in pilot.log.notes]

@@ -15,7 +15,7 @@ Pose = tuple[float, float, float]
 @dataclass
 class Step:
     """One step. `ending`: "done", or why not in a word (planning.pilot's endings, timeout, fence, condition, error);
-    `reason` in words. `notes`: (seconds, words)."""
+    `reason` in words; `planned_in`, the length of its first plan; `notes`: (seconds, words)."""
 
     verb: str
     words: str
@@ -27,6 +27,7 @@ class Step:
     way_in: float = 0.0
     touches: int = 0
     plans: int = 0
+    planned_in: float = 0.0
     notes: list[tuple[float, str]] = field(default_factory=list)
 
     @property
@@ -113,5 +114,6 @@ def _step(step: Step) -> dict[str, Any]:
         "way_in": round(step.way_in, 2),
         "touches": step.touches,
         "plans": step.plans,
+        "planned_in": round(step.planned_in, 2),
         "notes": [{"at_s": round(at, 3), "words": words} for at, words in step.notes],
     }
