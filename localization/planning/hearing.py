@@ -43,10 +43,7 @@ def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad
     if estimate.verdict.trust is not Trust.LOST:
         x, y, heading = (float(value) for value in estimate.pose)
         looking, std = heading + state.turret_rad - state.steering_rad, _std_in(estimate)
-        near = [
-            unmapped.too_near((x, y), looking + angle, float(reading), std)
-            for angle, reading in zip(angles_rad, readings, strict=True)
-        ]
+        near = unmapped.too_near((x, y), looking + np.asarray(angles_rad), np.array(readings, dtype=np.float64), std)
         if sum(near) <= MOST_SPARED:
             readings = tuple(int(NEAREST_IN) if hidden else told for hidden, told in zip(near, readings, strict=True))
     return Spared(state.clock_s, state.x_in, state.y_in, state.steering_rad, state.turret_rad, readings)

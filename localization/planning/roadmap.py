@@ -178,7 +178,7 @@ class Roadmap:
             graph.join(count + k, count + k + 1, float(np.hypot(*(self._nodes[k + 1] - self._nodes[k]))))
         self._join_arcs(graph, np.concatenate([*angles, self._angles]), np.concatenate([*circles, self._circles]))
         edges = graph.shortest()
-        return None if edges is None else [self._leg(graph, *edge) for edge in edges]
+        return None if edges is None else _joined([self._leg(graph, *edge) for edge in edges])
 
     def _join_arcs(self, graph: _Graph, angles: Floats, circles: np.typing.NDArray[np.intp]) -> None:
         """Join the nodes on each circle to the next ones where the arc between is free; nodes are counted from 2."""
@@ -200,6 +200,17 @@ class Roadmap:
             return straight((x, y), graph.points[other].tolist())
         left = 1.0 if arc.turn_rad >= 0.0 else -1.0
         return Leg(x, y, arc.from_rad + left * 0.5 * pi, left / self.radius_in, self.radius_in * abs(arc.turn_rad))
+
+
+def _joined(legs: list[Leg]) -> list[Leg]:
+    """The same way, arcs that go on in one another as one."""
+    joined: list[Leg] = []
+    for leg in legs:
+        if joined and leg.curvature and leg.curvature == joined[-1].curvature:
+            joined[-1] = joined[-1]._replace(length_in=joined[-1].length_in + leg.length_in)
+        else:
+            joined.append(leg)
+    return joined
 
 
 def length_in(legs: list[Leg]) -> float:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import cos, hypot, pi, sin, tan
+from typing import Final
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from localization.planning.profile import BRAKING_SHARE, fastest_in_s
 _SHARPEST_RAD = 0.9 * pi
 """Beyond it a corner is a way back."""
 _LEAST_RAD = 1e-3
+SLOWEST_IN_S: Final = 1.0
+"""An arc so tight that it is driven slower than this is a turn in place."""
 
 
 def rounded(
@@ -56,6 +59,8 @@ def _arc(one: Leg, other: Leg, within_in: float, limits: AxisLimits) -> tuple[Le
     x, y, heading, _ = one.at(one.length_in - cut)
     arc = Leg(x, y, heading, (1.0 if turn > 0.0 else -1.0) / radius, radius * abs(turn))
     speed = fastest_in_s(arc.curvature, limits)
+    if speed < SLOWEST_IN_S:
+        return None
     return (arc, cut) if _around_s(arc, speed, limits) < _stop_s(2.0 * cut, abs(turn), limits) else None
 
 

@@ -36,6 +36,7 @@ MOST_STD_IN: Final = 1.5
 HALF_WIDTH_IN: Final = 2.0
 """Of the segment that stands for a find: across the beams that found it."""
 Point = tuple[float, float]
+Mask = np.typing.NDArray[np.bool_]
 _FAN_RAD: Final = np.radians(np.linspace(-16.0, 16.0, 17))
 _TOLERANCE_IN, _TOLERANCE_SHARE = 3.0, 0.03
 
@@ -73,14 +74,16 @@ class Unmapped:
         """Drop all: who was lost saw them elsewhere."""
         self._finds.clear()
 
-    def too_near(self, place: Point, towards_rad: float, reading_in: float, std_in: float) -> bool:
-        """Whether a reading of a sonar of a robot at `place`, known to `std_in`, looking `towards_rad` in the map, is
-        nearer than anything of the map can be."""
-        if not NEAREST_IN <= reading_in <= FARTHEST_IN or std_in > MOST_STD_IN:
-            return False
-        range_in = reading_in + self._ring_in
-        tolerance = _TOLERANCE_IN + _TOLERANCE_SHARE * range_in + 3.0 * std_in
-        return range_in < self._nearest_of_map(place, towards_rad) - tolerance
+    def too_near(self, place: Point, towards_rad: Floats, readings_in: Floats, std_in: float) -> Mask:
+        """Which readings (n,) of sonars of a robot at `place`, known to `std_in`, looking `towards_rad` (n,) in the
+        map, are nearer than anything of the map can be."""
+        near: Mask = (readings_in >= NEAREST_IN) & (readings_in <= FARTHEST_IN)
+        if std_in > MOST_STD_IN or not near.any():
+            return np.zeros(len(near), dtype=np.bool_)
+        ranges = readings_in[near] + self._ring_in
+        tolerance = _TOLERANCE_IN + _TOLERANCE_SHARE * ranges + 3.0 * std_in
+        near[near] = ranges < self._nearest_of_map(place, towards_rad[near]) - tolerance
+        return near
 
     def hear(self, clock_s: float, place: Point, towards_rad: float, reading_in: float, std_in: float) -> None:
         """Take in such a reading."""
@@ -89,7 +92,7 @@ class Unmapped:
             return
         range_in = reading_in + self._ring_in
         self._see_through(place, towards_rad, range_in)
-        if self.too_near(place, towards_rad, reading_in, std_in):
+        if self.too_near(place, np.array([towards_rad]), np.array([reading_in]), std_in)[0]:
             self._add(place[0] + range_in * cos(towards_rad), place[1] + range_in * sin(towards_rad), towards_rad)
 
     def touch(self, clock_s: float, place: Point, towards_rad: float, body_in: float) -> None:
@@ -116,18 +119,18 @@ class Unmapped:
                 find.weight *= SEEN_THROUGH
         self._drop()
 
-    def _nearest_of_map(self, place: Point, towards_rad: float) -> float:
-        """How near anything of the map is within the cone: along a fan of rays, and its corners."""
+    def _nearest_of_map(self, place: Point, towards_rad: Floats) -> Floats:
+        """How near (n,) anything of the map is in cones about directions (n,): along fans of rays, and its corners."""
         if not len(self._walls):
-            return np.inf
-        angles = towards_rad + _FAN_RAD
+            return np.full(len(towards_rad), np.inf)
+        angles = towards_rad[:, None] + _FAN_RAD
         ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
         axes = np.broadcast_to(np.array(place), ways.shape)
-        nearest = float(cast_rays(axes, ways, self._walls)[0].min())
+        nearest: Floats = cast_rays(axes, ways, self._walls)[0].min(axis=1)
         off = self._corners - np.array(place)
-        within = np.abs(np.angle(np.exp(1j * (np.arctan2(off[:, 1], off[:, 0]) - towards_rad)))) <= _FAN_RAD[-1]
-        corners = np.hypot(off[within, 0], off[within, 1])
-        return min(nearest, float(corners.min(initial=np.inf)))
+        beside = np.arctan2(off[:, 1], off[:, 0]) - towards_rad[:, None]
+        far = np.where(np.cos(beside) >= np.cos(_FAN_RAD[-1]), np.hypot(off[:, 0], off[:, 1]), np.inf)
+        return np.fmin(nearest, np.asarray(far.min(axis=1), dtype=np.float64))
 
     def _add(self, x_in: float, y_in: float, towards_rad: float) -> None:
         near = [find for find in self._finds if hypot(find.x_in - x_in, find.y_in - y_in) < JOIN_IN and not find.felt]

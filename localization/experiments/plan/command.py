@@ -32,7 +32,7 @@ Crew = Callable[[Sequence[Pair]], Iterator[tuple[Pair, Driven]]]
 def main(arguments: Sequence[str]) -> None:
     """Run the command. Raises what the crew and the files raise."""
     options = _parser().parse_args(arguments)
-    wanted = [Pair(world, number, options.scenario) for world in options.worlds for number in range(options.pairs)]
+    wanted = [Pair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
     kept = Kept(options.out / "drives", fingerprint())
     with progress(len(wanted), "plan", "drives") as tally:
         results = collect(wanted, kept, _crew(options), tally)
