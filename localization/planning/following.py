@@ -21,7 +21,8 @@ from localization.planning.limits import AxisLimits
 from localization.planning.profile import BRAKING_SHARE, Profile
 
 DAMPING_IN: Final = 6.0
-LEAD_S: Final = 0.25
+DELAY_S: Final = 0.1
+LOOK_S: Final = 0.5
 TURNED_RAD: Final = 0.04
 ASTRAY_RAD: Final = 0.7
 """Turned away farther than this from its stretch, the robot stops and turns back."""
@@ -95,10 +96,15 @@ class Follower:
         ended_in = hypot(dx, dy) if self._along_in in (0.0, stretch.length_in) else 0.0
         self.aside_in = copysign(max(abs(self.aside_in), ended_in), self.aside_in)
         speed = share * self._profiles[self._number].speed_in_s(self._along_in) * max(0.0, cos(astray))
-        curvature = stretch.at(self._along_in + LEAD_S * speed).curvature
+        curvature = stretch.at(self._along_in + self._lead_s(stretch, place, speed) * speed).curvature
         steering = speed * (curvature - self.aside_in / DAMPING_IN**2 - 2.0 * astray / DAMPING_IN)
         most = self._limits.steering_rad_s
         return Velocities(speed, min(most, max(-most, steering)))
+
+    def _lead_s(self, stretch: Stretch, place: Place, speed: float) -> float:
+        """How far ahead to steer for: half of what the ramp of the steering takes, into an arc or out of it, and more."""
+        ahead = stretch.at(self._along_in + LOOK_S * speed).curvature
+        return DELAY_S + 0.5 * speed * max(abs(place.curvature), abs(ahead)) / self._limits.steering_rad_s2
 
 
 def turn(by_rad: float, limits: AxisLimits) -> Velocities:
