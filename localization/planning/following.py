@@ -102,7 +102,7 @@ class Follower:
         return Velocities(speed, min(most, max(-most, steering)))
 
     def _lead_s(self, stretch: Stretch, place: Place, speed: float) -> float:
-        """How far ahead to steer for: half of what the ramp of the steering takes, into an arc or out of it, and more."""
+        """How far ahead to steer for: half of what the ramp of the steering takes, into an arc or out, and a period."""
         ahead = stretch.at(self._along_in + LOOK_S * speed).curvature
         return DELAY_S + 0.5 * speed * max(abs(place.curvature), abs(ahead)) / self._limits.steering_rad_s2
 
