@@ -17,6 +17,8 @@ from worlds.geometry import nearest_points
 
 SIGMAS: Final = 3.0
 ENOUGH: Final = 1.6
+LEAST_SHARE: Final = 0.1
+"""A smaller share is none: else the robot would creep up to where it must stand and never be there."""
 _AWAY_IN: Final = 0.05
 _NOTHING_IN: Final = 1e-6
 
@@ -38,4 +40,5 @@ def allowed_share(pose: Floats, ahead: Floats, cov: Floats, walls: Floats, body_
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", along, by_pose @ cov @ by_pose.T, along))
     room = np.minimum(far[0], far[1])[closing] - body_in
     enough = float((room / np.maximum(SIGMAS * sigma, _NOTHING_IN)).min())
-    return min(1.0, max(0.0, (enough - 1.0) / (ENOUGH - 1.0)))
+    share = min(1.0, (enough - 1.0) / (ENOUGH - 1.0))
+    return share if share >= LEAST_SHARE else 0.0

@@ -75,6 +75,8 @@ ASIDE_IN: Final = 3.0
 """Farther beside its course than this the robot plans anew."""
 FIND_MARGIN_IN: Final = 0.5
 """Room between body and a find that a course may keep; new ones leave more (MARGINS_IN)."""
+PASSING: Final = 0.6
+"""Share of `within_in` that a course may pass a way-point by: the robot is not exactly on it."""
 PUT_ASIDE_S: Final = 1.0
 """Time between plans for the same reason."""
 
@@ -191,7 +193,7 @@ class Pilot:
 
     def _course(self, start: Point, finds: Floats) -> Plan:
         if len(self._goals) > 1:
-            plan = self._planner.along([start, *self._goals], self.patience.within_in, self._limits)
+            plan = self._planner.along([start, *self._goals], PASSING * self.patience.within_in, self._limits)
             points = np.concatenate([stretch.points(1.0) for stretch in plan.course])
             if not len(finds) or room(points, finds).min() >= self._planner.body_in + FIND_MARGIN_IN:
                 return plan
@@ -245,8 +247,9 @@ class Pilot:
         self._uncertain_s = min(self._uncertain_s, now_s)
         if now_s - self._uncertain_s < self.patience.uncertain_s:
             return STAND
-        wider = [margin for margin in MARGINS_IN if margin > self._least_in]
-        if wider and self._least_in < MARGINS_IN[-1]:
+        there_is = max(self._least_in, self.log.plans[-1].margin_in)
+        wider = [margin for margin in MARGINS_IN if margin > there_is]
+        if wider:
             self._least_in, self._uncertain_s, self._follower = wider[0], inf, None
             self.log.notes.append((now_s, f"known too badly for the room there is: {wider[0]:g} in wanted from now on"))
             return STAND
