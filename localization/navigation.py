@@ -139,12 +139,12 @@ def follow(
             if command is None:
                 return
             after = robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
-            state = _next_state(robot, state, after, wait)
+            state = next_state(robot, state, after, wait)
     finally:
         robot.stop()
 
 
-def _next_state(robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]) -> RobotState:
+def next_state(robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]) -> RobotState:
     """The state a period after `before`. A real robot shows no speed of time: its time is ours."""
     left_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
     if left_s >= SHORTEST_WAIT_S:

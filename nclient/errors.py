@@ -12,6 +12,7 @@
     ├── VariableError (ValueError)         an environment variable that says none of its words
     ├── SetupFileError (ValueError)        an old robot.setup or world.setup that cannot be read: file, line
     ├── FaultPlanError (ValueError)        a plan of faults that cannot be used: file, rule, key, what was expected
+    ├── MissionFileError (ValueError)      a mission's file that cannot be used: file, line or key, what was expected
     ├── ControlError (ValueError)          what a daemon's control socket was asked and cannot do
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
     ├── EstimateFileError (ValueError)     a saved estimate that cannot be written, read back, or gone on from
@@ -113,6 +114,10 @@ class SetupFileError(NomadError, ValueError):
 
 class FaultPlanError(NomadError, ValueError):
     """A plan of faults that cannot be used; the message names file, rule, key and what was expected."""
+
+
+class MissionFileError(NomadError, ValueError):
+    """A mission's file that cannot be used; the message names file, line or key, and what was expected."""
 
 
 class ControlError(NomadError, ValueError):

@@ -1,6 +1,6 @@
 """`python -m localization.experiments 5.4`: drive figures of the thesis and say what came of it. `... live`: methods
-side by side on live robots (live.command). `... lost`: does a filter know when it is lost (lost.command). `... all`:
-every figure, then live.
+side by side on live robots (live.command). `... lost`: does a filter know when it is lost (lost.command). `... plan`:
+ways planned and driven (plan.command). `... all`: every figure, then all of these.
 
 Rules: words and files only; what is driven is in settings, trial and pool. With --json the numbers are alone on stdout;
 the progress bar (extra `plot`: tqdm) and the names of files go to stderr.
@@ -18,7 +18,8 @@ from localization.drawing import require_matplotlib
 from localization.experiments import figures
 from localization.experiments.live import command as live
 from localization.experiments.lost import command as lost
-from localization.experiments.options import add_shared
+from localization.experiments.options import NO_PICTURES, add_shared
+from localization.experiments.plan import command as plan
 from localization.experiments.pool import drive, drive_on_cluster
 from localization.experiments.progress import progress
 from localization.experiments.report import table
@@ -36,9 +37,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 live.main(given[1:])
             case ["lost"]:
                 lost.main(given[1:])
+            case ["plan"]:
+                plan.main(given[1:])
             case ["all"]:
                 _drive_figures([*FIGURES, *given[1:]])
                 live.main(given[1:])
+                numbers = [word for word in given[1:] if word != NO_PICTURES]
+                lost.main(numbers)
+                plan.main(numbers)
             case _:
                 _drive_figures(given)
     except (NomadError, OSError) as error:
@@ -86,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
         "gaussian noise, an extended Kalman filter (but for 5.2), the thesis' control law.",
         epilog=f"figures:\n{titles}\n\nexample: python -m localization.experiments 5.4 --seeds 100 --out out\n\n"
         "instead of figures: `live`, methods side by side on live robots (`live --help`); `lost`, does it know when it "
-        "is lost (`lost --help`); `all`, all figures and `live`",
+        "is lost (`lost --help`); `plan`, ways planned and driven (`plan --help`); `all`, all figures and all of these",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("figures", nargs="+", choices=list(FIGURES), metavar="FIGURE", help="one or more, see below")

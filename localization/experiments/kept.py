@@ -1,8 +1,8 @@
-"""What is worked out once and kept on disk, a JSON file each: a long run cut short goes on where it was.
+"""Results on disk, a JSON file each: what is there already is not worked out again.
 
-A file is named by a digest of all that decides what is in it: its key, and the code that made it (fingerprint). Nothing
-stale is ever read; other code leaves old files alone. Rules: files only. A file is written under another name first, so
-that one cut short is never taken for whole.
+A file is named by a digest of all that decides its numbers, the code's fingerprint among it: nothing stale is ever
+read, and a change leaves old files alone. Rules: files only. A file is written under another name first, so that one
+cut short is never taken for a result.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from typing import Any
 
 
 class Kept:
-    """A folder of what code of that fingerprint made."""
+    """A folder of results that code of that fingerprint made."""
 
     def __init__(self, folder: Path, code: str) -> None:
         self._folder, self._code = folder, code
 
-    def path(self, name: str, *key: object) -> Path:
-        """Where that is kept which a key decides; its representation must tell all of it. `name` is for people."""
-        digest = sha256(repr((self._code, *key)).encode()).hexdigest()
-        return self._folder / f"{name}_{digest[:16]}.json"
+    def path(self, name: str, decided_by: tuple[object, ...]) -> Path:
+        """Where the result of that name is kept; `decided_by`: what decides its numbers, told by its repr."""
+        key = sha256(repr((self._code, *decided_by)).encode())
+        return self._folder / f"{name}_{key.hexdigest()[:16]}.json"
 
-    def get(self, path: Path) -> dict[str, Any] | None:
+    @staticmethod
+    def get(path: Path) -> dict[str, Any] | None:
         """What is kept there, None where nothing is."""
         try:
             text = path.read_text(encoding="utf-8")
@@ -34,9 +35,9 @@ class Kept:
         found: dict[str, Any] = json.loads(text)
         return found
 
-    def put(self, path: Path, values: Mapping[str, Any]) -> None:
-        """Keep it."""
+    def put(self, path: Path, result: Mapping[str, Any]) -> None:
+        """Keep a result there."""
         self._folder.mkdir(parents=True, exist_ok=True)
         unfinished = path.with_suffix(".part")
-        unfinished.write_text(json.dumps(values) + "\n", encoding="utf-8")
+        unfinished.write_text(json.dumps(result) + "\n", encoding="utf-8")
         unfinished.replace(path)

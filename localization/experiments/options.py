@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 from pathlib import Path
+from typing import Final
+
+NO_PICTURES: Final = "--no-pictures"
 
 
 def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
@@ -14,7 +17,7 @@ def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
     parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"for PNG and numbers ({out})")
     parser.add_argument("--json", action="store_true", help=f"print JSON, an object a {unit}, alone on stdout")
     parser.add_argument(
-        "--no-pictures", dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
+        NO_PICTURES, dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
     )
 
 

@@ -1,123 +1,219 @@
-"""The shortest way for a round robot among walls: a visibility graph on walls grown by the robot's radius.
+"""The shortest way for a round robot among walls: straight lines and arcs about the ends of walls, exactly.
 
-    nodes    corners around every end of a wall, on a polygon about the circle of that radius, where there is room
-    edges    straight ways between nodes that come no nearer to any wall than the radius, exactly
-    path     A* over them, from a start to a goal that are joined to all nodes they see
+    walls grown by the radius have borders of lines and arcs; the shortest way among them is a taut string: lines that
+    touch two of the circles about the walls' ends, and free arcs of those circles between
+    nodes    where such a line touches a circle         edges    free lines, and free arcs from one node to the next
+    path     A* over them, from a start and to a goal whose own tangents are added
 
-A circle taken as a polygon of CORNERS sides makes a path longer by 1 / cos(pi / CORNERS) of its arcs at most: 1 %.
+(the visibility graph of Lozano-Perez and Wesley 1979, for circles as Liu and Arimoto 1992.) A start or goal nearer to a
+wall than the radius is left, or reached, by the shortest straight way that comes no nearer.
 Rules: pure; walls of the map, a radius, points; no robot, no estimate. A Roadmap is built once for many paths.
 """
 
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
+from collections.abc import Sequence
 from itertools import pairwise
-from math import cos, hypot, inf, pi, tau
-from typing import Final
+from math import inf, pi, tau
+from typing import NamedTuple
 
 import numpy as np
 
 from localization.belief import Floats
+from localization.planning.circles import SLACK_IN, Rim, on_circles, room, tangents, tangents_from
 from localization.planning.clearance import clearances
+from localization.planning.course import Leg, straight
 from nclient.errors import NomadError
-from worlds.geometry import nearest_points
 
-CORNERS: Final = 24
-_SLACK_IN: Final = 1e-6
-"""A way that touches its own corner's circle is free, whatever rounding says."""
+START, GOAL = 0, 1
+_REACH_IN, _STEP_IN, _DIRECTIONS = 12.0, 0.25, 72
+Point = tuple[float, float]
 
 
 class NoWayError(NomadError):
     """There is no way that the robot fits through."""
 
 
+class _Arc(NamedTuple):
+    """An edge along a circle: the circle, the angle it begins at, and the turn about the centre."""
+
+    circle: int
+    from_rad: float
+    turn_rad: float
+
+
+class _Graph:
+    """Nodes (n, 2), the first two start and goal; `edges` of each: length, the other end, the arc or None."""
+
+    def __init__(self, points: Floats) -> None:
+        self.points = points
+        self.edges: dict[int, list[tuple[float, int, _Arc | None]]] = defaultdict(list)
+
+    def join(self, one: int, other: int, length_in: float, arc: _Arc | None = None) -> None:
+        back = arc and _Arc(arc.circle, arc.from_rad + arc.turn_rad, -arc.turn_rad)
+        self.edges[one].append((length_in, other, arc))
+        self.edges[other].append((length_in, one, back))
+
+    def shortest(self) -> list[tuple[int, int, _Arc | None]] | None:
+        """The edges from start to goal, in order (A*, the straight line as what is left at least)."""
+        left = np.hypot(*(self.points - self.points[GOAL]).T).tolist()
+        reached: dict[int, float] = {START: 0.0}
+        before: dict[int, tuple[int, _Arc | None]] = {}
+        queue: list[tuple[float, int]] = [(left[START], START)]
+        done: set[int] = set()
+        while queue:
+            _, node = heapq.heappop(queue)
+            if node == GOAL:
+                return _back(before)
+            if node in done:
+                continue
+            done.add(node)
+            for length, other, arc in self.edges[node]:
+                further = reached[node] + length
+                if further < reached.get(other, inf):
+                    reached[other], before[other] = further, (node, arc)
+                    heapq.heappush(queue, (further + left[other], other))
+        return None
+
+
+def _back(before: dict[int, tuple[int, _Arc | None]]) -> list[tuple[int, int, _Arc | None]]:
+    node, edges = GOAL, []
+    while node != START:
+        earlier, arc = before[node]
+        edges.append((earlier, node, arc))
+        node = earlier
+    return edges[::-1]
+
+
 class Roadmap:
     """Ways among walls (m, 4) for a robot whose axis keeps `radius_in` from them all."""
 
     def __init__(self, walls: Floats, radius_in: float) -> None:
-        self.walls, self.radius_in = walls, radius_in
-        self.nodes = self._corners()
-        self._ways = self._visible(self.nodes, self.nodes)
+        self.walls, self.radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), radius_in
+        self._centres = np.unique(self.walls.reshape(-1, 2), axis=0)
+        self._rims = [Rim(centre, self.walls, radius_in) for centre in self._centres]
+        angles, circles = tangents(self._centres, radius_in)
+        ends = [on_circles(self._centres, circles[:, k], angles[:, k], radius_in) for k in (0, 1)]
+        free = self._free(np.concatenate(ends, axis=1), radius_in)
+        self._angles, self._circles = angles[free].reshape(-1), circles[free].reshape(-1)
+        self._nodes = np.stack(ends, axis=1)[free].reshape(-1, 2)
 
-    def path(self, start: tuple[float, float], goal: tuple[float, float]) -> list[tuple[float, float]]:
-        """The shortest polyline from start to goal, both included.
+    def path(self, start: Point, goal: Point, least_room_in: float | None = None) -> list[Leg]:
+        """The shortest way from start to goal; none where they are one point.
 
-        A start that is nearer to a wall than the radius may leave it straight, coming no nearer. Raises NoWayError
-        where there is none, saying which end has no room.
+        `least_room_in`: how near to a wall the goal may lie (the radius, where it is not given). Raises NoWayError
+        where there is no way, saying which end has no room.
         """
-        points = np.array([start, goal], dtype=np.float64)
-        room = self._room(points)
-        if room[1] < self.radius_in - _SLACK_IN:
-            raise NoWayError(
-                f"no room at ({goal[0]:g}, {goal[1]:g}): {room[1]:.1f} in to a wall, {self.radius_in:.1f} wanted"
-            )
-        direct = self._visible(points[:1], points[1:], float(room[0]))[0, 0]
-        if direct < inf:
-            return [start, goal]
-        from_start = self._visible(points[:1], self.nodes, float(room[0]))[0]
-        to_goal = self._visible(self.nodes, points[1:])[:, 0]
-        order = self._shortest(from_start, to_goal, points[1])
-        if order is None:
+        ends = np.array([start, goal], dtype=np.float64)
+        rooms = room(ends, self.walls)
+        least = self.radius_in if least_room_in is None else least_room_in
+        if rooms[1] < least - SLACK_IN:
+            raise NoWayError(f"no room at ({goal[0]:g}, {goal[1]:g}): {rooms[1]:.1f} in to a wall, {least:.1f} wanted")
+        if self._free(ends.reshape(1, 4), min(self.radius_in, *rooms))[0]:
+            return [straight(start, goal)]
+        inner = np.stack([self._pushed(end, far) for end, far in zip(ends, rooms, strict=True)])
+        legs = self._among(inner)
+        if legs is None:
             raise NoWayError(f"no way from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) for a robot of "
                              f"{self.radius_in:.1f} in radius")
-        corners = [(float(x), float(y)) for x, y in self.nodes[order]]
-        return [start, *corners, goal]
+        return [straight(start, inner[START].tolist()), *legs, straight(inner[GOAL].tolist(), goal)]
 
-    def _room(self, points: Floats) -> Floats:
-        if not len(self.walls):
-            return np.full(len(points), inf)
-        _, far = nearest_points(points, self.walls)
-        nearest: Floats = far.min(axis=1)
-        return nearest
+    def require_free(self, points: Sequence[Point]) -> None:
+        """Raises NoWayError, naming it, for the first straight way from point to point that comes too near to a wall;
+        the first point alone may lie nearer."""
+        ways = np.array([[*one, *other] for one, other in pairwise(points)], dtype=np.float64).reshape(-1, 4)
+        wanted = np.full(len(ways), self.radius_in)
+        wanted[:1] = np.minimum(wanted[:1], room(ways[:1, :2], self.walls))
+        near = clearances(ways, self.walls)
+        for (x1, y1, x2, y2), far, least in zip(ways.tolist(), near, wanted, strict=True):
+            if far < least - SLACK_IN:
+                raise NoWayError(f"the way from ({x1:g}, {y1:g}) to ({x2:g}, {y2:g}) comes within {far:.1f} in of a "
+                                 f"wall, {least:.1f} wanted")
 
-    def _corners(self) -> Floats:
-        """Corners around the ends of all walls that the robot may stand at."""
-        ends = np.unique(self.walls.reshape(-1, 2), axis=0)
-        angles = np.arange(CORNERS) * (tau / CORNERS)
-        out = self.radius_in / cos(pi / CORNERS) + _SLACK_IN
-        around = ends[:, None, :] + out * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-        corners = around.reshape(-1, 2)
-        kept: Floats = corners[self._room(corners) >= self.radius_in - _SLACK_IN]
-        return kept
+    def _free(self, ways: Floats, wanted_in: float) -> np.typing.NDArray[np.bool_]:
+        """Which straight ways (n, 4) keep so far from all walls."""
+        free: np.typing.NDArray[np.bool_] = clearances(ways, self.walls) >= wanted_in - SLACK_IN
+        return free
 
-    def _visible(self, starts: Floats, ends: Floats, start_room_in: float = inf) -> Floats:
-        """Lengths (a, b) of the ways from starts (a, 2) to ends (b, 2); inf where there is no room on one."""
-        pairs = np.concatenate(
-            (np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1))), axis=1
-        )
-        wanted = min(self.radius_in, start_room_in) - _SLACK_IN
-        free = clearances(pairs, self.walls) >= wanted
-        lengths = np.hypot(pairs[:, 2] - pairs[:, 0], pairs[:, 3] - pairs[:, 1])
-        found: Floats = np.where(free, lengths, inf).reshape(len(starts), len(ends))
-        return found
+    def _pushed(self, point: Floats, room_in: float) -> Floats:
+        """The nearest point with room that is reached straight, coming no nearer; the point itself where it has room,
+        or where there is none."""
+        if room_in >= self.radius_in - SLACK_IN:
+            return point
+        angles = np.arange(_DIRECTIONS) * (tau / _DIRECTIONS)
+        ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+        for far in np.arange(_STEP_IN, _REACH_IN, _STEP_IN):
+            there = point + far * ways
+            there = there[room(there, self.walls) >= self.radius_in]
+            here = np.broadcast_to(point, there.shape)
+            free = self._free(np.concatenate((here, there), axis=1), room_in)
+            if free.any():
+                pushed: Floats = there[free][0]
+                return pushed
+        return point
 
-    def _shortest(self, from_start: Floats, to_goal: Floats, goal: Floats) -> list[int] | None:
-        """Node numbers of the shortest path, in order (A*, the straight line as what is left at least)."""
-        left = np.hypot(*(self.nodes - goal).T) if len(self.nodes) else np.zeros(0)
-        reached = from_start.copy()
-        before = np.full(len(self.nodes), -1)
-        queue = [(float(reached[node] + left[node]), int(node)) for node in np.flatnonzero(reached < inf)]
-        heapq.heapify(queue)
-        best, last, done = inf, -1, np.zeros(len(self.nodes), dtype=bool)
-        while queue and queue[0][0] < best:
-            _, node = heapq.heappop(queue)
-            if done[node]:
+    def _among(self, ends: Floats) -> list[Leg] | None:
+        """The shortest way from ends[0] to ends[1] (2, 2); None where there is none."""
+        points, angles, circles = [ends], [], []
+        lines: list[tuple[int, int, float]] = []
+        if self._free(ends.reshape(1, 4), self.radius_in)[0]:
+            lines.append((START, GOAL, float(np.hypot(*(ends[1] - ends[0])))))
+        count = 2
+        for number, end in enumerate(ends):
+            angle, circle = tangents_from(end, self._centres, self.radius_in)
+            there = on_circles(self._centres, circle, angle, self.radius_in)
+            free = self._free(np.concatenate((np.broadcast_to(end, there.shape), there), axis=1), self.radius_in)
+            points.append(there[free])
+            angles.append(angle[free])
+            circles.append(circle[free])
+            lengths = np.hypot(*(there[free] - end).T)
+            lines += [(number, count + k, float(length)) for k, length in enumerate(lengths)]
+            count += len(lengths)
+        graph = _Graph(np.concatenate([*points, self._nodes]))
+        for line in lines:
+            graph.join(*line)
+        for k in range(0, len(self._nodes), 2):
+            graph.join(count + k, count + k + 1, float(np.hypot(*(self._nodes[k + 1] - self._nodes[k]))))
+        self._join_arcs(graph, np.concatenate([*angles, self._angles]), np.concatenate([*circles, self._circles]))
+        edges = graph.shortest()
+        return None if edges is None else _joined([self._leg(graph, *edge) for edge in edges])
+
+    def _join_arcs(self, graph: _Graph, angles: Floats, circles: np.typing.NDArray[np.intp]) -> None:
+        """Join the nodes on each circle to the next ones where the arc between is free; nodes are counted from 2."""
+        for number, rim in enumerate(self._rims):
+            there = np.flatnonzero(circles == number)
+            if not len(there):
                 continue
-            done[node] = True
-            if reached[node] + to_goal[node] < best:
-                best, last = float(reached[node] + to_goal[node]), node
-            further = reached[node] + self._ways[node]
-            for other in np.flatnonzero(further < reached):
-                reached[other], before[other] = further[other], node
-                heapq.heappush(queue, (float(reached[other] + left[other]), int(other)))
-        if last < 0:
-            return None
-        order = [last]
-        while before[order[-1]] >= 0:
-            order.append(int(before[order[-1]]))
-        return order[::-1]
+            there = there[np.argsort(angles[there])]
+            turns = np.diff(angles[there], append=angles[there[0]] + tau)
+            around = zip(there, np.roll(there, -1), turns, rim.free(angles[there]), strict=True)
+            for one, other, turn, free in around:
+                if free:
+                    arc = _Arc(number, float(angles[one]), float(turn))
+                    graph.join(int(one) + 2, int(other) + 2, self.radius_in * float(turn), arc)
+
+    def _leg(self, graph: _Graph, one: int, other: int, arc: _Arc | None) -> Leg:
+        x, y = graph.points[one].tolist()
+        if arc is None:
+            return straight((x, y), graph.points[other].tolist())
+        left = 1.0 if arc.turn_rad >= 0.0 else -1.0
+        return Leg(x, y, arc.from_rad + left * 0.5 * pi, left / self.radius_in, self.radius_in * abs(arc.turn_rad))
 
 
-def length_in(path: list[tuple[float, float]]) -> float:
-    """The length of a polyline."""
-    return sum(hypot(x2 - x1, y2 - y1) for (x1, y1), (x2, y2) in pairwise(path))
+def _joined(legs: list[Leg]) -> list[Leg]:
+    """The same way, arcs that go on in one another as one."""
+    joined: list[Leg] = []
+    for leg in legs:
+        if joined and leg.curvature and leg.curvature == joined[-1].curvature:
+            joined[-1] = joined[-1]._replace(length_in=joined[-1].length_in + leg.length_in)
+        else:
+            joined.append(leg)
+    return joined
+
+
+def length_in(legs: list[Leg]) -> float:
+    """The length of a way."""
+    return sum(leg.length_in for leg in legs)
+

@@ -1,6 +1,7 @@
-"""Results of live trials on disk (experiments.kept): what is there already is not driven again.
+"""Results of live trials on disk, a JSON file a trial: what is there already is not driven again.
 
-All that decides a trial's numbers is its scenario, to the last number, its path, its seed and its periods.
+A file is named by the trial (with its scenario, to the last number) and by the code (kept, fingerprint).
+Rules: names only; files are kept's.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ class Store:
 
     def path(self, trial: Trial) -> Path:
         """Where the result of a trial is kept."""
-        name = f"{'_'.join(trial.cell)}_{trial.seed:04d}"
-        return self._kept.path(name, trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
+        decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
+        return self._kept.path(f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by)
 
     def get(self, trial: Trial) -> TrialResult | None:
         """The result that is kept, None where there is none."""

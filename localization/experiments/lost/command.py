@@ -57,7 +57,7 @@ def run(case: Case) -> Done:
 
 def _outcomes(cases: Sequence[Case], kept: Kept, options: argparse.Namespace) -> dict[Case, Outcome]:
     """What came of all cases, in their order: what is kept, and what is not by work."""
-    paths = {case: kept.path(case.name, case) for case in cases}
+    paths = {case: kept.path(case.name, (case,)) for case in cases}
     there = {case: found for case, path in paths.items() if (found := kept.get(path)) is not None}
     outcomes = {case: Outcome(**found) for case, found in there.items()}
     work = partial(crew.on_cluster, address=options.cluster, code=fingerprint) if options.cluster else partial(
@@ -85,10 +85,10 @@ def _parser() -> argparse.ArgumentParser:
                         help="a shipped world (%(default)s: no two of its places are alike)")
     parser.add_argument("--scenario", choices=list(SCENARIOS), default="measured", metavar="NAME",
                         help=f"what errs and how: {', '.join(SCENARIOS)} (%(default)s)")
-    parser.add_argument("--runs", type=positive, metavar="N",
+    parser.add_argument("--runs", "--seeds", type=positive, metavar="N",
                         help="of each kind (" + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items()) + ")")
     parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="of each calm run (%(default)s)")
     add_work(parser)
-    parser.add_argument("--out", type=Path, default=Path("out/lost"), metavar="DIR", help="for numbers (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("out/experiments"), metavar="DIR", help="for numbers (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a kind, alone on stdout")
     return parser

@@ -11,6 +11,8 @@ import pytest
 
 from localization.experiments import __main__ as command
 from localization.experiments.live import command as live
+from localization.experiments.lost import command as lost
+from localization.experiments.plan import command as plan
 from localization.experiments.results import Summary
 from localization.experiments.settings import FIGURES
 
@@ -46,9 +48,10 @@ def test_several_figures_give_an_object_a_line(capsys: pytest.CaptureFixture[str
 def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
     driven: list[str] = []
     monkeypatch.setattr(command, "_drive_figure", lambda figure, _: driven.append(figure.name))
-    monkeypatch.setattr(live, "main", lambda arguments: driven.append(f"live {' '.join(arguments)}"))
+    for name, part in (("live", live), ("lost", lost), ("plan", plan)):
+        monkeypatch.setattr(part, "main", lambda words, name=name: driven.append(f"{name} {' '.join(words)}"))
     assert command.main(["all", "--seeds", "3", "--no-pictures"]) == 0
-    assert driven == [*FIGURES, "live --seeds 3 --no-pictures"]
+    assert driven == [*FIGURES, "live --seeds 3 --no-pictures", "lost --seeds 3", "plan --seeds 3"]
 
 
 def test_without_tqdm_there_is_no_bar_and_the_same_numbers(

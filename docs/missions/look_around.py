@@ -1,0 +1,19 @@
+"""Go to the middle of the room of figure 5.8, look to all four sides, and come back by given points."""
+
+from localization.missions import Mission, OnLost, Settings, StepFailed
+
+settings = Settings(title="Look around", map="several_walls", time_limit_s=300, on_lost=OnLost.SEARCH)
+
+
+def mission(robot: Mission) -> None:
+    robot.go_to(35, 55, limit_s=60, retries=1)
+    for heading in (0, 90, 180, 270):
+        robot.turn(heading)
+        seen = robot.look()
+        robot.note(f"{heading} deg: {seen.sonars_in[0]} in ahead, {seen.finds} things that are not in the map")
+    try:
+        robot.wait_for(lambda seen: seen.nearest_in < 12, limit_s=3, words="somebody comes near")
+        robot.note("somebody is here")
+    except StepFailed:
+        robot.note("nobody came")
+    robot.follow([(20, 30), (5, 5)])

@@ -1,0 +1,58 @@
+"""Run a mission: a program in Python or a list of steps in TOML, on whatever address.
+
+    nomad mission docs/missions/rounds.toml "sim:several_walls?noisy=1&seed=3&start=5,5"
+    nomad mission docs/missions/rounds.py nserver://localhost:7019/1 --map several_walls --report report.json
+
+Exit code 0: all was done; 3: a step failed. The robot stands at the end, on an error and on Ctrl-C, and the report is
+told all the same. Rules: reads options, prints, writes the report; what is done is the file's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from localization.missions.files import load_mission
+from localization.missions.mission import Mission
+from localization.missions.report import Report
+from localization.missions.running import run_mission
+from localization.missions.setting_out import add_options, set_out
+from nclient.errors import MissionFileError
+
+FAILED = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `nomad mission`."""
+    parser.add_argument("file", metavar="FILE", help="the mission, .toml or .py (docs/missions.md)")
+    parser.add_argument("address", nargs="?", metavar="ADDRESS",
+                        help="the robot (default: NOMAD_ROBOT, or a local nserver)")
+    parser.add_argument("--check", action="store_true", help="read the file, say what is wrong with it, move nothing")
+    parser.add_argument("--report", type=Path, metavar="JSON", help="write the report there")
+    add_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it; the exit code."""
+    orders = load_mission(options.file)
+    if options.check:
+        print(f"{options.file}: a mission{f', {orders.settings.title}' if orders.settings.title else ''}")
+        return 0
+    with set_out(options, orders.settings.map) as out:
+        mission = Mission(out.helm, orders.settings)
+        try:
+            run_mission(mission, orders.run)
+        finally:
+            tell(out.close(mission.report), options)
+    return 0 if mission.report.done else FAILED
+
+
+def tell(report: Report, options: argparse.Namespace) -> None:
+    """Print a report, and write it where that is asked for. Raises MissionFileError where that cannot be."""
+    print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)
+    if options.report:
+        try:
+            options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise MissionFileError(f"{options.report}: the report cannot be written: {error.strerror}") from error

@@ -1,0 +1,160 @@
+"""Missions from files: TOML lists of steps, and programs in Python. The only file here that touches the disk.
+
+    title = "Rounds"              all of this may be left out (settings)
+    map = "several_walls"
+    time_limit_s = 600
+    fence_in = [[-10, -10], [100, -10], [100, 100], [-10, 100]]      or _cm, _m
+    on_lost = "search"            stop, search, give_up
+    lost_s = 60
+    [[step]]                      at least one; see verbs
+    do = "go_to"
+    to_in = [35, 55]
+
+    a program has a function `mission(robot)`, and `settings = Settings(...)` where it wants other ones
+
+Rules: whatever is wrong is a MissionFileError: file, line or key, what was expected. TOML is read whole before anything
+moves; a program is compiled and its module run, and what its function raises is told with its line.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, Final
+
+from localization.missions.mission import Mission
+from localization.missions.settings import OnLost, Settings
+from localization.missions.verbs import LONGEST_S, step_of
+from nclient.errors import MissionFileError, NomadError, WorldFileError
+from worlds.tables import Table, nearest
+
+MOST_BYTES: Final = 1 << 20
+_TOP: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
+
+
+@dataclass(frozen=True, slots=True)
+class Orders:
+    """A mission that was read: what it is bound to, and what it does."""
+
+    settings: Settings
+    run: Callable[[Mission], object]
+
+
+def load_mission(path: str | PathLike[str]) -> Orders:
+    """The mission of a file, *.toml or *.py. Raises MissionFileError."""
+    file = Path(fspath(path))
+    if file.suffix not in (".toml", ".py"):
+        raise MissionFileError(f"{file}: expected a mission as .toml or .py, found {file.suffix or 'no ending'!r}")
+    text = _read(file)
+    return parse_program(text, str(file)) if file.suffix == ".py" else parse_list(text, str(file))
+
+
+def parse_list(text: str, file: str) -> Orders:
+    """The mission that a text in TOML says; `file` is what errors call it. Raises MissionFileError."""
+    try:
+        values: dict[str, Any] = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise MissionFileError(f"{file}: is no TOML: {error}") from error
+    try:
+        top = Table(file, "", values)
+        top.allow(_TOP, ("fence",))
+        acts = [step_of(table) for table in top.tables("step")]
+        if not acts:
+            top.fail("step", "expected at least one [[step]], found none")
+        settings = _settings(top)
+    except (WorldFileError, MissionFileError) as error:
+        raise MissionFileError(_with_line(str(error), file, text)) from None
+
+    def run(robot: Mission) -> None:
+        for act in acts:
+            act(robot)
+
+    return Orders(settings, run)
+
+
+def parse_program(text: str, file: str) -> Orders:
+    """The mission that a program in Python says. Raises MissionFileError."""
+    names: dict[str, Any] = {"__name__": "mission", "__file__": file}
+    try:
+        exec(compile(text, file, "exec"), names)
+    except SyntaxError as error:
+        raise MissionFileError(f"{file}: line {error.lineno}: is no Python: {error.msg}") from error
+    except Exception as error:
+        raise MissionFileError(_told(error, file)) from error
+    act, settings = names.get("mission"), names.get("settings", Settings())
+    if not callable(act):
+        raise MissionFileError(f"{file}: expected a function mission(robot), found none; its verbs: docs/missions.md")
+    if not isinstance(settings, Settings):
+        raise MissionFileError(f"{file}: settings: expected Settings(...), found {type(settings).__name__}")
+
+    def run(robot: Mission) -> None:
+        try:
+            act(robot)
+        except NomadError:
+            raise
+        except Exception as error:
+            raise MissionFileError(_told(error, file)) from error
+
+    return Orders(settings, run)
+
+
+def _read(file: Path) -> str:
+    try:
+        with file.open("rb") as opened:
+            data = opened.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise MissionFileError(f"{file}: cannot be read: {error.strerror}") from error
+    if len(data) > MOST_BYTES:
+        raise MissionFileError(f"{file}: is too large for a mission")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise MissionFileError(f"{file}: expected text in UTF-8, found other bytes at {error.start}") from error
+
+
+def _settings(top: Table) -> Settings:
+    values, usual = top.values, Settings()
+    policies = [policy.value for policy in OnLost]
+    on_lost = top.text("on_lost", usual.on_lost.value)
+    if on_lost not in policies:
+        top.fail("on_lost", f"expected one of {', '.join(policies)}, found {on_lost!r}{nearest(on_lost, policies)}")
+    fenced = any(key.startswith("fence_") for key in values)
+    return Settings(
+        title=top.text("title", usual.title),
+        map=top.text("map", usual.map),
+        time_limit_s=top.number("time_limit_s", 0.1, LONGEST_S) if "time_limit_s" in values else usual.time_limit_s,
+        fence_in=top.points_in("fence", least=3) if fenced else (),
+        on_lost=OnLost(on_lost),
+        lost_s=top.number("lost_s", 0.1, LONGEST_S) if "lost_s" in values else usual.lost_s,
+    )
+
+
+def _with_line(message: str, file: str, text: str) -> str:
+    """The message with the line its key stands in, where that can be told: a key, or the head of its step."""
+    place = re.match(r"(?:step\[(\d+)\])?\.?([A-Za-z_]+)?", message.removeprefix(f"{file}: "))
+    step, key = place.groups() if place else (None, None)
+    lines, number = text.splitlines(), 0
+    if step is not None:
+        heads = [at for at, line in enumerate(lines) if re.match(r"\s*\[\[\s*step\s*\]\]", line)]
+        number = heads[int(step)] if int(step) < len(heads) else 0
+    for at in range(number, len(lines)):
+        if at > number and lines[at].lstrip().startswith("[["):
+            break
+        if key and re.match(rf"\s*\"?{key}\"?\s*=", lines[at]):
+            number = at
+            break
+    else:
+        number = number if step is not None else -1
+    return message if number < 0 else message.replace(f"{file}: ", f"{file}: line {number + 1}: ", 1)
+
+
+def _told(error: Exception, file: str) -> str:
+    """An error of a program with the last line of the file that it came through."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    where = f"line {lines[-1]}: " if lines else ""
+    return f"{file}: {where}{type(error).__name__}: {error}"

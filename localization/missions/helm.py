@@ -1,0 +1,111 @@
+"""A robot and its estimate, a period at a time: command out, state in, estimate, finds.
+
+    period(command):    drive ──> wait for the rest of PERIOD_S ──> refresh ──> localizer ──> unmapped ──> watchers
+
+Rules: speaks to a robot through nclient's names only; waiting is handed in, the time is the robot's clock. Watchers see
+every period and may end it by raising. Whoever holds a helm stops the robot: leaving its `with` block does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from localization.belief import Belief, Floats
+from localization.filters.table import DEFAULT_METHOD
+from localization.localizer import Estimate
+from localization.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
+from localization.planning.following import STAND, Velocities
+from localization.planning.hearing import spared, take_in
+from localization.planning.limits import LIMITS
+from localization.planning.planner import Planner
+from localization.planning.unmapped import Unmapped
+from localization.surroundings import Surroundings
+from nclient.errors import BumperHit
+from nclient.robot import Robot
+from nclient.robot_state import RobotState
+from worlds.bodies import Body
+
+
+class Sight(NamedTuple):
+    """A period: what is believed, and what the robot said."""
+
+    estimate: Estimate
+    state: RobotState
+
+
+Watcher = Callable[[Sight], None]
+Wait = Callable[[float], None]
+
+
+class Helm:
+    """A robot that stands where `belief` says, and is told what to do a period at a time.
+
+    `speed_in_s`, `turn_rad_s`: it is driven no faster. `wait(seconds)` lets real time pass, as in navigation.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        known: Surroundings,
+        body: Body,
+        belief: Belief,
+        wait: Wait,
+        method: str = DEFAULT_METHOD,
+        speed_in_s: float = Speeds().translation_in_s,
+        turn_rad_s: float = Speeds().steering_rad_s,
+    ) -> None:
+        self.robot, self.body, self._wait = robot, body, wait
+        self.limits = LIMITS[body.name].capped(speed_in_s, turn_rad_s)
+        self.planner = Planner(_walls(known), body.radius_in)
+        self.unmapped = Unmapped(_walls(known), body.sonar_ring_radius_in)
+        self.watchers: list[Watcher] = []
+        robot.set_timeout(COMMAND_TIMEOUT_S)
+        self._localizer = begin(robot, known, belief, method)
+        state = robot.refresh()
+        self.sight = Sight(self._localizer.update(state), state)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.robot.stop()
+
+    @property
+    def clock_s(self) -> float:
+        """The robot's clock at the last estimate."""
+        return self.sight.estimate.clock_s
+
+    def fence(self, edges: Floats) -> None:
+        """Keep inside of these edges (k, 4) as if they were walls, from the next plan on."""
+        self.planner = Planner(np.concatenate((self.planner.walls, edges)), self.body.radius_in)
+
+    def period(self, command: Velocities = STAND) -> Sight:
+        """Drive so for a period; what is seen at its end. Raises what robot and watchers raise."""
+        before = self.sight.state
+        after = before
+        with contextlib.suppress(BumperHit):
+            after = self.robot.drive(
+                translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s
+            )
+        self.sight = self._look(next_state(self.robot, before, after, self._wait))
+        for watcher in self.watchers:
+            watcher(self.sight)
+        return self.sight
+
+    def _look(self, state: RobotState) -> Sight:
+        angles = self.body.sonar_angles_rad
+        report = spared(self.unmapped, self.sight.estimate, state, angles)
+        estimate = self._localizer.update(report)
+        take_in(self.unmapped, estimate, state, angles)
+        return Sight(estimate, state)
+
+
+def _walls(known: Surroundings) -> Floats:
+    return np.asarray(known.walls, dtype=np.float64)

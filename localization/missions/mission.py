@@ -1,0 +1,288 @@
+"""What a mission's program says: go to, follow, turn, look, wait for, patrol, dock.
+
+    def mission(robot):
+        robot.go_to(60, 40, heading_deg=90)
+        robot.wait_for(lambda seen: seen.nearest_in < 20, limit_s=30)
+        robot.patrol([(60, 40), (0, 0)], rounds=2)
+
+Every verb returns when it is done and raises StepFailed when it cannot be; `limit_s` seconds of the robot's clock and
+`retries` go with each. Rules: no clock and no file; a period of the helm is the only way that time passes, so all ends:
+by itself, by its limit or the mission's, by the fence, or by LOST.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from math import cos, degrees, hypot, inf, radians, sin
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from localization.belief import Floats
+from localization.missions.failures import MissionOver, StepFailed
+from localization.missions.helm import Helm, Sight
+from localization.missions.lost import find_again
+from localization.missions.report import DONE, Report, Step
+from localization.missions.settings import Point, Settings
+from localization.planning.course import Stretch, straight, turn_between
+from localization.planning.following import STAND, TURNED_RAD, Follower, turn
+from localization.planning.pilot import Ending, Patience, Pilot
+from localization.watch import Trust
+from nclient.errors import NomadError
+from worlds.geometry import inside, polygon_segments
+
+RING_S: Final = 1.0
+"""All sixteen sonars have fired once in this time."""
+DOCK_IN: Final = 12.0
+DOCK_IN_S: Final = 2.0
+DOCKED_IN: Final = 0.5
+
+
+class Seen(NamedTuple):
+    """What the robot knows at a moment: where it believes to be, and what its sensors say."""
+
+    clock_s: float
+    x_in: float
+    y_in: float
+    heading_deg: float
+    std_in: float
+    trust: str
+    sonars_in: tuple[int, ...]
+    touching: bool
+    bumpers: tuple[int, ...]
+    finds: int
+    """Things that the map does not have, found so far and still there."""
+
+    @property
+    def nearest_in(self) -> int:
+        """The shortest reading of the ring."""
+        return min(self.sonars_in)
+
+
+Condition = Callable[[Seen], bool]
+
+
+class Mission:
+    """The robot as a mission's program knows it; what it did is in `report`."""
+
+    def __init__(self, helm: Helm, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        self._helm = helm
+        self.report = Report(self.settings.title)
+        self._began_s, self._step_ends_s = helm.clock_s, inf
+        self._fence = polygon_segments(self.settings.fence_in) if self.settings.fence_in else None
+        if self._fence is not None:
+            helm.fence(self._fence)
+        self._step: Step | None = None
+        self._encoders = self._place_of(helm.sight)
+        helm.watchers.append(self._watch)
+
+    @property
+    def seen(self) -> Seen:
+        """What is known now; asks nobody."""
+        estimate, state = self._helm.sight
+        x, y, heading = (float(value) for value in estimate.pose)
+        std = float(np.sqrt(np.linalg.eigvalsh(estimate.belief.cov[:2, :2])[-1]))
+        return Seen(
+            self._helm.clock_s - self._began_s, x, y, degrees(heading), std, estimate.verdict.trust.value,
+            state.sonars_in, state.touching, state.bumpers, len(self._helm.unmapped.segments),
+        )  # fmt: skip
+
+    # verbs
+
+    def go_to(self, x_in: float, y_in: float, heading_deg: float | None = None, *, limit_s: float = inf,
+              retries: int = 0, within_in: float = 1.0) -> Seen:  # fmt: skip
+        """Go there by the shortest way, and turn to the heading."""
+        words = f"({x_in:g}, {y_in:g})" + ("" if heading_deg is None else f" {heading_deg:g} deg")
+        heading = None if heading_deg is None else radians(heading_deg)
+        self._do("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
+        return self.seen
+
+    def follow(self, points_in: Sequence[Point], *, limit_s: float = inf, retries: int = 0,
+               within_in: float = 1.0) -> Seen:  # fmt: skip
+        """Go along points by straight ways, passing by all but the last, where it stops."""
+        self._do("follow", _listed(points_in), lambda: self._drive(points_in, None, within_in), limit_s, retries)
+        return self.seen
+
+    def turn(self, heading_deg: float | None = None, *, by_deg: float | None = None, limit_s: float = inf,
+             retries: int = 0) -> Seen:  # fmt: skip
+        """Turn in place to a heading, the short way, or by so much to the left."""
+        if (heading_deg is None) == (by_deg is None):
+            raise TypeError("turn to a heading_deg, or by_deg: one of them")
+        words = f"to {heading_deg:g} deg" if by_deg is None else f"by {by_deg:g} deg"
+        self._do("turn", words, lambda: self._turn(heading_deg, by_deg), limit_s, retries)
+        return self.seen
+
+    def look(self, seconds: float = RING_S) -> Seen:
+        """Stand and listen for a while; what is seen then."""
+        self._do("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
+        return self.seen
+
+    def wait_for(self, condition: Condition, limit_s: float, words: str = "a condition") -> Seen:
+        """Stand until the condition holds; StepFailed where it does not within the limit."""
+        self._do("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
+        return self.seen
+
+    def patrol(self, points_in: Sequence[Point], rounds: int = 1, *, limit_s: float = inf, retries: int = 0) -> Seen:
+        """Go to each of the points in turn, the shortest ways, and round again."""
+        for number in range(rounds):
+            for point in points_in:
+                words = f"({point[0]:g}, {point[1]:g}), round {number + 1} of {rounds}"
+                self._do("patrol", words, partial(self._drive, [point], None, 1.0), limit_s, retries)
+        return self.seen
+
+    def dock(self, x_in: float, y_in: float, heading_deg: float, *, limit_s: float = inf, retries: int = 0) -> Seen:
+        """Go to a place before it, turn to it, and drive in slowly and straight: until there, or until it touches."""
+        words = f"({x_in:g}, {y_in:g}) {heading_deg:g} deg"
+        self._do("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
+        return self.seen
+
+    def note(self, words: str) -> None:
+        """Write something into the report."""
+        now_s = self._helm.clock_s - self._began_s
+        self.report.steps.append(Step("note", words, now_s, now_s, DONE))
+
+    # how they are done
+
+    def _do(self, verb: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> None:
+        """A step: act, again where it failed, and all of it into the report. Raises StepFailed."""
+        if self._step is not None:
+            raise StepFailed("error", f"{verb} inside of {self._step.verb}: one step at a time")
+        with self._reported(verb, words) as step:
+            for left in range(retries, -1, -1):
+                step.tries += 1
+                self._step_ends_s = self._helm.clock_s + limit_s
+                try:
+                    act()
+                    return
+                except MissionOver:
+                    raise
+                except StepFailed as failure:
+                    if not left:
+                        raise
+                    self._note(f"{failure}; tried again")
+                    self._helm.period()
+
+    @contextmanager
+    def _reported(self, verb: str, words: str) -> Iterator[Step]:
+        self._step = step = Step(verb, words, self._helm.clock_s - self._began_s)
+        self.report.steps.append(step)
+        try:
+            yield step
+            step.ending = DONE
+        except BaseException as error:
+            step.ending = error.ending if isinstance(error, StepFailed) else "error"
+            step.reason = str(error) if isinstance(error, NomadError) else type(error).__name__
+            raise
+        finally:
+            step.ended_s = self._helm.clock_s - self._began_s
+            self._step, self._step_ends_s = None, inf
+
+    def _drive(self, goals: Sequence[Point], heading_rad: float | None, within_in: float) -> None:
+        left: Sequence[Point] = list(goals)
+        while True:
+            pilot = Pilot(
+                self._helm.planner, self._helm.limits, self._helm.unmapped, left, heading_rad, Patience(within_in)
+            )
+            self._steer(pilot)
+            assert pilot.outcome is not None
+            if pilot.outcome.ending is Ending.ARRIVED:
+                return
+            if pilot.outcome.ending is not Ending.LOST:
+                raise StepFailed(pilot.outcome.ending.value, pilot.outcome.reason)
+            self._find_again(pilot.outcome.reason)
+            left = pilot.goals_left
+
+    def _steer(self, pilot: Pilot) -> None:
+        """Until the pilot is done; what it logs goes into the report."""
+        try:
+            while True:
+                command = pilot.step(*self._helm.sight)
+                self._helm.period(command)
+                if pilot.outcome:
+                    return
+        finally:
+            if self._step:
+                if not self._step.plans and pilot.log.plans:
+                    self._step.planned_in = pilot.log.plans[0].length_in
+                self._step.plans += len(pilot.log.plans)
+                self._step.touches += len(pilot.log.touches)
+                self._step.notes += [(at - self._began_s, words) for at, words in pilot.log.notes]
+
+    def _turn(self, heading_deg: float | None, by_deg: float | None) -> None:
+        heading = float(self._helm.sight.estimate.pose[2])
+        goal = radians(heading_deg) if heading_deg is not None else heading + radians(by_deg or 0.0)
+        while True:
+            if self._helm.sight.estimate.verdict.trust is Trust.LOST:
+                self._find_again(self._helm.sight.estimate.verdict.reason)
+            left = turn_between(float(self._helm.sight.estimate.pose[2]), goal)
+            if abs(left) <= TURNED_RAD:
+                self._helm.period()
+                return
+            self._helm.period(turn(left, self._helm.limits))
+
+    def _stand(self, seconds: float) -> None:
+        until_s = self._helm.clock_s + seconds
+        while self._helm.clock_s < until_s:
+            self._helm.period()
+
+    def _wait_for(self, condition: Condition, limit_s: float, words: str) -> None:
+        until_s = self._helm.clock_s + limit_s
+        while not condition(self.seen):
+            if self._helm.clock_s >= until_s:
+                raise StepFailed("condition", f"{words}: did not come within {limit_s:g} s")
+            self._helm.period()
+
+    def _dock(self, place: Point, heading_rad: float) -> None:
+        before = place[0] - DOCK_IN * cos(heading_rad), place[1] - DOCK_IN * sin(heading_rad)
+        self._drive([before], heading_rad, 1.0)
+        pose: Floats = self._helm.sight.estimate.pose
+        way = straight((float(pose[0]), float(pose[1])), place)
+        follower = Follower([Stretch((way,))], self._helm.limits.capped(DOCK_IN_S))
+        while not follower.finished and not self._helm.sight.state.touching:
+            self._helm.period(follower.command(self._helm.sight.estimate.pose))
+        self._helm.period(STAND)
+        x, y, _ = self._helm.sight.estimate.pose
+        off = hypot(x - place[0], y - place[1])
+        if off > 1.0 + 2.0 * DOCKED_IN:
+            raise StepFailed("touched", f"touched something {off:.1f} in before the dock")
+
+    def _find_again(self, reason: str) -> None:
+        """On LOST: as the settings say; returns once the place is known. Raises MissionOver."""
+        self._note(f"lost: {reason}")
+        since_s = self._helm.clock_s
+        find_again(self._helm, self.settings, reason)
+        self._note(f"found again after {self._helm.clock_s - since_s:.1f} s")
+
+    # what holds in every period
+
+    def _watch(self, sight: Sight) -> None:
+        """Time, fence and way, in every period of whatever is done. Raises StepFailed, MissionOver."""
+        place = self._place_of(sight)
+        if self._step:
+            self._step.way_in += hypot(place[0] - self._encoders[0], place[1] - self._encoders[1])
+        self._encoders = place
+        now_s = sight.estimate.clock_s
+        if now_s - self._began_s > self.settings.time_limit_s:
+            raise MissionOver("timeout", f"the mission's time is over: {self.settings.time_limit_s:g} s")
+        x, y, _ = sight.estimate.pose
+        known = sight.estimate.verdict.trust is not Trust.LOST
+        if self._fence is not None and known and not inside((x, y), self._fence):
+            raise MissionOver("fence", f"({x:.1f}, {y:.1f}) is outside of the fence")
+        if now_s > self._step_ends_s:
+            self._step_ends_s = inf
+            raise StepFailed("timeout", "the step's time is over")
+
+    def _place_of(self, sight: Sight) -> Point:
+        return sight.state.x_in, sight.state.y_in
+
+    def _note(self, words: str) -> None:
+        if self._step:
+            self._step.notes.append((self._helm.clock_s - self._began_s, words))
+
+
+def _listed(points: Sequence[Point]) -> str:
+    return " ".join(f"({x:g}, {y:g})" for x, y in points)
+

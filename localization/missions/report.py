@@ -1,0 +1,119 @@
+"""What became of a mission, step by step: values, their JSON, and lines for people.
+
+Rules: values and words; no robot, no file. Times are of the robot's clock, from the start of the mission.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import degrees
+from typing import Any
+
+Pose = tuple[float, float, float]
+
+
+@dataclass
+class Step:
+    """One step. `ending`: "done", or why not in a word (planning.pilot's endings, timeout, fence, condition, error);
+    `reason` in words; `planned_in`, the length of its first plan; `notes`: (seconds, words)."""
+
+    verb: str
+    words: str
+    began_s: float
+    ended_s: float = 0.0
+    ending: str = ""
+    reason: str = ""
+    tries: int = 0
+    way_in: float = 0.0
+    touches: int = 0
+    plans: int = 0
+    planned_in: float = 0.0
+    notes: list[tuple[float, str]] = field(default_factory=list)
+
+    @property
+    def done(self) -> bool:
+        """Whether it did what it was to do."""
+        return self.ending == DONE
+
+    def line(self) -> str:
+        """In one line."""
+        text = f"{self.began_s:7.1f} s  {'done  ' if self.done else 'FAILED'}  {self.verb} {self.words}".rstrip()
+        more = [f"{self.ended_s - self.began_s:.1f} s", f"{self.way_in:.0f} in"]
+        more += [f"{self.tries} tries"] * (self.tries > 1) + [f"{self.touches} touches"] * (self.touches > 0)
+        more += [f"planned {self.plans} times"] * (self.plans > 1)
+        return f"{text}  ({', '.join(more)})" + ("" if self.done else f": {self.reason}")
+
+
+DONE = "done"
+
+
+@dataclass
+class Report:
+    """Of a mission: its steps, and how it ended as a whole; `pose` as estimated at the end, `truth` where known."""
+
+    title: str
+    steps: list[Step] = field(default_factory=list)
+    ending: str = ""
+    reason: str = ""
+    duration_s: float = 0.0
+    pose: Pose | None = None
+    std: Pose | None = None
+    truth: Pose | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether all of it was done."""
+        return self.ending == DONE
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain data: inches, seconds, and degrees where it says so."""
+        return {
+            "title": self.title,
+            "ending": self.ending,
+            "reason": self.reason,
+            "duration_s": round(self.duration_s, 3),
+            "way_in": round(sum(step.way_in for step in self.steps), 2),
+            "touches": sum(step.touches for step in self.steps),
+            "pose": _pose(self.pose),
+            "std": _pose(self.std),
+            "truth": _pose(self.truth),
+            "steps": [_step(step) for step in self.steps],
+        }
+
+    def text(self) -> str:
+        """For people."""
+        lines = [self.title] if self.title else []
+        for step in self.steps:
+            lines.append(step.line())
+            lines += [f"{at:7.1f} s          {words}" for at, words in step.notes]
+        where = ""
+        if self.pose:
+            where = f" at ({self.pose[0]:.1f}, {self.pose[1]:.1f}) in, {degrees(self.pose[2]):.0f} deg"
+        lines.append(f"{self.duration_s:7.1f} s  {self.ending}{where}" + (f": {self.reason}" if self.reason else ""))
+        if self.truth:
+            x, y, heading = self.truth
+            lines.append(f"           in truth at ({x:.1f}, {y:.1f}) in, {degrees(heading):.0f} deg")
+        return "\n".join(lines)
+
+
+def _pose(pose: Pose | None) -> dict[str, float] | None:
+    if pose is None:
+        return None
+    return {"x_in": round(pose[0], 3), "y_in": round(pose[1], 3), "heading_deg": round(degrees(pose[2]), 3)}
+
+
+def _step(step: Step) -> dict[str, Any]:
+    return {
+        "do": step.verb,
+        "what": step.words,
+        "ending": step.ending,
+        "reason": step.reason,
+        "began_s": round(step.began_s, 3),
+        "duration_s": round(step.ended_s - step.began_s, 3),
+        "tries": step.tries,
+        "way_in": round(step.way_in, 2),
+        "touches": step.touches,
+        "plans": step.plans,
+        "planned_in": round(step.planned_in, 2),
+        "notes": [{"at_s": round(at, 3), "words": words} for at, words in step.notes],
+    }

@@ -1,0 +1,34 @@
+"""A mission from its first step to its report, whatever happens.
+
+    done                        every step was
+    a word of a failure         a step failed, and the program did not catch it; or time, fence, LOST
+    error, interrupted          the robot or the file failed; Ctrl-C. Both are told in the report, and raised again
+
+Rules: no options, no printing. The helm stops the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from localization.missions.failures import StepFailed
+from localization.missions.mission import Mission
+from localization.missions.report import DONE
+
+
+def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
+    """Run it; `mission.report` says how it ended. Raises what is no failure of a step."""
+    report = mission.report
+    try:
+        act(mission)
+        report.ending, report.reason = DONE, ""
+    except StepFailed as failure:
+        report.ending, report.reason = failure.ending, str(failure)
+    except KeyboardInterrupt:
+        report.ending, report.reason = "interrupted", "Ctrl-C"
+        raise
+    except BaseException as error:
+        report.ending, report.reason = "error", str(error) or type(error).__name__
+        raise
+    finally:
+        report.duration_s = mission.seen.clock_s

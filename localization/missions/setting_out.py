@@ -1,0 +1,110 @@
+"""Setting out: the options of commands that drive by a plan, and the helm that they make of them.
+
+Rules: reads options and opens the robot; what is driven is the command's. Waits on the real clock, for what the robot's
+own has not gone by itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import astuple
+from typing import Final, NamedTuple
+
+from localization.belief import independent
+from localization.cli import START_STD
+from localization.cone import ConeModel
+from localization.filters.table import METHODS
+from localization.measurement import WIRE_SONAR
+from localization.missions.helm import Helm
+from localization.missions.report import Report
+from localization.navigation import Speeds
+from localization.readers import constants, noise, opened, pose, positive, stds
+from localization.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.systematic import with_constants
+from nclient import Robot, WorldFileError
+from worlds.bodies import BODIES
+from worlds.files import load_world
+
+METHOD: Final = "finder"
+"""It knows when it is lost."""
+SIMULATION: Final = "sim:"
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What all of them have."""
+    parser.add_argument("--map", "--world", metavar="WORLD",
+                        help="the walls: a shipped world or a TOML file (default: what the mission says, or the world "
+                             "of a sim: address)")
+    parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
+                        help="where the robot stands now, inches and degrees; its encoders are set to it "
+                             "(default: what they say)")
+    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
+                        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
+    parser.add_argument("--body", choices=sorted(BODIES), help="the robot's model (default: the address')")
+    parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
+                        help="top speed in in/s (default %(default)s)")
+    parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
+                        help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
+                             f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
+    parser.add_argument("--sonars", choices=("rays", "cones"),
+                        help="how readings are understood (default: rays of a simulation, cones of a robot)")
+    parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
+                        help="find out the encoders' own errors, as in `nomad localize`")
+    parser.add_argument("--method", choices=METHODS, default=METHOD,
+                        help="the filter; all but finder never know that they are lost (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON, alone on stdout")
+
+
+class SetOut(NamedTuple):
+    """A helm, its robot, and whether that knows the truth."""
+
+    helm: Helm
+    robot: Robot
+    simulated: bool
+
+    def close(self, report: Report) -> Report:
+        """The report with where the robot is at the end."""
+        belief = self.helm.sight.estimate.belief
+        x, y, heading = (float(value) for value in self.helm.sight.estimate.pose)
+        report.pose = x, y, heading
+        sx, sy, turned = (float(value) for value in belief.std[:3])
+        report.std = sx, sy, turned
+        if self.simulated and not self.robot.closed:
+            truth = self.robot.truth()
+            report.truth = truth.x_in, truth.y_in, truth.steering_rad
+        return report
+
+
+@contextmanager
+def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]:
+    """Connect to the robot of the options, and begin to localize it; it stands at the end, however it ends."""
+    world = load_world(_map_of(options, map_name))
+    robot, simulated = opened(options.address)
+    with robot:
+        state = robot.refresh()
+        if options.start:
+            x, y, heading = options.start
+            robot.set_position(x_in=x, y_in=y)
+            turret_rad = heading + state.turret_rad - state.steering_rad
+            state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
+        belief = with_constants(
+            independent([state.x_in, state.y_in, state.steering_rad], options.start_std), options.scale_std
+        )
+        rays = options.sonars == "rays" if options.sonars else simulated
+        body = BODIES[options.body or robot.model.name]
+        known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if rays else ConeModel())
+        with Helm(robot, known, body, belief, time.sleep, options.method, options.speed) as helm:
+            yield SetOut(helm, robot, simulated)
+
+
+def _map_of(options: argparse.Namespace, map_name: str) -> str:
+    """The option's, the mission's, or the simulation's own. Raises WorldFileError where none is told."""
+    address = options.address or ""
+    own = address.removeprefix(SIMULATION).partition("?")[0] if address.startswith(SIMULATION) else ""
+    told = options.map or map_name or own
+    if not told:
+        raise WorldFileError("which walls are there? --map WORLD, a shipped world or a TOML file")
+    return str(told)

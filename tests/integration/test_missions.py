@@ -1,0 +1,115 @@
+"""One mission on three addresses: in process, over a real socket, over a real pseudo-terminal; and what ends it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nclient import connect
+
+PATIENCE_S = 60.0
+NOMAD = str(Path(sys.executable).parent / "nomad")
+MISSION = """
+title = "A little way"
+map = "thesis_room"
+time_limit_s = 120
+
+[[step]]
+do = "go_to"
+to_in = [16, 8]
+time_limit_s = 60
+retries = 1
+
+[[step]]
+do = "look"
+
+[[step]]
+do = "turn"
+heading_deg = 90
+"""
+
+
+@pytest.fixture
+def mission(tmp_path: Path) -> Path:
+    path = tmp_path / "little.toml"
+    path.write_text(MISSION)
+    return path
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[dict[str, str]]:
+    """A daemon with a line of its own; where each listens."""
+    command = [sys.executable, "-m", "nserver_emu", "thesis_room", "--port", "0", "--noisy", "--seed", "2",
+               "--serial-link", str(tmp_path / "nomad")]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            said = [process.stdout.readline().split() for _ in range(2)]
+            yield {kind: where for _, kind, where in said}
+        finally:
+            process.terminate()
+            process.wait(PATIENCE_S)
+
+
+def address_of(kind: str, server: dict[str, str]) -> str:
+    if kind == "sim":
+        return "sim:thesis_room?noisy=1&seed=2"
+    if kind == "nserver":
+        return f"nserver://{server['nserver']}/1?timeout_s=20"
+    return f"serial://{server['serial']}?model=n150&timeout_s=5"
+
+
+def run(mission: Path, address: str, *words: str) -> dict[str, Any]:
+    line = [NOMAD, "mission", str(mission), address, "--json", "--sonars", "rays", *words]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.parametrize("kind", ["sim", "nserver", "serial"])
+def test_the_same_file_does_the_same_on_every_address(kind: str, server: dict[str, str], mission: Path) -> None:
+    report = run(mission, address_of(kind, server))
+    assert report["ending"] == "done"
+    assert [step["do"] for step in report["steps"]] == ["go_to", "look", "turn"]
+    assert (report["pose"]["x_in"], report["pose"]["y_in"]) == pytest.approx((16.0, 8.0), abs=1.3)
+    assert report["pose"]["heading_deg"] == pytest.approx(90.0, abs=5.0)
+    assert report["touches"] == 0
+    assert (report["truth"] is None) == (kind == "serial")
+    if kind != "sim":
+        with connect(f"nserver://{server['nserver']}/1") as robot:
+            truth = robot.truth()
+            assert (truth.x_in, truth.y_in) == pytest.approx((16.0, 8.0), abs=2.0)
+            assert not robot.refresh().moving
+
+
+def test_interrupted_it_stops_the_robot_and_still_reports(server: dict[str, str], tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    far = tmp_path / "far.toml"
+    far.write_text(MISSION.replace("[16, 8]", "[80, 80]"))
+    line = [NOMAD, "mission", str(far), address_of("nserver", server), "--report", str(report)]
+    with connect(f"nserver://{server['nserver']}/1") as watching:
+        with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            until_s = time.monotonic() + PATIENCE_S
+            while watching.refresh().translation_in_s < 1.0:
+                assert time.monotonic() < until_s
+                time.sleep(0.05)
+            os.kill(process.pid, signal.SIGINT)
+            told, _ = process.communicate(timeout=PATIENCE_S)
+        assert process.returncode == 130
+        until_s = time.monotonic() + PATIENCE_S
+        while watching.refresh().moving:
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+    assert "interrupted" in told
+    written = json.loads(report.read_text())
+    assert (written["ending"], written["steps"][0]["ending"]) == ("interrupted", "error")

@@ -1,0 +1,210 @@
+"""Missions from files: what is read, and what is said of files that are wrong."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from localization.missions.files import MOST_BYTES, load_mission, parse_list, parse_program
+from localization.missions.mission import Mission, Seen
+from localization.missions.settings import OnLost, Settings
+from nclient.errors import MissionFileError, RobotRefused
+
+SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
+
+
+class Told:
+    """In place of a Mission: writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+
+    def __getattr__(self, verb: str) -> Any:
+        return lambda *words, **more: self.said.append((verb, words, more))
+
+
+def told(text: str) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
+    robot: Any = Told()
+    parse_list(text, "m.toml").run(robot)
+    said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = robot.said
+    return said
+
+
+def test_every_verb_says_what_its_step_says() -> None:
+    said = told("""
+        [[step]]
+        do = "go_to"
+        to_cm = [254, 127]
+        heading_deg = 90
+        within_in = 2
+        time_limit_s = 30
+        retries = 2
+        [[step]]
+        do = "follow"
+        points_in = [[1, 2], [3, 4]]
+        [[step]]
+        do = "patrol"
+        points_in = [[1, 2]]
+        rounds = 3
+        [[step]]
+        do = "turn"
+        by_deg = -45
+        [[step]]
+        do = "dock"
+        to_m = [0.254, 0]
+        heading_deg = 180
+        [[step]]
+        do = "look"
+        [[step]]
+        do = "look"
+        for_s = 4
+        [[step]]
+        do = "note"
+        words = "hello"
+    """)
+    limits = {"limit_s": inf, "retries": 0}
+    assert said[0][0] == "go_to"
+    assert said[0][1] == pytest.approx((100.0, 50.0, 90.0))
+    assert said[0][2] == {"limit_s": 30.0, "retries": 2, "within_in": 2.0}
+    assert said[1] == ("follow", (((1.0, 2.0), (3.0, 4.0)),), limits | {"within_in": 1.0})
+    assert said[2] == ("patrol", (((1.0, 2.0),), 3), limits)
+    assert said[3] == ("turn", (None,), limits | {"by_deg": pytest.approx(-45.0)})
+    assert said[4][0] == "dock"
+    assert said[4][1] == pytest.approx((10.0, 0.0, 180.0))
+    assert said[5:] == [("look", (1.0,), {}), ("look", (4.0,), {}), ("note", ("hello",), {})]
+
+
+@pytest.mark.parametrize(
+    ("key", "holds"),
+    [("nearer_than_in = 13", True), ("nearer_than_in = 12", False), ("farther_than_in = 11", True),
+     ("farther_than_in = 12", False), ("known_to_in = 0.3", True), ("known_to_in = 0.2", False),
+     ("finds = 1", True), ("finds = 2", False), ("touching = true", True), ("touching = false", False)],
+)  # fmt: skip
+def test_what_is_waited_for(key: str, holds: bool) -> None:
+    ((verb, (condition, limit_s, words), _),) = told(f'[[step]]\ndo = "wait_for"\ntime_limit_s = 5\n{key}\n')
+    assert (verb, limit_s) == ("wait_for", 5.0)
+    assert condition(SEEN) is holds
+    assert words.split(" = ")[0] == key.split(" = ")[0]
+
+
+def test_settings_are_read_and_have_defaults() -> None:
+    step = '[[step]]\ndo = "look"\n'
+    assert parse_list(step, "m").settings == Settings()
+    text = (
+        'title = "T"\nmap = "w"\ntime_limit_s = 9\nfence_m = [[0, 0], [0, 2.54], [2.54, 0]]\n'
+        'on_lost = "give_up"\nlost_s = 3\n'
+    )
+    read = parse_list(text + step, "m").settings
+    np.testing.assert_allclose(read.fence_in, [(0.0, 0.0), (0.0, 100.0), (100.0, 0.0)])
+    assert (read.title, read.map, read.time_limit_s, read.on_lost, read.lost_s) == ("T", "w", 9.0, OnLost.GIVE_UP, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = \n", "m.toml: is no TOML: Invalid value (at line 1, column 5)"),
+        ("", "m.toml: step: expected at least one [[step]], found none"),
+        ("step = 3", "m.toml: line 1: step: expected tables under [[step]], each with its double brackets, found 3"),
+        ('tite = "x"', "m.toml: line 1: tite: unknown key; expected one of title, map, time_limit_s, on_lost, lost_s, "
+                       "step, fence_in, fence_cm, fence_m; did you mean title?"),
+        ('[[step]]\ndo = "go_too"\n', "m.toml: line 2: step[0].do: expected one of go_to, follow, turn, look, "
+         "wait_for, patrol, dock, note, found 'go_too'; did you mean go_to?"),
+        ('[[step]]\ndo = "look"\n\n[[step]]\n\ndo = "go_to"\nto_in = [1, "x"]\n',
+         "m.toml: line 7: step[1].to_in[1]: expected a length, a number, found the text 'x'"),
+        ('[[step]]\ndo = "go_to"\nto_in = [1, 2, 3]\n',
+         "m.toml: line 3: step[0].to_in: expected a point [x, y], found the list [1, 2, 3]"),
+        ('[[step]]\ndo = "go_to"\n', "m.toml: line 1: step[0].to_in: expected exactly one of to_in, to_cm, to_m, found "
+                                     "none of them"),
+        ('[[step]]\ndo = "turn"\n', "m.toml: line 1: step[0]: expected heading_deg or by_deg, one of them"),
+        ('[[step]]\ndo = "dock"\nto_in = [1, 2]\n',
+         "m.toml: line 1: step[0].heading_deg: is wanted: which way to drive in, in degrees"),
+        ('[[step]]\ndo = "note"\n', "m.toml: line 1: step[0].words: is wanted: what to write into the report"),
+        ('[[step]]\ndo = "wait_for"\ntime_limit_s = 3\n', "m.toml: line 1: step[0]: expected one of touching, "
+         "nearer_than_in, farther_than_in, known_to_in, finds, found none"),
+        ('[[step]]\ndo = "wait_for"\nfinds = 3\n',
+         "m.toml: line 1: step[0].time_limit_s: is wanted: how many seconds to wait at most"),
+        ('[[step]]\ndo = "look"\nretries = 3\n',
+         "m.toml: line 3: step[0].retries: unknown key; expected one of do, for_s"),
+        ('[[step]]\ndo = "turn"\nby_deg = 3\nretries = -1\n',
+         "m.toml: line 4: step[0].retries: expected a whole number from 0 to 100, found -1"),
+        ('on_lost = "serch"\n[[step]]\ndo = "look"\n',
+         "m.toml: line 1: on_lost: expected one of stop, search, give_up, found 'serch'; did you mean search?"),
+        ('lost_s = 0\n[[step]]\ndo = "look"\n', "m.toml: line 1: lost_s: expected 0.1 to 86400, found 0"),
+        ('fence_in = [[1, 2]]\n[[step]]\ndo = "look"\n',
+         "m.toml: line 1: fence_in: expected at least 3 points, found 1"),
+    ],
+)  # fmt: skip
+def test_a_list_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
+    with pytest.raises(MissionFileError) as refused:
+        parse_list(text, "m.toml")
+    assert str(refused.value) == said
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def mission(robot)\n  pass", "m.py: line 1: is no Python: expected ':'"),
+        ("x = 1\ny = x / 0\n", "m.py: line 2: ZeroDivisionError: division by zero"),
+        ("def mision(robot): pass",
+         "m.py: expected a function mission(robot), found none; its verbs: docs/missions.md"),
+        ("settings = 3\ndef mission(robot): pass", "m.py: settings: expected Settings(...), found int"),
+    ],
+)  # fmt: skip
+def test_a_program_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
+    with pytest.raises(MissionFileError) as refused:
+        parse_program(text, "m.py")
+    assert str(refused.value) == said
+
+
+def test_a_program_runs_and_what_it_raises_is_told_with_its_line() -> None:
+    robot: Any = Told()
+    program = parse_program(
+        "from localization.missions import Settings\nsettings = Settings(title='T')\n"
+        "def mission(robot):\n    robot.go_to(1, 2)\n    {}['x']\n", "m.py",
+    )  # fmt: skip
+    assert program.settings.title == "T"
+    with pytest.raises(MissionFileError, match=r"^m\.py: line 5: KeyError: 'x'$"):
+        program.run(robot)
+    assert robot.said == [("go_to", (1, 2), {})]
+
+
+def test_errors_of_the_robot_stay_what_they_are() -> None:
+    def refuse(*_: object) -> None:
+        raise RobotRefused("vm", 4)
+
+    robot: Any = Told()
+    robot.look = refuse
+    with pytest.raises(RobotRefused):
+        parse_program("def mission(robot): robot.look()", "m.py").run(robot)
+    broken: Any = object.__new__(Mission)
+    with pytest.raises(MissionFileError, match=r"^m\.py: line 1: AttributeError"):
+        parse_program("def mission(robot): robot.fly()", "m.py").run(broken)
+
+
+def test_files_are_read_by_their_ending(tmp_path: Path) -> None:
+    listed, program = tmp_path / "m.toml", tmp_path / "m.py"
+    listed.write_text('title = "L"\n[[step]]\ndo = "look"\n')
+    program.write_text("def mission(robot): pass\n")
+    assert load_mission(listed).settings.title == "L"
+    assert load_mission(str(program)).settings == Settings()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("m.txt", b"", r"expected a mission as .toml or .py, found '.txt'"),
+        ("m", b"", r"found 'no ending'"),
+        ("m.toml", None, "cannot be read: No such file or directory"),
+        ("m.toml", b"\xff\xfe", "expected text in UTF-8, found other bytes at 0"),
+        ("m.toml", b"#" * (MOST_BYTES + 1), "is too large for a mission"),
+    ],
+)
+def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(MissionFileError, match=said):
+        load_mission(tmp_path / name)
