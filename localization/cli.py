@@ -15,25 +15,25 @@ from pathlib import Path
 
 from localization import resuming
 from localization.belief import Belief, independent
+from localization.calibrated import with_wheels
 from localization.cone import ConeModel
 from localization.filters.table import DEFAULT_METHOD, METHODS
 from localization.measurement import WIRE_SONAR
-from localization.motion import OdometryNoise
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.publishing import Publisher, message
+from localization.readers import constants, noise, opened, point, pose, positive, seconds, stds
 from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
-from localization.systematic import LARGEST, POSE, with_constants
-from nclient import ReplyTimeout, Robot, RobotState, WorldFileError, connect
+from localization.systematic import with_constants
+from nclient import Robot, RobotState, WorldFileError
 from worlds.bodies import BODIES
+from worlds.calibration import FAULTLESS, Calibration, load_calibration
 from worlds.files import load_world
 from worlds.world import World
 
 START_STD = (0.1, 0.1, 0.01)
 """How well the robot is placed at the start: inches, inches, radians."""
-MOST_NOISE = 10
-"""More noise than this is a slip of the keyboard."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,34 +44,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="nserver://host[:port]/id or sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
     parser.add_argument("--map", required=True, metavar="WORLD", help="the walls: a shipped world or a TOML file")
     goals = parser.add_mutually_exclusive_group(required=True)
-    goals.add_argument("--waypoints", nargs="+", type=_point, metavar="X,Y", help="where to go, in inches, in order")
+    goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
     goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
-    parser.add_argument("--start", type=_pose, metavar="X,Y,HEADING",
+    parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
                         help="where the robot stands now, inches and degrees; its encoders are set to it "
                              "(default: what they say)")
-    parser.add_argument("--start-std", type=_stds, default=START_STD, metavar="X,Y,HEADING",
+    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
     parser.add_argument("--body", choices=sorted(BODIES), default="n150", help="the robot's model (default n150)")
-    parser.add_argument("--speed", type=_positive, default=Speeds().translation_in_s, metavar="IN_S",
+    parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
                         help="top speed in in/s (default %(default)s)")
-    parser.add_argument("--radius", type=_positive, default=STOP_RADIUS_IN, metavar="IN",
+    parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
                         help="a way-point is reached within this (default %(default)s in)")
-    parser.add_argument("--odometry-noise", type=_noise, default=THESIS_ODOMETRY, metavar="A,B,C",
+    parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
                         help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
                         help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
                              "with bad readings among them (default: rays of a simulation, cones of a robot)")
-    parser.add_argument("--scale-std", type=_constants, default=(), metavar="A[,B[,C]]",
+    parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
                              "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
+    parser.add_argument("--calibration", type=Path, metavar="FILE",
+                        help="what this robot's wheels and sonars get wrong: a model file as nomad calibrate writes; "
+                             "counts before --scale-std")
     parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD,
                         help="the filter: extended, iterated or unscented Kalman filter, particles, one that finds "
                              "itself again (default %(default)s); a smoother drives as ekf")
-    parser.add_argument("--smooth", type=_seconds, default=0.0, metavar="S",
+    parser.add_argument("--smooth", type=seconds, default=0.0, metavar="S",
                         help="spread corrections over S seconds for the steering; the estimate stays as it is "
                              "(default %(default)s)")
-    parser.add_argument("--time-limit", type=_positive, default=300.0, metavar="S",
+    parser.add_argument("--time-limit", type=positive, default=300.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
     parser.add_argument("--publish", metavar="URL",
@@ -90,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
         require_matplotlib()
     publisher = Publisher(options.publish) if options.publish else None
-    robot, simulated = _open(options.address)
+    robot, simulated = opened(options.address)
     with robot:
         try:
             done = _drive(robot, world, points, options, simulated, publisher)
@@ -106,15 +109,6 @@ def run(options: argparse.Namespace) -> int:
     return 0 if done.reached == len(done.waypoints) else 3
 
 
-def _open(address: str | None) -> tuple[Robot, bool]:
-    """The robot, and whether it can be asked for the truth: an Nserver of old leaves unknown messages unanswered."""
-    robot = connect(address)
-    try:
-        return robot, robot.is_simulated()
-    except ReplyTimeout:
-        return connect(address), False
-
-
 def _drive(
     robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
@@ -125,10 +119,11 @@ def _drive(
         robot.set_position(x_in=x, y_in=y)
         turret_rad = heading + state.turret_rad - state.steering_rad
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
-    belief = resuming.belief(options, world, state) or _at_the_start(options, state)
+    errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
+    belief = resuming.belief(options, world, state) or _at_the_start(options, state, errs)
     rays = options.sonars == "rays" if options.sonars else simulated
     sonar = WIRE_SONAR if rays else ConeModel()
-    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar)
+    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
     navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius)
     seen = _sighting(robot) if simulated else None
     number = robot.truth().robot_id if publisher and simulated else 1
@@ -157,9 +152,9 @@ def _drive(
     return done
 
 
-def _at_the_start(options: argparse.Namespace, state: RobotState) -> Belief:
-    pose = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
-    return with_constants(pose, options.scale_std)
+def _at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:
+    here = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
+    return with_wheels(here, errs) if options.calibration else with_constants(here, options.scale_std)
 
 
 def _sighting(robot: Robot) -> Sighting:
@@ -172,55 +167,3 @@ def _points_of(world: World, name: str) -> list[tuple[float, float]]:
         there = ", ".join(world.paths) or "none"
         raise WorldFileError(f"the map {world.name} has no path {name!r}; it has {there}")
     return list(world.paths[name].points_in)
-
-
-def _numbers(text: str, count: int) -> list[float]:
-    numbers = [float(part) for part in text.split(",")]
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise argparse.ArgumentTypeError(f"{count} numbers with commas between them, not {text!r}")
-    return numbers
-
-
-def _point(text: str) -> tuple[float, float]:
-    x, y = _numbers(text, 2)
-    return x, y
-
-
-def _pose(text: str) -> tuple[float, float, float]:
-    x, y, heading_deg = _numbers(text, 3)
-    return x, y, math.radians(heading_deg)
-
-
-def _stds(text: str) -> tuple[float, float, float]:
-    x, y, heading_rad = _pose(text)
-    if min(x, y, heading_rad) < 0:
-        raise argparse.ArgumentTypeError("a standard deviation is not negative")
-    return x, y, heading_rad
-
-
-def _noise(text: str) -> OdometryNoise:
-    numbers = _numbers(text, 3)
-    if not all(0 <= number <= MOST_NOISE for number in numbers):
-        raise argparse.ArgumentTypeError(f"three numbers from 0 to {MOST_NOISE}, not {text!r}")
-    return OdometryNoise(*numbers)
-
-
-def _constants(text: str) -> tuple[float, ...]:
-    stds = tuple(_numbers(text, text.count(",") + 1))
-    if len(stds) > LARGEST - POSE or min(stds) < 0:
-        raise argparse.ArgumentTypeError(f"one to {LARGEST - POSE} numbers of 0 or more, not {text!r}")
-    return stds
-
-
-def _seconds(text: str) -> float:
-    (number,) = _numbers(text, 1)
-    if number < 0:
-        raise argparse.ArgumentTypeError("seconds are 0 or more")
-    return number
-
-
-def _positive(text: str) -> float:
-    (number,) = _numbers(text, 1)
-    if number <= 0:
-        raise argparse.ArgumentTypeError("a number above 0")
-    return number

@@ -24,7 +24,7 @@ class Shown:
     y_in: float
     steering_rad: float
     turret_rad: float
-    sonars_in: tuple[int, ...]
+    sonars_in: tuple[float, ...]
 
 
 class BadReadings:
@@ -43,7 +43,7 @@ class BadReadings:
             report.clock_s, report.x_in, report.y_in, report.steering_rad, report.turret_rad, tuple(readings)
         )
 
-    def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
+    def _reading(self, sonar: int, clock_s: float, heard_in: float) -> float:
         schedule = self._schedule
         since_s = clock_s - schedule.start_s - schedule.order.index(sonar) * schedule.interval_s
         turn = int(since_s // schedule.round_s)
