@@ -1,12 +1,13 @@
-"""What a clock in steps leaves unknown: when the ring was restarted, by less than one step.
+"""What a clock in steps leaves unknown where readings have no stamps: when they were taken, against when the robot was
+where its states say.
 
-    the ring's start is up to a step later than the clock of its answer tells, for a whole run the same: all echoes are
-    laid to where the robot was that much too early, and the estimate is ahead or behind by it, along its motion
+    the ring was restarted up to a step later than the clock of its answer tells, and a state is of up to a step later
+    than its own: echoes are laid to where the robot was too early or too late, and the estimate is ahead or behind
 
     P + LAG_STD_S^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), omega)
 
-A filter cannot average that away, so it is no noise of the echoes: it is added to what is told, and never to what the
-filter goes on from. Rules: pure.
+The first of the two is the same for a whole run, so a filter cannot average it away: this is no noise of the echoes. It
+is added to what is told, and never to what the filter goes on from. Rules: pure.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from localization.belief import HEADING, Belief, Floats
 from localization.echoes import CLOCK_STEP_S
 from localization.systematic import POSE
 
-LAG_STD_S: Final = CLOCK_STEP_S / sqrt(12.0)
-"""Anywhere within one step of the clock."""
+LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
+"""The difference of two instants, each anywhere within one step of the clock."""
 
 
 def with_lag(belief: Belief, rates: Floats) -> Belief:

@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from localization import calibrated
 from localization.belief import Belief, Floats
 from localization.echoes import Firing, FiringSchedule
 from localization.filters.method import Filter, Smoothing
@@ -42,7 +43,7 @@ class Report(Protocol):
     @property
     def turret_rad(self) -> float: ...
     @property
-    def sonars_in(self) -> tuple[int, ...]: ...
+    def sonars_in(self) -> tuple[float, ...]: ...
 
 
 class Echo(NamedTuple):
@@ -54,7 +55,7 @@ class Echo(NamedTuple):
 
     sonar: int
     instant_s: float
-    reading_in: int
+    reading_in: float
     refusal: Refusal
     innovation_in: float
     nis: float = 0.0
@@ -102,7 +103,7 @@ class Localizer:
         seed: int = 0,
     ) -> None:
         self._filter = make(method, known, belief, seed) if isinstance(method, str) else method
-        self._schedule = schedule
+        self._schedule, self._errs = schedule, known.errs
         self._history = PoseHistory()
         self._settled: EncoderPose | None = None
         self._heard_s = -np.inf
@@ -114,6 +115,7 @@ class Localizer:
 
         Raises ValueError for a state without a clock: nothing was received yet.
         """
+        report = calibrated.of(report, self._errs)
         if report.clock_s is None:
             raise ValueError("a state without a clock: ask the robot for one (refresh) before localizing")
         now = EncoderPose(report.clock_s, np.array([report.x_in, report.y_in, report.steering_rad]), report.turret_rad)
@@ -132,7 +134,7 @@ class Localizer:
         told = with_lag(self._filter.ahead(step), self._history.rates)
         return Estimate(latest.clock_s, told, echoes, self._filter.verdict, smoothed)
 
-    def _hear(self, firing: Firing, reading_in: int) -> Echo:
+    def _hear(self, firing: Firing, reading_in: float) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""
         assert self._settled is not None
         there = self._history.at(firing.instant_s)

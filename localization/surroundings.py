@@ -11,6 +11,7 @@ from localization.cone import ConeModel
 from localization.gating import STRICT, Gate
 from localization.measurement import WIRE_SONAR, SonarModel, SonarRing
 from localization.motion import OdometryNoise
+from worlds.calibration import FAULTLESS, Calibration
 
 THESIS_ODOMETRY: Final = OdometryNoise()
 """What the experiments take the encoders to miss."""
@@ -21,6 +22,7 @@ class Surroundings:
     """Walls (m, 4) in inches, the robot's ring, and how motion and sonars err.
 
     `clearance_in`: no wall is nearer to the robot's axis than this: its radius, or a little less.
+    `errs`: what this very robot gets wrong every time; its sonars are corrected by that, its wheels are the belief's.
     The kind of `sonar` says how readings are taken in (filters.hearing); the gate is for rays alone.
     """
 
@@ -30,3 +32,4 @@ class Surroundings:
     sonar: SonarModel | ConeModel = WIRE_SONAR
     gate: Gate = STRICT
     clearance_in: float = 9.0
+    errs: Calibration = FAULTLESS

@@ -117,6 +117,15 @@ class World:
         """
         return self._nearest(x_in, y_in)[0]
 
+    def clearances(self, points_in: FloatArray) -> FloatArray:
+        """The same of many points (..., 2) at once, (...,)."""
+        far: FloatArray = nearest_points(points_in, self.walls)[1].min(axis=-1, initial=inf)
+        if self._firsts:
+            within, rooms = inside(points_in, self._edges, self._firsts), len(self.rooms)
+            outside = ~within[..., :rooms].any(axis=-1) if rooms else np.zeros(far.shape, dtype=bool)
+            far[outside | within[..., rooms:].any(axis=-1)] *= -1.0
+        return far
+
     def require_free(self, x_in: float, y_in: float, radius_in: float) -> None:
         """Refuse a start where a robot of this radius does not fit.
 

@@ -31,7 +31,8 @@ from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
 from localization.missions.verbs import LONGEST_S, step_of
 from nclient.errors import MissionFileError, NomadError, WorldFileError
-from worlds.tables import Table, nearest
+from nclient.suggesting import did_you_mean
+from worlds.tables import Table
 
 MOST_BYTES: Final = 1 << 20
 _TOP: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
@@ -122,7 +123,7 @@ def _settings(top: Table) -> Settings:
     policies = [policy.value for policy in OnLost]
     on_lost = top.text("on_lost", usual.on_lost.value)
     if on_lost not in policies:
-        top.fail("on_lost", f"expected one of {', '.join(policies)}, found {on_lost!r}{nearest(on_lost, policies)}")
+        top.fail("on_lost", f"expected one of {', '.join(policies)}, found {on_lost!r}{did_you_mean(on_lost, policies)}")
     fenced = any(key.startswith("fence_") for key in values)
     return Settings(
         title=top.text("title", usual.title),

@@ -18,7 +18,8 @@ from typing import Final
 from localization.missions.mission import Condition, Mission
 from localization.missions.settings import Point
 from nclient.errors import MissionFileError
-from worlds.tables import FARTHEST_IN, Table, nearest
+from nclient.suggesting import did_you_mean
+from worlds.tables import FARTHEST_IN, Table
 
 Act = Callable[[Mission], object]
 LONGEST_S: Final = 86_400.0
@@ -41,7 +42,7 @@ def step_of(table: Table) -> Act:
     """What one [[step]] does. Raises MissionFileError."""
     verb = table.text("do", "")
     if verb not in VERBS:
-        table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{nearest(verb, VERBS)}")
+        table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{did_you_mean(verb, VERBS)}")
     return VERBS[verb](table)
 
 

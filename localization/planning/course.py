@@ -128,6 +128,15 @@ def stretches(legs: Sequence[Leg]) -> tuple[Stretch, ...]:
     return tuple(Stretch(tuple(group)) for group in groups)
 
 
+def waypoints(legs: Sequence[Leg], step_in: float = 3.0) -> list[tuple[float, float]]:
+    """The ends of all legs, and points of the curved ones no farther apart than `step_in`: for who drives to points."""
+    found = []
+    for leg in legs:
+        count = max(1, int(np.ceil(leg.length_in / step_in))) if leg.curvature else 1
+        found += [leg.at(leg.length_in * number / count)[:2] for number in range(1, count + 1)]
+    return found
+
+
 def length_of(course: Sequence[Stretch]) -> float:
     """The length of a course in inches."""
     return sum(stretch.length_in for stretch in course)

@@ -5,6 +5,7 @@
     radius, sonar_ring_radius     of the body; track: between the wheels of a differential drive
     bumpers                       how many around the body
     compass                       true or false: whether it has one
+    [model.odometry], [model.sonar], [model.spread]     what it gets wrong every time (worlds/calibration.py)
     [model.translation]           an axis: top_speed, top_acceleration, speed, acceleration; so steering, turret;
                                   of a differential drive right and left
 
@@ -27,6 +28,8 @@ from nclient.suggesting import did_you_mean
 from nserver_emu.simulation.axis import AxisLimits
 from nserver_emu.simulation.models import MODELS, RobotModel
 from worlds.bodies import Body
+from worlds.calibration import TABLES as CALIBRATION_TABLES
+from worlds.calibration import calibration_of
 from worlds.tables import INCHES, Table
 
 MOST_BUMPERS: Final = 24
@@ -83,7 +86,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
     base = models[like]
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS
     table.allow(
-        ("name", "like", "bumpers", "compass", *axes),
+        ("name", "like", "bumpers", "compass", *axes, *CALIBRATION_TABLES),
         ("radius", "sonar_ring_radius", *(() if base.track_in is None else ("track",))),
     )
     limits = [_axis(table, axis, base.axes[number], base.rolls[number]) for number, axis in enumerate(axes)]
@@ -96,6 +99,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
         axes=(first, second, third),
         compass=table.flag("compass") if "compass" in table.values else base.compass,
         track_in=None if base.track_in is None else _length(table, "track", base.track_in),
+        errs=calibration_of(table) if {*CALIBRATION_TABLES} & {*table.values} else base.errs,
     )
 
 

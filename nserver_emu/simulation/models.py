@@ -19,6 +19,7 @@ from worlds.bodies import N150 as N150_BODY
 from worlds.bodies import N200 as N200_BODY
 from worlds.bodies import SCOUT as SCOUT_BODY
 from worlds.bodies import Body
+from worlds.calibration import Calibration
 
 ROLLING: Final = AxisLimits(
     top_speed=20.0,
@@ -68,6 +69,7 @@ class RobotModel:
     family      the model that it is to a client, which knows three: n150, n200, scout
     sees        whether it has infrareds and a laser
     compass     whether it has a compass
+    errs        what this very robot gets wrong every time, whatever its setup says of that; None: nothing is known
     """
 
     name: str
@@ -77,6 +79,7 @@ class RobotModel:
     family: str = ""
     sees: bool = False
     compass: bool = True
+    errs: Calibration | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "family", self.family or self.name)

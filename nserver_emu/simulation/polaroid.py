@@ -21,7 +21,7 @@ import numpy as np
 from nserver_emu.simulation import disc_ways, echo_ways
 from nserver_emu.simulation.echo_ways import Beam, Losses, Scene, Way
 from nserver_emu.simulation.instants import to_s
-from worlds.bodies import Body
+from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
 
 NO_ROBOTS: Final[FloatArray] = np.zeros((0, 3))
@@ -53,6 +53,8 @@ class Polaroid:
     blanking_in       echoes from nearer drown in the transducer's own ringing: an own one reads this, others nothing
     recess_in         the transducer's face lies so deep behind the ring
     dead              sonars that read 0
+    offsets_in        what each sonar reads more than that, always
+    turned_rad        the ring stands turned by this against the turret
     """
 
     cone_rad: float = radians(25.0)
@@ -69,6 +71,8 @@ class Polaroid:
     blanking_in: float = 6.0
     recess_in: float = 0.5
     dead: tuple[int, ...] = ()
+    offsets_in: tuple[float, ...] = (0.0,) * SONARS
+    turned_rad: float = 0.0
 
     @property
     def life_ps(self) -> int:

@@ -17,6 +17,7 @@ from nserver_emu.simulation.chassis import Chassis
 from nserver_emu.simulation.compass import Compass, last_reading_ps
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
+from nserver_emu.simulation.individual import setup_of
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.laser import ranges, thinned
@@ -78,7 +79,7 @@ class SimulatedRobot:
     ) -> None:
         self.identity = identity
         self.model = model
-        self.setup = setup
+        self.setup = setup = setup_of(model, setup)
         self._time_ps = now_ps
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS

@@ -59,6 +59,8 @@ KEYS: Final = (
     Key("sonar", "std_share", 0, 1, "", "standard deviation of a range as a share of it"),
     Key("sonar", "least_std_in", 0, 10, "in", "and never less than this"),
     Key("sonar", "dead", 0, 15, SONAR_NUMBERS, "sonars that read 0 for ever"),
+    Key("sonar", "offsets_in", -24, 24, "in", "what each of the 16 sonars reads more than the range, always"),
+    Key("sonar", "turned_rad", -45, 45, "deg", "the ring stands turned by this against the turret"),
     Key("sonar", "cone_rad", 1, 90, "deg", "whole angle of the cone inside which a sonar cries and hears", POLAROID),
     Key("sonar", "sound_in_s", 1000, 100000, "in/s", "speed of sound", POLAROID),
     Key("sonar", "margin_db", 0, 200, "dB", "how much louder than just audible a near wall is, met head-on", POLAROID),

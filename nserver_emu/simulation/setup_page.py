@@ -14,6 +14,7 @@ from typing import Final
 from nserver_emu.simulation.setup import SETUPS, RobotSetup
 from nserver_emu.simulation.setup_keys import KEYS, RAY, Key
 from nserver_emu.simulation.sonar import SonarNoise
+from worlds.bodies import SONARS
 
 NOT_THERE: Final = "—"
 
@@ -89,6 +90,8 @@ def _told(key: Key, setup: RobotSetup) -> str:
         return NOT_THERE
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, tuple) and len(value) == SONARS:
+        return f"{SONARS} x {value[0]:g}"
     if isinstance(value, tuple):
         return f"[{', '.join(f'{number:g}' for number in value)}]"
     assert isinstance(value, float)

@@ -49,11 +49,17 @@ UNFIRED: Final = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class SonarNoise:
-    """One exact ray, and gaussian noise of its range: std_share of it, at least least_std_in; none where both are 0."""
+    """One exact ray, and gaussian noise of its range: std_share of it, at least least_std_in; none where both are 0.
+
+    `dead`: sonars that read 0; `offsets_in`: what each reads more than the range, always; `turned_rad`: the ring stands
+    turned by this against the turret.
+    """
 
     std_share: float = 0.0
     least_std_in: float = 0.0
     dead: tuple[int, ...] = ()
+    offsets_in: tuple[float, ...] = (0.0,) * SONARS
+    turned_rad: float = 0.0
 
     def std_in(self, range_in: float) -> float:
         """Standard deviation at a range, inches."""
@@ -178,7 +184,8 @@ class SonarRing:
 
     def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
         x, y, turret_rad, _, _ = eye
-        cry = Cry(x, y, turret_rad + self.body.sonar_angles_rad[sonar], instant_ps, self.model.draw(self._chance))
+        way_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
+        cry = Cry(x, y, way_rad, instant_ps, self.model.draw(self._chance))
         self._unheard[sonar] = Firing(cry, earlier, eye)
         self._stamps[sonar] = stamp
         return cry
@@ -190,7 +197,7 @@ class SonarRing:
         dead = self.model.dead
         firings = {sonar: firing for sonar, firing in self._unheard.items() if sonar not in dead}
         for sonar, heard_in in zip(firings, self._heard_in(list(firings.values())), strict=True):
-            self._readings[sonar] = _reading(heard_in)
+            self._readings[sonar] = _reading(heard_in + self.model.offsets_in[sonar])
         self._unheard.clear()
 
     def _heard_in(self, firings: Sequence[Firing]) -> list[float]:

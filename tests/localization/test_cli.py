@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from nclient import ReplyTimeout, Robot, cli
+from worlds.calibration import Calibration, Spread, calibration_text
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
 TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
@@ -144,3 +145,15 @@ def test_a_server_that_leaves_the_question_for_the_truth_unanswered_is_driven_wi
     result = json.loads(capsys.readouterr().out)
     assert (result["reached"], result["truth"], result["end_error_in"]) == (1, None, None)
     assert len(asked) == 1
+
+
+def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.toml"
+    errs = Calibration(1.05, 0.95, 0.002, (1.5,) * 16, 0.05, Spread(0.001, 0.001, 1e-5))
+    mine.write_text(calibration_text("n150", errs))
+    words = [*TO_GOAL, "--odometry-noise", "0.01,0.01,0.0003", "--json"]
+    ends = []
+    for calibration in ([], ["--calibration", str(mine)]):
+        localize(f"sim:thesis_room?model_file={mine}", *words, *calibration, "--time-limit", "40")
+        ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
+    assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]

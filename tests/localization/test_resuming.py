@@ -42,7 +42,7 @@ class Lasting:
 @pytest.fixture
 def lasting(monkeypatch: pytest.MonkeyPatch) -> Lasting:
     made = Lasting()
-    monkeypatch.setattr("localization.cli.connect", lambda _: made)
+    monkeypatch.setattr("localization.readers.connect", lambda _: made)
     return made
 
 

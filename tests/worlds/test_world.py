@@ -188,3 +188,17 @@ def test_a_start_that_is_no_number_is_no_place(x: float, y: float) -> None:
 def test_a_path_begins_at_its_start() -> None:
     path = Path("there", "5.4", StartPose(0.0, 0.0), ((0.0, 0.0), (60.0, 40.0), (1.0, 2.0)))
     assert path.goals_in == ((60.0, 40.0), (1.0, 2.0))
+
+
+def test_clearances_of_many_points_are_those_of_each() -> None:
+    block = Polygon(((30.0, 30.0), (40.0, 30.0), (40.0, 40.0), (30.0, 40.0)))
+    outline = Polygon(((0.0, 0.0), (100.0, 0.0), (100.0, 80.0), (0.0, 80.0)))
+    points = np.random.default_rng(2).uniform(-20.0, 120.0, (6, 50, 2))
+    for world in (
+        World("both", rooms=(outline,), obstacles=(block,)),
+        World("block", obstacles=(block,)),
+        World("walls", inner_walls=np.array([[0.0, 0.0, 50.0, 10.0]])),
+    ):
+        each = [[world.clearance(float(x), float(y)) for x, y in row] for row in points]
+        np.testing.assert_allclose(world.clearances(points), each, atol=1e-12)
+    assert World("nothing").clearances(points[0]).tolist() == [np.inf] * 50

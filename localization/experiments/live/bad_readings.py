@@ -24,7 +24,7 @@ class Shown:
     y_in: float
     steering_rad: float
     turret_rad: float
-    sonars_in: tuple[int, ...]
+    sonars_in: tuple[float, ...]
 
 
 class BadReadings:
@@ -45,7 +45,7 @@ class BadReadings:
             report.clock_s, report.x_in, report.y_in, report.steering_rad, report.turret_rad, tuple(readings)
         )
 
-    def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
+    def _reading(self, sonar: int, clock_s: float, heard_in: float) -> float:
         since_s = clock_s - self._schedule.start_s - self._late_s[sonar]
         turn = int(since_s // self._round_s)
         if self._replaced.get(sonar, (None, None))[0] != turn:

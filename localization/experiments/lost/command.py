@@ -89,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
                         help="of each kind (" + ", ".join(f"{runs} {kind.value}" for kind, runs in RUNS.items()) + ")")
     parser.add_argument("--minutes", type=float, default=10.0, metavar="M", help="of each calm run (%(default)s)")
     add_work(parser)
-    parser.add_argument("--out", type=Path, default=Path("out/experiments"), metavar="DIR", help="for numbers (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("out/experiments"), metavar="DIR",
+                        help="for the numbers (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON, an object a kind, alone on stdout")
     return parser

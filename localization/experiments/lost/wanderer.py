@@ -18,6 +18,7 @@ import numpy as np
 from localization.belief import Floats
 from localization.control import bearing_error
 from localization.navigation import PERIOD_S, Command, Navigator, Speeds
+from localization.planning.course import waypoints
 from localization.planning.roadmap import NoWayError, Roadmap
 
 STAND: Final = Command(0.0, 0.0)
@@ -76,7 +77,7 @@ class Wanderer:
             path = self._roadmap.path((float(pose[0]), float(pose[1])), (float(goal[0]), float(goal[1])))
         except NoWayError:
             return None
-        return Navigator(path[1:], self._speeds)
+        return Navigator(waypoints(path), self._speeds)
 
 
 def _room_ahead(state: Heard) -> bool:

@@ -1,0 +1,143 @@
+"""`nomad calibrate`: drive a square both ways round, find out what wheels and sonars get wrong, write a model file.
+
+Rules: reads options, prints, waits on the real clock; what drives and what estimates is square's and estimator's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from dataclasses import asdict, astuple
+from pathlib import Path
+
+import numpy as np
+
+from localization.belief import independent
+from localization.calibration.estimator import CalibratingFilter
+from localization.calibration.found import calibration_in, table
+from localization.calibration.guided import run as guided
+from localization.calibration.square import Driver, Go, NoSquareError, Square, Task, is_clear, largest_square, tasks
+from localization.cone import ConeModel
+from localization.measurement import WIRE_SONAR
+from localization.planning.course import waypoints
+from localization.planning.roadmap import Roadmap
+from localization.readers import noise, numbers, opened, pose, positive, stds
+from localization.surroundings import THESIS_ODOMETRY, Surroundings
+from nclient import Robot
+from worlds.bodies import BODIES
+from worlds.calibration import Calibration, calibration_text
+from worlds.files import load_world
+from worlds.world import World
+
+START_STD = (0.5, 0.5, 0.02)
+"""How well the robot is placed at the start: inches, inches, radians."""
+TOLD_EVERY_S = 10.0
+SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `nomad calibrate`."""
+    parser.description = (
+        "Find out what a robot's wheels and sonars get wrong every time: drive a square (UMBmark's) both ways round, "
+        "turning on the spot at its corners, with a filter on that knows the walls; then write a model file."
+    )
+    parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --world thesis_room --out mine.toml"
+    parser.add_argument("address", nargs="?", metavar="ADDRESS", help="of the robot (default: NOMAD_ROBOT, or a local "
+                                                                      "nserver)")
+    parser.add_argument("--world", required=True, help="the walls: a shipped world or a TOML file")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write a model file (model_file= of nserver and sim:, "
+                                                                 "--calibration of nomad localize)")
+    parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
+                        help="where the robot stands now, inches and degrees (default: what its encoders say)")
+    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
+                        help="how well that is known, inches and degrees (default 0.5,0.5,1.15)")
+    parser.add_argument("--body", choices=sorted(BODIES), default="n150", help="the robot's model (default n150)")
+    parser.add_argument("--square", type=_square, metavar="X,Y,SIDE",
+                        help="the square: lower left corner and side in inches (default: the largest with room)")
+    parser.add_argument("--laps", type=_count, default=2, metavar="N", help="laps each way (default %(default)s)")
+    parser.add_argument("--spins", type=_count, default=1, metavar="N",
+                        help="full turns on the spot at each corner, for the turn's scale (default %(default)s)")
+    parser.add_argument("--speed", type=positive, default=SPEED_IN_S, metavar="IN_S",
+                        help="speed in in/s (default %(default)s)")
+    parser.add_argument("--turn-speed", type=positive, default=TURN_DEG_S, metavar="DEG_S",
+                        help="speed of turns in deg/s (default %(default)s)")
+    parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
+                        help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
+                             f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
+    parser.add_argument("--sonars", choices=("rays", "cones"),
+                        help="exact rays or a real ring's cones (default: rays of a simulation, cones of a robot)")
+    parser.add_argument("--time-limit", type=positive, default=3600.0, metavar="S",
+                        help="give up after so many seconds of the robot's clock (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do it. 0 when the run was driven to its end, 3 when the time ran out: then nothing is written."""
+    world = load_world(options.world)
+    robot, simulated = opened(options.address)
+    with robot:
+        found = _drive(robot, world, options, simulated)
+    if found is None:
+        print(f"given up after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit")
+        return 3
+    if options.out:
+        said = f"nomad calibrate, in {world.name}: {options.laps} laps each way, {options.spins} turns a corner"
+        options.out.write_text(calibration_text(options.body, found, said), encoding="utf-8")
+    print(json.dumps(asdict(found)) if options.json else table(found))
+    return 0
+
+
+def _drive(robot: Robot, world: World, options: argparse.Namespace, simulated: bool) -> Calibration | None:
+    state = robot.refresh()
+    start = options.start or (state.x_in, state.y_in, state.steering_rad)
+    body = BODIES[options.body]
+    rays = options.sonars == "rays" if options.sonars else simulated
+    known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if rays else ConeModel())
+    method = CalibratingFilter(known, independent(np.array(start), options.start_std))
+    driver = Driver(_tasks(world, body.radius_in, start, options), options.speed, math.radians(options.turn_speed))
+    told_s = began_s = state.clock_s or 0.0
+    for progress in guided(robot, known, method, driver, time.sleep):
+        clock_s = progress.estimate.clock_s
+        if clock_s - began_s > options.time_limit:
+            return None
+        if not options.json and clock_s >= told_s + TOLD_EVERY_S:
+            told_s = clock_s
+            print(_line(clock_s - began_s, driver, calibration_in(method.belief)), flush=True)
+    return calibration_in(method.belief)
+
+
+def _tasks(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> list[Task]:
+    """To the square, and round it. Raises NoSquareError, or NoWayError where there is no way to it."""
+    here = (start[0], start[1])
+    square = options.square or largest_square(world, radius_in, here)
+    if not is_clear(square, world, radius_in):
+        raise NoSquareError(f"the square {tuple(square)} comes too near to walls: choose another, or leave it out")
+    first, *rest = tasks(square, here, options.laps, options.spins)
+    assert isinstance(first, Go)
+    way = Roadmap(world.walls, radius_in).path(here, (first.x_in, first.y_in))
+    return [*(Go(*point) for point in waypoints(way)), *rest]
+
+
+def _line(passed_s: float, driver: Driver, found: Calibration) -> str:
+    spread = found.spread
+    return (
+        f"{passed_s:6.0f} s  {driver.done:3d} of {driver.count} done  "
+        f"way {found.way_scale:.4f} ± {spread.way_scale:.4f}  "
+        f"turn {found.turn_scale:.4f} ± {spread.turn_scale:.4f}  "
+        f"drift {found.drift_rad_in:+.5f} ± {spread.drift_rad_in:.5f} rad/in"
+    )
+
+
+def _square(text: str) -> Square:
+    x, y, side = numbers(text, 3)
+    if side <= 0:
+        raise argparse.ArgumentTypeError("a side is longer than 0")
+    return Square(x, y, side)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) > 100:
+        raise argparse.ArgumentTypeError(f"a whole number from 0 to 100, not {text!r}")
+    return int(text)

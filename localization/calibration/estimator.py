@@ -1,0 +1,141 @@
+"""A filter that finds out what wheels and sonars get wrong every time, while it localizes: one long state.
+
+    0..5     pose, way_scale, turn_scale, drift                      (systematic)
+    6        range offset of all sonars: readings less ranges, inches
+    7        ring turn: the ring stands turned by this against the turret, radians
+    8..23    what each sonar reads more than that, inches
+
+A range grows by the offsets one for one, and by the ring's turn as by the heading: only where the turn puts the ring,
+not where the robot then drives. So the ring's turn is told from the heading by driving, one sonar's offset from
+another's by turning the ring, the offset of all from the way by walls on both sides.
+
+Rules: a Filter (filters.method). What a reading may be of is a sense's to say; mixture of hypotheses as in mixture.py,
+with derivatives by the longer state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import radians
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from localization import chi_square
+from localization.belief import HEADING, Belief, Floats, add
+from localization.cone import ConeModel
+from localization.filters.method import Judgement
+from localization.filters.sense import Sense, sense_of
+from localization.measurement import SonarModel
+from localization.motion import step_variance
+from localization.observation import Refusal
+from localization.surroundings import Surroundings
+from localization.systematic import LARGEST, POSE, move_states, step_jacobians
+from localization.watch import ALL_WELL, Verdict
+from worlds.bodies import SONARS
+
+OFFSET: Final = LARGEST
+RING_TURN: Final = OFFSET + 1
+OWN: Final = RING_TURN + 1
+SIZE: Final = OWN + SONARS
+
+CONSTANTS_STD: Final = (0.05, 0.05, 0.003, 2.0, radians(5.0), *(0.5,) * SONARS)
+"""What is taken for possible beforehand: wheels 5 % off, 3 mrad an inch, sonars 2 in, the ring 5 degrees."""
+GATE_PROBABILITY: Final = 0.999
+MOSTLY_BAD: Final = 0.5
+_LOOSE_IN2: Final = 16.0
+_INSIDE_IN: Final = 1e-3
+
+
+class CalibratingFilter:
+    """See the head of this file. `pose`: the belief over poses (3,) at the start."""
+
+    def __init__(self, known: Surroundings, pose: Belief, stds: tuple[float, ...] = CONSTANTS_STD) -> None:
+        self.belief = Belief(np.append(pose.mean, np.zeros(SIZE - POSE)), np.diag(np.append(np.zeros(POSE), stds) ** 2))
+        self.belief.cov[:POSE, :POSE] = pose.cov
+        self._odometry = known.odometry
+        self._lowest_in, self._highest_in = known.sonar.lowest_in, known.sonar.highest_in
+        self._variance: Callable[[Floats], Floats] = known.sonar.variance
+        self._sense = _tolerant(known.walls, known)
+        self._threshold = chi_square.quantile(GATE_PROBABILITY, 1)
+
+    @property
+    def verdict(self) -> Verdict:
+        """It does not look on."""
+        return ALL_WELL
+
+    def move(self, step: Floats) -> None:
+        """The encoders told of a step (2,)."""
+        self.belief = self.ahead(step)
+
+    def ahead(self, step: Floats) -> Belief:
+        """The belief after such a step, which is not taken."""
+        belief = self.belief
+        mean, by_state = belief.mean.copy(), np.eye(SIZE)
+        by_state[:LARGEST, :LARGEST], by_step = step_jacobians(mean[:LARGEST], step)
+        mean[:LARGEST] = move_states(mean[:LARGEST], step)
+        cov = by_state @ belief.cov @ by_state.T
+        cov[:POSE, :POSE] += (by_step * step_variance(step, self._odometry)) @ by_step.T
+        return Belief(mean, 0.5 * (cov + cov.T))
+
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+        """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
+        if not self._lowest_in < reading_in < self._highest_in:
+            return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
+        mean = self.belief.mean
+        range_in = float(np.clip(reading_in - mean[OFFSET] - mean[OWN + sonar], self._lowest_in + _INSIDE_IN,
+                                 self._highest_in - _INSIDE_IN))  # fmt: skip
+        sensed = self._sense.sense(self._looking(), sonar, turret_offset_rad + float(mean[RING_TURN]), range_in)
+        heard = sensed.candidates
+        if heard is None:
+            return Judgement(sensed.refusal, 0.0, 0.0, 1.0)
+        by_state = np.zeros((len(heard.ranges_in), SIZE))
+        by_state[:, :POSE] = heard.jacobian
+        by_state[:, RING_TURN] = heard.jacobian[:, HEADING]
+        by_state[:, [OFFSET, OWN + sonar]] = 1.0
+        pull = by_state @ self.belief.cov
+        spread = (pull * by_state).sum(axis=-1) + self._variance(heard.ranges_in)
+        innovation = range_in - heard.ranges_in
+        nis = innovation * innovation / spread
+        if not heard.bad_share and nis[0] > self._threshold:
+            return Judgement(Refusal.GATE, float(innovation[0]), float(nis[0]), 1.0)
+        return self._absorb(heard.probability, heard.bad_share, heard.bad_density, pull, spread, innovation)
+
+    def _absorb(
+        self, probability: Floats, bad_share: float, bad_density: float, pull: Floats, spread: Floats,
+        innovation: Floats,
+    ) -> Judgement:  # fmt: skip
+        """Probabilistic data association (mixture.py): the first two moments of all hypotheses."""
+        good, nis = 1.0 - bad_share, innovation * innovation / spread
+        weight = good * probability * np.exp(-0.5 * nis) / np.sqrt(2.0 * np.pi * spread)
+        bad = bad_density * (1.0 - good * probability.sum())
+        total = weight.sum() + bad
+        share, bad_share = weight / total, float(bad / total)
+        moves = pull * (innovation / spread)[:, None]
+        change = share @ moves
+        away = moves - change
+        cov = self.belief.cov - (pull * (share / spread)[:, None]).T @ pull
+        cov += (away * share[:, None]).T @ away + bad_share * np.outer(change, change)
+        self.belief = Belief(add(self.belief.mean, change), 0.5 * (cov + cov.T))
+        best = int(np.argmax(share))
+        refusal = Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
+        return Judgement(refusal, float(innovation[best]), float(nis[best]), bad_share)
+
+    def _looking(self) -> Belief:
+        """The belief over where the robot is and where its ring looks: the heading as uncertain as both together."""
+        cov = self.belief.cov[:POSE, :POSE].copy()
+        by_ring = self.belief.cov[: RING_TURN + 1, RING_TURN]
+        cov[HEADING, HEADING] += by_ring[RING_TURN] + 2.0 * by_ring[HEADING]
+        cov[:HEADING, HEADING] += by_ring[:HEADING]
+        cov[HEADING, :HEADING] += by_ring[:HEADING]
+        return Belief(self.belief.mean[:POSE], cov)
+
+
+def _tolerant(walls: npt.ArrayLike, known: Surroundings) -> Sense:
+    """A sense whose own gate, which knows poses only, leaves room for the offsets; ours is taken afterwards."""
+    sonar: SonarModel | ConeModel = known.sonar
+    if isinstance(sonar, SonarModel):
+        sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
+    return sense_of(walls, known.body, sonar, known.gate)

@@ -1,0 +1,172 @@
+"""The guided run: UMBmark's square both ways round, and turns on the spot at its corners.
+
+    place       the largest square along the axes of the map whose sides keep clear of all walls, near the robot
+    tasks       Go(x, y): turn towards it on the spot, then roll; Spin(angle): turn on the spot
+    driver      from a pose to the velocities of the task at hand
+
+Ways are long and turns many, both ways round: errors of scale add up, those that cancel one way do not the other
+(Borenstein and Feng 1996). Rules: pure; no robot, no filter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, hypot, pi, tau
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from localization.belief import HEADING, Floats, wrap_angle
+from localization.control import bearing_error, distance_to
+from localization.navigation import Command
+from localization.planning.clearance import clearances
+from nclient.errors import NomadError
+from worlds.geometry import nearest_points
+from worlds.world import World
+
+MARGIN_IN: Final = 6.0
+"""How far the sides keep from walls beyond the robot's radius: it errs, that is why it is here."""
+LARGEST_IN: Final = 160.0
+SMALLEST_IN: Final = 12.0
+_GRID_IN: Final = 4.0
+
+AIMED_RAD: Final = 0.03
+REACHED_IN: Final = 1.0
+_FAR_OFF_RAD: Final = 0.5
+
+
+class NoSquareError(NomadError):
+    """There is no room for the guided run."""
+
+
+class Go(NamedTuple):
+    """To a point, by turning on the spot and rolling straight."""
+
+    x_in: float
+    y_in: float
+
+
+class Spin(NamedTuple):
+    """On the spot by so much, counter-clockwise."""
+
+    angle_rad: float
+
+
+Task = Go | Spin
+
+
+class Square(NamedTuple):
+    """A square along the axes: its lower left corner and its side, inches."""
+
+    x_in: float
+    y_in: float
+    side_in: float
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Counter-clockwise."""
+        x, y, side = self
+        return (x, y), (x + side, y), (x + side, y + side), (x, y + side)
+
+
+def largest_square(world: World, radius_in: float, near: tuple[float, float]) -> Square:
+    """The largest square whose sides a robot of this radius can drive, the nearest of those to a point.
+
+    Sides in steps of 4 in, 12 to 160. Raises NoSquareError.
+    """
+    room_in = radius_in + MARGIN_IN
+    ends = world.walls.reshape(-1, 2)
+    low, size = ends.min(axis=0), np.ceil(np.ptp(ends, axis=0) / _GRID_IN).astype(int) + 1
+    along_x, along_y = np.indices(size)
+    grid = low + _GRID_IN * np.stack((along_x, along_y), axis=-1)
+    wide = nearest_points(grid.reshape(-1, 2), world.walls)[1].min(axis=-1).reshape(size) >= room_in
+    for steps in range(min(int(LARGEST_IN / _GRID_IN), size.min() - 1), int(SMALLEST_IN / _GRID_IN) - 1, -1):
+        whole = wide[:-steps, :-steps] & wide[steps:, :-steps] & wide[:-steps, steps:] & wide[steps:, steps:]
+        squares = [Square(float(x), float(y), steps * _GRID_IN) for x, y in grid[:-steps, :-steps][whole]]
+        for square in sorted(squares, key=lambda square: min(_far(corner, near) for corner in square.corners)):
+            if is_clear(square, world, radius_in):
+                return square
+    raise NoSquareError(
+        f"{world.name} has no room for a square of {SMALLEST_IN:g} in that keeps {MARGIN_IN:g} in from all walls: "
+        "calibrate in a larger room"
+    )
+
+
+def is_clear(square: Square, world: World, radius_in: float) -> bool:
+    """Whether a robot of this radius can drive its sides, and errs a little while it does."""
+    room_in = radius_in + MARGIN_IN
+    free = all(world.clearance(*corner) >= room_in for corner in square.corners)
+    return free and bool((clearances(_sides(square), world.walls) >= room_in).all())
+
+
+def _far(point: tuple[float, float], near: tuple[float, float]) -> float:
+    return hypot(point[0] - near[0], point[1] - near[1])
+
+
+def _sides(square: Square) -> Floats:
+    corners = np.array(square.corners)
+    return np.concatenate((corners, np.roll(corners, -1, axis=0)), axis=1)
+
+
+def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> list[Task]:
+    """So many laps each way from the corner that is nearest, with `spins` turns on the spot at each corner."""
+    corners = list(square.corners)
+    first = min(range(len(corners)), key=lambda number: _far(corners[number], near))
+    found: list[Task] = [Go(*corners[first])]
+    for way in (1, -1):
+        for side in range(len(corners) * laps):
+            found += [Spin(way * tau * spins)] if spins else []
+            found.append(Go(*corners[(first + way * (side + 1)) % len(corners)]))
+    return found
+
+
+class Driver:
+    """From task to task."""
+
+    def __init__(self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float) -> None:
+        self._tasks = list(tasks)
+        self._speed_in_s, self._turn_rad_s = speed_in_s, turn_rad_s
+        self.done = 0
+        """How many tasks are behind."""
+        self._aimed = False
+        self._turned_rad = 0.0
+        self._heading: float | None = None
+
+    @property
+    def count(self) -> int:
+        """How many tasks there are."""
+        return len(self._tasks)
+
+    def command(self, pose: Floats) -> Command | None:
+        """What to do at this pose (3,); None when all is done."""
+        if self._heading is not None:
+            self._turned_rad += float(wrap_angle(np.asarray(pose[HEADING] - self._heading)))
+        self._heading = float(pose[HEADING])
+        while self.done < len(self._tasks):
+            task = self._tasks[self.done]
+            command = self._spin(task) if isinstance(task, Spin) else self._go(pose, task)
+            if command is not None:
+                return command
+            self.done += 1
+            self._aimed, self._turned_rad = False, 0.0
+        return None
+
+    def _spin(self, task: Spin) -> Command | None:
+        left = task.angle_rad - self._turned_rad
+        if left * task.angle_rad <= 0.0 or abs(left) < AIMED_RAD:
+            return None
+        return Command(0.0, self._towards(left))
+
+    def _go(self, pose: Floats, task: Go) -> Command | None:
+        goal = np.array(task)
+        away, off = float(distance_to(pose, goal)), float(bearing_error(pose, goal))
+        if away < REACHED_IN or (self._aimed and abs(off) > pi / 2 and away < 4.0 * REACHED_IN):
+            return None
+        self._aimed = abs(off) < (_FAR_OFF_RAD if self._aimed else AIMED_RAD)
+        if not self._aimed:
+            return Command(0.0, self._towards(off))
+        return Command(min(self._speed_in_s, 0.5 + away) * max(cos(off), 0.0), self._towards(off))
+
+    def _towards(self, off_rad: float) -> float:
+        """A rate that comes to rest there."""
+        return float(np.clip(2.0 * off_rad, -self._turn_rad_s, self._turn_rad_s))

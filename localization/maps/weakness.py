@@ -1,0 +1,114 @@
+"""Where localization is weak: the posterior Cramer-Rao bound over the free space of a map.
+
+    J     the Fisher information about (x, y, heading) of one round of all sixteen sonars from there, the mean over
+          HEADINGS directions of the ring within its symmetry of 22.5 degrees
+    P'    = ((P + Q)^-1 + J)^-1      ROUNDS times from START_STD (Tichavsky, Muravchik, Nehorai 1998, F = I)
+    Q     what the odometry loses from one round to the next at `speed_in_s`, in no direction more than another
+
+The bound is of a robot that drives about there for a minute and a half: no filter without bias can know its place
+better, and a good one comes near. What the ring cannot see, such as the way along a corridor, grows with the way.
+
+Rules: pure. Rays count where they meet a wall steeply enough and within range; cones by the chance of each echo.
+"""
+
+from __future__ import annotations
+
+from math import tau
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.belief import HEADING, Floats
+from localization.cone import ConeModel, Ear, cone_returns
+from localization.gating import STRICT
+from localization.measurement import SonarModel, SonarRing, WallMap, meet, range_jacobian, rays, ring, sight, wall_map
+from localization.motion import OdometryNoise
+from localization.reflectors import Reflectors, reflectors
+from localization.surroundings import Surroundings
+from worlds.bodies import SONARS
+
+HEADINGS: Final = 4
+ROUNDS: Final = 100
+ROUND_S: Final = 0.96
+START_STD: Final = (24.0, 24.0, 0.5)
+_HEADING_STD_RAD: Final = 0.01
+
+
+class Weakness(NamedTuple):
+    """Of n places (n, 2) in inches: the bound `cov` (n, 3, 3)."""
+
+    places: Floats
+    cov: Floats
+
+    @property
+    def worst_in(self) -> Floats:
+        """Standard deviations (n,) of the position along its worst direction, inches."""
+        worst: Floats = np.sqrt(np.linalg.eigvalsh(self.cov[:, :HEADING, :HEADING])[:, -1])
+        return worst
+
+    @property
+    def heading_rad(self) -> Floats:
+        """Standard deviations (n,) of the heading, radians."""
+        std: Floats = np.sqrt(self.cov[:, HEADING, HEADING])
+        return std
+
+
+def weakness(known: Surroundings, places: Floats, speed_in_s: float = 5.0) -> Weakness:
+    """The bound at places (n, 2), inches."""
+    information = np.mean([_of_round(known, places, turned) for turned in _turns()], axis=0)
+    lost = _lost(known.odometry, speed_in_s * ROUND_S)
+    precision: Floats = np.tile(np.diag(1.0 / np.square(START_STD)), (len(places), 1, 1))
+    for _ in range(ROUNDS):
+        precision = np.linalg.inv(np.linalg.inv(precision) + lost) + information
+    cov = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+    return Weakness(places, 0.5 * (cov + cov.swapaxes(-1, -2)))
+
+
+def _turns() -> Floats:
+    turns: Floats = np.arange(HEADINGS, dtype=np.float64) * (tau / SONARS / HEADINGS)
+    return turns
+
+
+def _lost(odometry: OdometryNoise, way_in: float) -> Floats:
+    """Q (3, 3) of a way in any direction."""
+    place = odometry.translation_std**2 * way_in / 2.0
+    return np.diag([place, place, odometry.drift_std**2 * way_in])
+
+
+def _of_round(known: Surroundings, places: Floats, heading_rad: float) -> Floats:
+    """J (n, 3, 3) of sixteen readings at these places and this heading."""
+    poses = np.concatenate((places, np.full((len(places), 1), heading_rad)), axis=1)
+    if isinstance(known.sonar, ConeModel):
+        return _of_cones(poses, known.body, known.sonar, reflectors(wall_map(known.walls).segments))
+    return _of_rays(poses, known.body, known.sonar, wall_map(known.walls))
+
+
+def _of_rays(poses: Floats, body: SonarRing, sonar: SonarModel, walls: WallMap) -> Floats:
+    aimed = rays(poses[:, None, :], ring(body))
+    met = meet(aimed, walls)
+    lines = walls.lines[met]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        seen = sight(aimed, lines)
+        slope = range_jacobian(seen, lines)
+        steep = np.abs(seen.cos_incidence) >= STRICT.min_cos_incidence
+        told = steep & (met >= 0) & (seen.ranges_in > sonar.lowest_in) & (seen.ranges_in < sonar.highest_in)
+        weight = np.where(told, 1.0 / sonar.variance(seen.ranges_in), 0.0)
+    return _added(np.where(told[..., None], slope, 0.0), weight)
+
+
+def _of_cones(poses: Floats, body: SonarRing, model: ConeModel, around: Reflectors) -> Floats:
+    total = np.zeros((len(poses), 3, 3))
+    spread: npt.NDArray[np.float64] = np.full(len(poses), _HEADING_STD_RAD)
+    for angle in body.sonar_angles_rad:
+        heard = cone_returns(poses, spread, Ear(angle, body.sonar_ring_radius_in), around, model)
+        told = (heard.ranges_in > model.lowest_in) & (heard.ranges_in < model.highest_in)
+        chance = (1.0 - model.bad_share) * np.where(told, heard.probability, 0.0)
+        total += _added(heard.jacobian, chance / model.variance(heard.ranges_in))
+    return total
+
+
+def _added(slope: Floats, weight: Floats) -> Floats:
+    """The sum over k of w h' h, (n, 3, 3), of slopes (n, k, 3) and weights (n, k)."""
+    total: Floats = (slope * weight[..., None]).swapaxes(-1, -2) @ slope
+    return total

@@ -1,0 +1,105 @@
+"""The square and the way round it."""
+
+from __future__ import annotations
+
+from math import hypot, pi, tau
+
+import numpy as np
+import pytest
+
+from localization.belief import HEADING
+from localization.calibration.square import (
+    MARGIN_IN,
+    Driver,
+    Go,
+    NoSquareError,
+    Spin,
+    Square,
+    is_clear,
+    largest_square,
+    tasks,
+)
+from localization.motion import move
+from localization.navigation import PERIOD_S
+from worlds.files import load_world, world_names
+from worlds.world import Polygon, World
+
+RADIUS_IN = 9.72
+
+
+@pytest.mark.parametrize("name", world_names())
+def test_every_shipped_world_has_one_that_keeps_clear(name: str) -> None:
+    world = load_world(name)
+    square = largest_square(world, RADIUS_IN, (0.0, 0.0))
+    for (x1, y1), (x2, y2) in zip(square.corners, square.corners[1:] + square.corners[:1], strict=True):
+        for share in np.linspace(0.0, 1.0, 50):
+            assert world.clearance(x1 + share * (x2 - x1), y1 + share * (y2 - y1)) >= RADIUS_IN + MARGIN_IN - 1e-9
+
+
+def test_it_is_the_largest_and_the_nearest() -> None:
+    room = World("room", rooms=(Polygon(((0.0, 0.0), (140.0, 0.0), (140.0, 100.0), (0.0, 100.0))),))
+    square = largest_square(room, 9.0, (140.0, 0.0))
+    assert square.side_in == 68.0
+    assert square.x_in + square.side_in == 124.0
+    assert largest_square(room, 9.0, (0.0, 0.0)).x_in == 16.0
+
+
+def test_a_cupboard_has_none() -> None:
+    cupboard = World("cupboard", rooms=(Polygon(((0.0, 0.0), (40.0, 0.0), (40.0, 40.0), (0.0, 40.0))),))
+    with pytest.raises(NoSquareError, match="cupboard has no room"):
+        largest_square(cupboard, RADIUS_IN, (20.0, 20.0))
+    assert not is_clear(Square(-30.0, -30.0, 12.0), cupboard, RADIUS_IN)
+
+
+def test_laps_go_both_ways_round_from_the_nearest_corner() -> None:
+    found = tasks(Square(0.0, 0.0, 10.0), (9.0, 1.0), 1, 2)
+    places = [tuple(task) for task in found if isinstance(task, Go)]
+    assert places[0] == (10.0, 0.0)
+    assert places[1:5] == [(10.0, 10.0), (0.0, 10.0), (0.0, 0.0), (10.0, 0.0)]
+    assert places[5:] == [(0.0, 0.0), (0.0, 10.0), (10.0, 10.0), (10.0, 0.0)]
+    turns = [task.angle_rad for task in found if isinstance(task, Spin)]
+    assert turns == [2 * tau] * 4 + [-2 * tau] * 4
+    assert not any(isinstance(task, Spin) for task in tasks(Square(0.0, 0.0, 10.0), (0.0, 0.0), 1, 0))
+
+
+def test_the_driver_goes_round_and_turns_as_told() -> None:
+    square = Square(10.0, 10.0, 60.0)
+    driver = Driver(tasks(square, (0.0, 0.0), 1, 1), 10.0, 0.7)
+    pose, turned, places = np.array([0.0, 0.0, 2.0]), [0.0, 0.0], []
+    for _ in range(4000):
+        done = driver.done
+        command = driver.command(pose)
+        if driver.done > done:
+            places.append(pose[:2].copy())
+        if command is None:
+            break
+        assert abs(command.translation_in_s) <= 10.0
+        assert abs(command.steering_rad_s) <= 0.7
+        turned[command.steering_rad_s < 0.0] += abs(command.steering_rad_s) * PERIOD_S
+        pose = move(pose, PERIOD_S * np.array(command))
+        off_side = min(abs(pose[0] - 10.0), abs(pose[0] - 70.0), abs(pose[1] - 10.0), abs(pose[1] - 70.0))
+        assert len(places) == 0 or off_side < 1.5
+    assert driver.done == driver.count == 17
+    assert hypot(pose[0] - 10.0, pose[1] - 10.0) < 1.0
+    assert turned[0] == pytest.approx(4 * tau + 4 * pi / 2, abs=2.0)
+    assert turned[1] == pytest.approx(4 * tau + 4 * pi / 2, abs=3.0)
+
+
+def test_a_goal_that_was_passed_by_is_behind() -> None:
+    driver = Driver([Go(10.0, 0.0)], 10.0, 0.5)
+    assert driver.command(np.array([0.0, 0.0, 0.0])) is not None
+    assert driver.command(np.array([12.0, 0.5, 0.0])) is None
+    assert driver.done == 1
+
+
+def test_one_that_lies_off_is_turned_to_before_it_is_rolled_to() -> None:
+    driver = Driver([Go(0.0, 10.0)], 10.0, 0.5)
+    command = driver.command(np.array([0.0, 0.0, 0.0]))
+    assert command is not None
+    assert command.translation_in_s == 0.0
+    assert command.steering_rad_s > 0.0
+    pose = np.array([0.0, 0.0, pi / 2])
+    assert pose[HEADING] > 0
+    rolling = driver.command(pose)
+    assert rolling is not None
+    assert rolling.translation_in_s == pytest.approx(10.0)

@@ -1,0 +1,87 @@
+"""The bound over free space: its information by finite differences, its end by closed forms, a filter beside it."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from localization.belief import Floats, difference, independent
+from localization.cone import ConeModel
+from localization.experiments.live.scenario import EXACT_RAYS
+from localization.filters.table import make
+from localization.maps.weakness import HEADINGS, ROUND_S, ROUNDS, START_STD, weakness
+from localization.measurement import rays, ring
+from localization.motion import OdometryNoise, move, step_variance
+from localization.surroundings import Surroundings
+from worlds.bodies import N150, SONARS
+from worlds.raycast import cast_rays
+
+ROOM = np.array([[0, 0, 120, 0], [120, 0, 120, 100], [120, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
+CORRIDOR = np.array([[-900.0, 0.0, 900.0, 0.0], [-900.0, 60.0, 900.0, 60.0]])
+QUIET = OdometryNoise(0.05, 0.05, 0.002)
+PLACES = np.array([[41.3, 30.9], [61.7, 52.4], [97.1, 82.6]])
+
+
+def ranges(pose: Floats) -> Floats:
+    """Of all sixteen sonars, by the ray caster."""
+    aimed = rays(pose[None, :], ring(N150))
+    return cast_rays(aimed.axes_in, aimed.directions, ROOM)[0] - N150.sonar_ring_radius_in
+
+
+def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
+    """P^-1 = (P + Q)^-1 + J with J by central differences of the ray caster's ranges."""
+    bound = weakness(Surroundings(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
+    lost = np.diag([0.05**2 * 2.4, 0.05**2 * 2.4, 0.002**2 * 4.8])
+    for place, cov in zip(PLACES, bound.cov, strict=True):
+        information = np.zeros((3, 3))
+        for turn in np.arange(HEADINGS) * 2 * np.pi / SONARS / HEADINGS:
+            pose = np.append(place, turn)
+            slope = np.array([(ranges(pose + way) - ranges(pose - way)) / 2e-5 for way in 1e-5 * np.eye(3)]).T
+            aimed = rays(pose[None, :], ring(N150)).directions
+            _, walls = cast_rays(np.tile(place, (SONARS, 1)), aimed, ROOM)
+            steep = np.where(walls % 2 == 0, np.abs(aimed[:, 1]), np.abs(aimed[:, 0])) >= 0.3
+            information += (slope[steep].T / EXACT_RAYS.variance(ranges(pose)[steep])) @ slope[steep] / HEADINGS
+        np.testing.assert_allclose(np.linalg.inv(cov), np.linalg.inv(cov + lost) + information, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeModel()])
+def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeModel) -> None:
+    bound = weakness(Surroundings(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
+    along = sqrt(START_STD[0] ** 2 + ROUNDS * 0.05**2 * 5.0 * ROUND_S / 2.0)
+    assert bound.worst_in[0] == pytest.approx(along, rel=1e-6)
+    assert sqrt(bound.cov[0, 1, 1]) < 0.2
+    assert bound.heading_rad[0] < 0.1
+
+
+def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
+    """A robot that goes in circles about a place, its sixteen sonars heard at once, by a filter that is no part of
+    this."""
+    known = Surroundings(ROOM, N150, QUIET, EXACT_RAYS)
+    chance = np.random.default_rng(8)
+    way = 5.0 * ROUND_S
+    squares, headings = [], []
+    for _ in range(12):
+        true = np.array([55.0, 45.0, chance.uniform(-3.0, 3.0)])
+        method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
+        for round_ in range(60):
+            step = np.array([way, 0.35])
+            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
+            method.move(step)
+            for sonar, far in enumerate(ranges(true)):
+                method.hear(sonar, 0.0, float(np.floor(far + 0.5)))
+            if round_ > 20:
+                error = difference(method.belief.mean, true)
+                squares.append(0.5 * (error[0] ** 2 + error[1] ** 2))
+                headings.append(error[2] ** 2)
+    bound = weakness(known, np.array([[55.0, 45.0]]), 5.0)
+    assert 0.9 * bound.worst_in[0] < sqrt(np.mean(squares)) < 1.6 * bound.worst_in[0]
+    assert 0.9 * bound.heading_rad[0] < sqrt(np.mean(headings))
+
+
+def test_the_faster_the_weaker_and_cones_weaker_than_rays() -> None:
+    exact, noisy = Surroundings(ROOM, N150, QUIET, EXACT_RAYS), Surroundings(ROOM, N150, QUIET, ConeModel())
+    slow, fast, real = weakness(exact, PLACES, 1.0), weakness(exact, PLACES, 10.0), weakness(noisy, PLACES, 1.0)
+    assert (slow.worst_in < fast.worst_in).all()
+    assert (slow.worst_in < real.worst_in).all()

@@ -1,0 +1,90 @@
+"""A robot's own errors in the simulation: what its wheels and its ring do then, against the words of the file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians, tau
+
+import numpy as np
+import pytest
+
+from nserver_emu.simulation.individual import setup_of
+from nserver_emu.simulation.model_files import parse_models
+from nserver_emu.simulation.models import MODELS, N150, RobotModel
+from nserver_emu.simulation.noise import Identity
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import IDEAL, MEASURED, WORN
+from worlds.calibration import Calibration
+from worlds.files import load_world
+from worlds.world import StartPose
+
+WALLS = load_world("thesis_room").walls
+ERRS = Calibration(1.04, 0.97, 0.002, tuple(0.5 * (number % 4) for number in range(16)), radians(5.0))
+START = StartPose(40.0, 40.0)
+
+
+def robot_of(model: RobotModel) -> SimulatedRobot:
+    return SimulatedRobot(Identity(1, 0), START, WALLS, model)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_ways_and_turns_are_as_the_file_says_on_every_drive(name: str) -> None:
+    """Ten inches and half a turn counted, whatever the axes are."""
+    robot = robot_of(replace(MODELS[name], errs=ERRS))
+    track = MODELS[name].track_in
+    turn = 0.5 * tau
+    if track is None:
+        robot.move_relative(0.0, turn, turn)
+    else:
+        robot.move_relative(track * turn / 2.0, -track * turn / 2.0, 0.0)
+    robot.advance_to(30 * 10**12)
+    assert robot.encoder.steering_rad == pytest.approx(turn)
+    assert robot.actual.steering_rad == pytest.approx(0.97 * turn)
+    before = robot.actual
+    robot.move_relative(10.0, 0.0 if track is None else 10.0, 0.0)
+    robot.advance_to(60 * 10**12)
+    after = robot.actual
+    bend = after.steering_rad - before.steering_rad
+    assert bend == pytest.approx(0.002 * 10.0)
+    chord = np.hypot(after.x_in - before.x_in, after.y_in - before.y_in)
+    assert chord == pytest.approx(10.4 * np.sin(bend / 2.0) / (bend / 2.0), rel=1e-6)
+
+
+def test_each_sonar_reads_more_and_the_ring_looks_elsewhere() -> None:
+    offsets = ERRS.offsets_in
+    plain = robot_of(N150)
+    shifted = robot_of(replace(N150, errs=replace(ERRS, turned_rad=0.0)))
+    near = plain.sonar.readings_in
+    for sonar, (read, more) in enumerate(zip(shifted.sonar.readings_in, offsets, strict=True)):
+        assert read - near[sonar] == pytest.approx(more, abs=0.5)
+    turned = robot_of(replace(N150, errs=Calibration(turned_rad=radians(5.0))))
+    aimed = SimulatedRobot(Identity(1, 0), StartPose(40.0, 40.0, 0.0, radians(5.0)), WALLS, N150)
+    assert turned.sonar.readings_in == aimed.sonar.readings_in
+    assert turned.sonar.readings_in != plain.sonar.readings_in
+
+
+def test_a_polaroid_ring_errs_the_same_way() -> None:
+    plain = SimulatedRobot(Identity(1, 0), START, WALLS, N150, MEASURED)
+    errs = Calibration(offsets_in=(3.0,) * 16)
+    shifted = SimulatedRobot(Identity(1, 0), START, WALLS, replace(N150, errs=errs), MEASURED)
+    pairs = list(zip(plain.sonar.readings_in, shifted.sonar.readings_in, strict=True))
+    heard = [(one, other) for one, other in pairs if one < 250]
+    assert len(heard) > 4
+    assert all(other == one + 3 for one, other in heard)
+    assert [other for one, other in pairs if one == 255] == [255] * sum(one == 255 for one, _ in pairs)
+
+
+def test_a_model_of_which_nothing_is_known_is_as_its_setup() -> None:
+    assert setup_of(N150, WORN) is WORN
+    own = setup_of(replace(N150, errs=ERRS), WORN)
+    assert own.odometry.slip_in == WORN.odometry.slip_in
+    assert own.odometry.scales == (1.04, 0.97, 1.0)
+    assert own.sonar.std_share == WORN.sonar.std_share
+
+
+def test_model_files_say_it() -> None:
+    text = '[[model]]\nname = "n150"\n[model.odometry]\nway_scale = 1.04\n[[model]]\nname = "twin"\nlike = "n150"\n'
+    models = parse_models(text, "mine.toml")
+    assert models["n150"].errs == models["twin"].errs == Calibration(way_scale=1.04)
+    assert models["n200"].errs is None
+    assert setup_of(models["n150"], IDEAL).odometry.scales[0] == 1.04

@@ -1,0 +1,129 @@
+"""What one robot gets wrong every time, as it was found out: wheels and sonars. A part of model files.
+
+    [[model]]
+    name = "n150"
+    [model.odometry]    way_scale, turn_scale, drift_rad_in       true way a counted way, turn a turn; turn an inch
+    [model.sonar]       offsets_in, turned_deg                    readings less ranges; the ring against the turret
+    [model.spread]      all of these keys                         standard deviations: how well each is known
+
+Physics makes a robot that errs so (model_files.py), a filter one that knows it. Rules: values, and their reading and
+writing as text; inches, radians. Whatever is wrong is a WorldFileError: file, key, what was expected.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import degrees, radians
+from pathlib import Path
+from typing import Any, Final
+
+from nclient.errors import WorldFileError
+from worlds.bodies import SONARS
+from worlds.tables import Table
+
+TABLES: Final = ("odometry", "sonar", "spread")
+"""The tables of a model that are a calibration's."""
+_ODOMETRY: Final = ("way_scale", "turn_scale", "drift_rad_in")
+_SONAR: Final = ("offsets_in", "turned_deg")
+FARTHEST_OFFSET_IN: Final = 24.0
+LARGEST_DRIFT: Final = 0.1
+WIDEST_TURN_DEG: Final = 45.0
+_NONE: Final = (0.0,) * SONARS
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Standard deviations of a calibration's numbers, 0 where nothing is left to find out."""
+
+    way_scale: float = 0.0
+    turn_scale: float = 0.0
+    drift_rad_in: float = 0.0
+    offsets_in: tuple[float, ...] = _NONE
+    turned_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """See the head of this file. `offsets_in`: 16, what each sonar reads more than the range."""
+
+    way_scale: float = 1.0
+    turn_scale: float = 1.0
+    drift_rad_in: float = 0.0
+    offsets_in: tuple[float, ...] = _NONE
+    turned_rad: float = 0.0
+    spread: Spread = Spread()
+
+
+FAULTLESS: Final = Calibration()
+"""Of a robot that does what it says."""
+
+
+def calibration_of(model: Table) -> Calibration:
+    """What the table of a model says of it; faultless where it says nothing."""
+    spread = Spread(**dict(_spreads(model.table("spread")))) if "spread" in model.values else Spread()
+    found: dict[str, Any] = {}
+    if "odometry" in model.values:
+        table = model.table("odometry")
+        table.allow(_ODOMETRY)
+        limits = ((0.5, 2.0), (0.5, 2.0), (-LARGEST_DRIFT, LARGEST_DRIFT))
+        found |= {
+            key: table.number(key, *limit)
+            for key, limit in zip(_ODOMETRY, limits, strict=True) if key in table.values
+        }  # fmt: skip
+    if "sonar" in model.values:
+        table = model.table("sonar")
+        table.allow(_SONAR)
+        if "offsets_in" in table.values:
+            found["offsets_in"] = table.numbers("offsets_in", SONARS, -FARTHEST_OFFSET_IN, FARTHEST_OFFSET_IN)
+        if "turned_deg" in table.values:
+            found["turned_rad"] = radians(table.number("turned_deg", -WIDEST_TURN_DEG, WIDEST_TURN_DEG))
+    return Calibration(**found, spread=spread)
+
+
+def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
+    table.allow((*_ODOMETRY, *_SONAR))
+    for key in _ODOMETRY:
+        if key in table.values:
+            yield key, table.number(key, 0.0, 1.0)
+    if "offsets_in" in table.values:
+        yield "offsets_in", table.numbers("offsets_in", SONARS, 0.0, FARTHEST_OFFSET_IN)
+    if "turned_deg" in table.values:
+        yield "turned_rad", radians(table.number("turned_deg", 0.0, WIDEST_TURN_DEG))
+
+
+def load_calibration(path: Path, name: str) -> Calibration:
+    """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
+    try:
+        values: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise WorldFileError(f"{path}: is no TOML: {error}") from error
+    names = []
+    for model in Table(str(path), "", values).tables("model"):
+        names.append(model.text("name", ""))
+        if names[-1] == name:
+            return calibration_of(model)
+    raise WorldFileError(f"{path}: has no model {name!r}, but {', '.join(map(repr, names)) or 'none'}")
+
+
+def calibration_text(name: str, found: Calibration, said: str = "") -> str:
+    """A model file of one model; `said` stands above it as a comment, line by line."""
+    spread = found.spread
+    lines = [
+        *(f"# {line}" for line in said.splitlines()),
+        "[[model]]", f'name = "{name}"', "", "[model.odometry]", *_numbers(found),
+        "", "[model.sonar]", *_offsets(found), "", "[model.spread]", *_numbers(spread), *_offsets(spread),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(of: Calibration | Spread) -> list[str]:
+    return [f"{key} = {getattr(of, key):.6g}" for key in _ODOMETRY]
+
+
+def _offsets(of: Calibration | Spread) -> list[str]:
+    listed = ", ".join(f"{offset:.4g}" for offset in of.offsets_in)
+    return [f"offsets_in = [{listed}]", f"turned_deg = {degrees(of.turned_rad):.5g}"]

@@ -1,0 +1,181 @@
+"""What is wrong with a map, or looks like it: walls that nearly meet, walls twice, crumbs, rooms nobody can enter.
+
+    gap         an end of a wall that stops a little short of another wall: sonars see through, robots do not pass
+    doubled     two walls on one line, one over the other for a way
+    crumb       a wall shorter than anything a sonar can tell
+    start       a start at which the robot does not fit
+    closed off  space that the robot fits into and cannot reach from the starts
+
+Rules: pure; a world in, findings out. Space is looked at on a grid: a passage that is wider than the robot by less than
+two steps of the grid may count as closed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from worlds.geometry import BoolArray, FloatArray, lengths, nearest_points
+from worlds.world import World
+
+TOUCHING_IN: Final = 1e-6
+"""Ends within this of a wall are on it."""
+MOST_CELLS: Final = 40_000
+ROBOTS_ACROSS: Final = 24.0
+"""Steps of the grid across a robot at most: finer tells nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What is looked for, inches: the widest gap; how far apart and how long doubled walls are; the longest crumb; the
+    smallest closed-off space in square inches."""
+
+    gap_in: float = 4.0
+    apart_in: float = 0.5
+    overlap_in: float = 1.0
+    crumb_in: float = 0.5
+    space_in2: float = 16.0
+
+
+class Finding(NamedTuple):
+    """One thing: its kind, where (x, y) in inches, and in words with numbers."""
+
+    kind: str
+    place_in: tuple[float, float]
+    words: str
+
+
+class Space(NamedTuple):
+    """The places on a grid (n, k) where a robot fits, and which of them can be reached from the starts.
+
+    `xs` (n,) and `ys` (k,) in inches, `step_in` apart.
+    """
+
+    xs: FloatArray
+    ys: FloatArray
+    step_in: float
+    fits: BoolArray
+    reached: BoolArray
+
+
+def findings(world: World, radius_in: float, limits: Limits | None = None) -> list[Finding]:
+    """All that is found in a world for a robot of this radius."""
+    limits = limits or Limits()
+    return [
+        *_gaps(world.walls, limits),
+        *_doubled(world.walls, limits),
+        *_crumbs(world.walls, limits),
+        *_starts(world, radius_in),
+        *_closed_off(space(world, radius_in), limits),
+    ]
+
+
+def space(world: World, radius_in: float, step_in: float = 0.0) -> Space:
+    """Where a robot fits and gets to; `step_in` of the grid, 0: a twelfth of the robot, coarser in a wide world."""
+    ends = world.walls.reshape(-1, 2)
+    low, size = ends.min(axis=0), np.ptp(ends, axis=0)
+    finest = max(2.0 * radius_in / ROBOTS_ACROSS, float(np.sqrt(size.prod() / MOST_CELLS)))
+    step = min(step_in or finest, radius_in)
+    xs, ys = (np.arange(begin, begin + way + step, step) for begin, way in zip(low, size, strict=True))
+    columns = [np.stack((np.full(len(ys), x), ys), axis=-1) for x in xs]
+    fits = np.array([world.clearances(points) >= radius_in for points in columns])
+    reached = np.zeros_like(fits)
+    for start in world.starts:
+        seed = _nearest_fit(fits, (start.x_in - low[0]) / step, (start.y_in - low[1]) / step)
+        if seed is not None:
+            _flood(fits, reached, seed)
+    return Space(xs, ys, step, fits, reached)
+
+
+def _nearest_fit(fits: BoolArray, column: float, row: float) -> tuple[int, int] | None:
+    """The node of the grid nearest to a place where the robot fits; None where none of the four around it does."""
+    around = [(int(column) + i, int(row) + k) for i in (0, 1) for k in (0, 1)]
+    there = [node for node in around if 0 <= node[0] < fits.shape[0] and 0 <= node[1] < fits.shape[1] and fits[node]]
+    return min(there, key=lambda node: (node[0] - column) ** 2 + (node[1] - row) ** 2, default=None)
+
+
+def _flood(fits: BoolArray, reached: BoolArray, seed: tuple[int, int]) -> None:
+    """Mark all that hangs together with a node. No step is longer than the radius: none leads through a wall."""
+    if reached[seed]:
+        return
+    reached[seed] = True
+    open_nodes = deque([seed])
+    while open_nodes:
+        i, k = open_nodes.popleft()
+        for node in ((i - 1, k), (i + 1, k), (i, k - 1), (i, k + 1)):
+            if 0 <= node[0] < fits.shape[0] and 0 <= node[1] < fits.shape[1] and fits[node] and not reached[node]:
+                reached[node] = True
+                open_nodes.append(node)
+
+
+def _gaps(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
+    ends = walls.reshape(-1, 2)
+    points, far = nearest_points(ends, walls)
+    far[np.arange(len(ends)), np.arange(len(ends)) // 2] = np.inf
+    nearest = far.argmin(axis=1) if len(walls) > 1 else np.zeros(0, dtype=int)
+    for end, other in enumerate(nearest):
+        gap = far[end, other]
+        if TOUCHING_IN < gap <= limits.gap_in:
+            x, y = ends[end]
+            at_x, at_y = points[end, other]
+            yield Finding("gap", (float(x), float(y)), f"{_wall(walls, end // 2)} stops {gap:.3g} in short of "
+                          f"({at_x:g}, {at_y:g}) on {_wall(walls, int(other))}")
+
+
+def _doubled(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
+    for number, wall in enumerate(walls):
+        along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
+        length = float(np.hypot(*(wall[2:] - wall[:2])))
+        for other in range(number + 1, len(walls)):
+            off = walls[other].reshape(2, 2) - wall[:2]
+            apart = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]).max()
+            begin, end = sorted((off @ along).tolist())
+            overlap = min(end, length) - max(begin, 0.0)
+            if apart <= limits.apart_in and overlap >= limits.overlap_in:
+                x, y = wall[:2] + along * 0.5 * (min(end, length) + max(begin, 0.0))
+                yield Finding("doubled", (float(x), float(y)), f"{_wall(walls, number)} and {_wall(walls, other)} lie "
+                              f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most")
+
+
+def _crumbs(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
+    for number in np.flatnonzero(lengths(walls) < limits.crumb_in):
+        x, y = walls[number, :2]
+        words = f"{_wall(walls, int(number))} is {float(lengths(walls[number])):.3g} in long"
+        yield Finding("crumb", (float(x), float(y)), words)
+
+
+def _starts(world: World, radius_in: float) -> Iterator[Finding]:
+    for number, start in enumerate(world.starts):
+        clearance = world.clearance(start.x_in, start.y_in)
+        if clearance < radius_in:
+            words = f"start {number} has {clearance:.3g} in of room, the robot's radius is {radius_in:g} in"
+            yield Finding("start", (start.x_in, start.y_in), words)
+
+
+def _closed_off(found: Space, limits: Limits) -> Iterator[Finding]:
+    """Each space by itself, the largest first."""
+    seen = found.reached.copy()
+    spaces = []
+    for i, k in np.argwhere(found.fits & ~found.reached).tolist():
+        if not seen[i, k]:
+            here = np.zeros_like(seen)
+            _flood(found.fits, here, (i, k))
+            seen |= here
+            spaces.append(here)
+    for here in sorted(spaces, key=lambda nodes: -int(nodes.sum())):
+        area = float(here.sum()) * found.step_in**2
+        if area >= limits.space_in2:
+            nodes = np.argwhere(here)
+            middle = nodes[np.square(nodes - nodes.mean(axis=0)).sum(axis=1).argmin()]
+            x, y = float(found.xs[middle[0]]), float(found.ys[middle[1]])
+            words = f"{area:.0f} in^2 for the robot's axis around ({x:.0f}, {y:.0f}) cannot be reached from a start"
+            yield Finding("closed off", (x, y), words)
+
+
+def _wall(walls: FloatArray, number: int) -> str:
+    x1, y1, x2, y2 = walls[number]
+    return f"the wall ({x1:g}, {y1:g})-({x2:g}, {y2:g})"
