@@ -1,6 +1,6 @@
 """Programs as they were written in the 1990s, compiled as they are, drive the emulator: over TCP and on a line.
 
-One daemon for all of them: robot 1 has a line of its own, robot 2 is an Nserver's, time runs ten times as fast.
+One daemon for all; its time goes on by their questions, so that a busy machine changes nothing.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ LEGACY = PROGRAMS / "legacy"
 
 
 @pytest.fixture(scope="module")
-def robots(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """A port and a link."""
+def in_lockstep(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """A port of two robots and a link of the first; a twentieth of a second passes a question, however busy we are."""
     link = tmp_path_factory.mktemp("line") / "nomad"
-    with daemon("--speed", "10", "--robots", "2", "--start", "0,0,0,0", "--start", "60,70,0,0",
-                "--serial-link", str(link)) as port:  # fmt: skip
+    starts = ("--start", "0,0,0,0", "--start", "60,85,0,0")
+    with daemon("--lockstep", "0.05", "--robots", "2", *starts, "--serial-link", str(link)) as port:
         yield port, link
 
 
@@ -34,8 +34,8 @@ def says(program: Path, *words: str, **variables: str) -> subprocess.CompletedPr
                           timeout=PATIENCE_S, check=False)  # fmt: skip
 
 
-def test_a_tour_with_a_server(kind: Kind, robots: tuple[str, Path], workshop: Workshop) -> None:
-    port, _ = robots
+def test_a_tour_with_a_server(kind: Kind, in_lockstep: tuple[str, Path], workshop: Workshop) -> None:
+    port, _ = in_lockstep
     done = says(workshop.program(LEGACY / "tour.c", kind, flags=OLD), "127.0.0.1", port, "2")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
@@ -53,16 +53,16 @@ def test_a_tour_with_a_server(kind: Kind, robots: tuple[str, Path], workshop: Wo
 @pytest.mark.parametrize("width", [PLAIN, NARROW], ids=lambda kind: kind.name)
 @pytest.mark.parametrize("library", ["nclient", "ndirect"])
 def test_wandering_by_its_number_alone(
-    width: Kind, library: str, robots: tuple[str, Path], workshop: Workshop, can_build: None
+    width: Kind, library: str, in_lockstep: tuple[str, Path], workshop: Workshop, can_build: None
 ) -> None:
     del can_build
-    port, link = robots
+    port, link = in_lockstep
     address = f"nserver://127.0.0.1:{port}/1" if library == "nclient" else f"serial://{link}?model=n150&baud=38400"
     wandered(says(workshop.program(LEGACY / "wander.c", width, library, OLD), NOMAD_ROBOT=address))
 
 
-def test_wandering_as_the_direct_library_names_a_line(robots: tuple[str, Path], workshop: Workshop) -> None:
-    _, link = robots
+def test_wandering_as_the_direct_library_names_a_line(in_lockstep: tuple[str, Path], workshop: Workshop) -> None:
+    _, link = in_lockstep
     wandered(says(workshop.program(LEGACY / "wander.c", PLAIN, "ndirect", OLD), str(link), "38400"))
 
 
@@ -72,4 +72,4 @@ def wandered(done: subprocess.CompletedProcess[str]) -> None:
     assert still == "still 0 0 0"
     found = re.fullmatch(r"way (\d+) legs 2 interrupted often", way)
     assert found
-    assert int(found[1]) > 100
+    assert int(found[1]) > 10

@@ -43,7 +43,7 @@ char **argv;
 	zr();
 	x = State[STATE_CONF_X];
 	y = State[STATE_CONF_Y];
-	for (n = 0; legs < 2 && n < 20000; n++) {
+	for (n = 0; legs < 2 && n < 3000; n++) {
 		if (!gs())
 			return 1;
 		way += labs(State[STATE_CONF_X] - x) + labs(State[STATE_CONF_Y] - y);
@@ -58,7 +58,7 @@ char **argv;
 			turning = 0;
 			vm(100, 0, 0);
 		}
-		usleep(3000);
+		usleep(1000);
 	}
 	vm(0, 0, 0);
 	st();
