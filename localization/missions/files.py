@@ -123,7 +123,8 @@ def _settings(top: Table) -> Settings:
     policies = [policy.value for policy in OnLost]
     on_lost = top.text("on_lost", usual.on_lost.value)
     if on_lost not in policies:
-        top.fail("on_lost", f"expected one of {', '.join(policies)}, found {on_lost!r}{did_you_mean(on_lost, policies)}")
+        near = did_you_mean(on_lost, policies)
+        top.fail("on_lost", f"expected one of {', '.join(policies)}, found {on_lost!r}{near}")
     fenced = any(key.startswith("fence_") for key in values)
     return Settings(
         title=top.text("title", usual.title),

@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from localization.planning.course import Leg, Stretch, length_of, straight, stretches, turn_between
+from localization.planning.course import Leg, Stretch, length_of, straight, stretches, turn_between, waypoints
 
 ARC = Leg(10.0, -5.0, 0.7, 0.08, 30.0)
 
@@ -73,3 +73,13 @@ def test_a_stretch_is_looked_at_between_two_places_only() -> None:
 @pytest.mark.parametrize(("one", "other", "turn"), [(3.0, -3.0, 2 * pi - 6.0), (0.1, 0.3, 0.2), (9.0, 9.5, 0.5)])
 def test_turns_go_the_short_way(one: float, other: float, turn: float) -> None:
     assert turn_between(one, other) == pytest.approx(turn)
+
+
+def test_waypoints_are_the_ends_of_straight_legs_and_points_along_curved_ones() -> None:
+    legs = [straight((0.0, 0.0), (10.0, 0.0)), Leg(10.0, 0.0, 0.0, 0.1, 5.0 * pi)]
+    found = waypoints(legs, step_in=4.0)
+    assert found[0] == pytest.approx((10.0, 0.0))
+    assert len(found) == 5
+    for x, y in found[1:]:
+        assert hypot(x - 10.0, y - 10.0) == pytest.approx(10.0)
+    assert found[-1] == pytest.approx((20.0, 10.0))
