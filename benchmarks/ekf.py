@@ -194,9 +194,8 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     filterpy, stonesoup = FilterPy(linear(case)), StoneSoup(linear(case))
     if not (same(ours_given_h(case), filterpy.step()) and same(ours_given_h(case), stonesoup.step())):
         raise SystemExit("the filters disagree; nothing to compare")
-    works: list[Callable[[], object]] = [
-        partial(ours_given_h, case), filterpy.step, stonesoup.step, partial(ours_with_rays, case)
-    ]
+    ours, full = partial(ours_given_h, case), partial(ours_with_rays, case)
+    works: list[Callable[[], object]] = [ours, filterpy.step, stonesoup.step, full]
     samples = times_us(works, rounds)
     given_us, filterpy_us, stonesoup_us, full_us = (statistics.median(sample) for sample in samples)
     compiled = times_us([partial(ours_with_rays, case)], rounds)[0] if ring_code.load() else None

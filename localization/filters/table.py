@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikel
 from localization.filters.method import Filter
 from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
 from localization.filters.smoother import FixedLagSmoother
+from localization.measurement import SonarModel
 from localization.surroundings import Surroundings
 from localization.systematic import POSE
 
@@ -79,9 +81,23 @@ def finder(known: Surroundings, belief: Belief | None, constants: tuple[float, .
     stds = constants if belief is None else tuple(belief.std[POSE:].tolist())
 
     def atlas() -> Atlas:
-        return draw_atlas(known.walls, known.body, known.sonar, known.clearance_in)
+        walls = np.asarray(known.walls, dtype=np.float64).tobytes()
+        return _drawn(walls, Ring(known.body.sonar_ring_radius_in, ()), known.sonar, known.clearance_in)
 
     return Finder(belief, _hearing(known), known.odometry, atlas, known.body.sonar_angles_rad, stds)
+
+
+class Ring(NamedTuple):
+    """What an atlas wants to know of a body: which sonar it is does not count there."""
+
+    sonar_ring_radius_in: float
+    sonar_angles_rad: tuple[float, ...]
+
+
+@lru_cache(maxsize=4)
+def _drawn(walls: bytes, body: Ring, sonar: SonarModel | ConeModel, clearance_in: float) -> Atlas:
+    """Drawn once for all robots of a process that know the same map: many trials are driven in the same few worlds."""
+    return draw_atlas(np.frombuffer(walls).reshape(-1, 4), body, sonar, clearance_in)
 
 
 def _hearing(known: Surroundings, rule: updates.Rule = updates.linear) -> Hearing:

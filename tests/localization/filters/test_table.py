@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from localization.atlas import draw_atlas
 from localization.belief import independent
-from localization.filters.table import METHODS, make
+from localization.filters.table import METHODS, finder, make
+from localization.motion import OdometryNoise
 from localization.surroundings import Surroundings
 from worlds.bodies import N150
 from worlds.files import load_world
@@ -30,3 +34,12 @@ def test_every_method_starts_where_it_is_told_and_looks_ahead_without_going(meth
 def test_an_unknown_method_is_refused_with_those_there_are() -> None:
     with pytest.raises(ValueError, match="no method 'kalman'; there are ekf"):
         make("kalman", KNOWN, BELIEF)
+
+
+def test_robots_that_know_the_same_map_share_its_atlas() -> None:
+    known = KNOWN
+    one, other = finder(known, None), finder(replace(known, odometry=OdometryNoise(0.0, 0.0, 0.0)), None)
+    assert one._map is other._map
+    drawn = draw_atlas(known.walls, N150, known.sonar, known.clearance_in)
+    assert (one._map.ranges_in == drawn.ranges_in).all()
+    assert finder(replace(known, clearance_in=12.0), None)._map is not one._map
