@@ -1,6 +1,6 @@
 /* Who answers: an Nserver (server.c, libnclient) or a robot on its own line (direct.c, libndirect).
  *
- * Rules: each library has one of the two, and all calls go through these four functions. A failure is said on stderr
+ * Rules: each library has one of the two, and all calls go through these functions. A failure is said on stderr
  * by who knows why. After nomad_answer the reply is held already.
  */
 #ifndef NOMAD_CONVERSATION_H

@@ -15,6 +15,7 @@ import contextlib
 import fcntl
 import functools
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -139,7 +140,9 @@ def run(command: list[str]) -> str:
 
 def held(program: list[str], script: str) -> list[dict[str, Any]]:
     """What programs/replay.c held after each call of a script; the last tells what went to stderr."""
-    done = subprocess.run(program, input=script, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    patient = {"REPLAY_TIMEOUT_MS": "10000"} | os.environ  # the tests may say less
+    done = subprocess.run(program, input=script, env=patient, capture_output=True, text=True, timeout=PATIENCE_S,
+                          check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()] + [{"stderr": done.stderr}]
 

@@ -38,10 +38,15 @@ def direct(workshop: Workshop) -> str:
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No patience, and no robot of the tester's own."""
-    monkeypatch.setenv("REPLAY_TIMEOUT_MS", "250")
+def nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No robot of the tester's own."""
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For silence that is waited out."""
+    monkeypatch.setenv("REPLAY_TIMEOUT_MS", "400")
 
 
 # with a server
@@ -94,6 +99,7 @@ def test_a_robot_that_is_not_there(client: str) -> None:
     assert asked["error"] == "gs: no robot is connected; connect_robot comes first"
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_server_that_is_silent_is_left(client: str) -> None:
     server = ScriptedServer({"gs": None})
 
@@ -217,6 +223,7 @@ def test_edges(workshop: Workshop) -> None:
     assert checks[1].args[:5] == (1, -21474836470, 21474836470, 1570, -3140)
 
 
+@pytest.mark.usefixtures("quick")
 def test_nobody_takes_the_connection(client: str) -> None:
     with socket.socket() as full, contextlib.ExitStack() as waiting:
         full.bind(("127.0.0.1", 0))
@@ -277,6 +284,7 @@ def test_numbers_on_a_line_are_brought_within_and_waits_go_in_pieces(direct: str
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_nak_is_done_and_silence_is_not(direct: str) -> None:
     robot = ScriptedLine({"vm": NAK, "gs": [None]})
     nak, silent, fine = with_line(direct, robot, "vm 1 2 3", "gs", "gs")
@@ -285,6 +293,7 @@ def test_a_nak_is_done_and_silence_is_not(direct: str) -> None:
     assert (fine["return"], fine["State"][17], fine["State"][33]) == (1, 57, 0xF00000)
 
 
+@pytest.mark.usefixtures("quick")
 def test_rubbish_and_late_answers_are_passed_over(direct: str) -> None:
     robot = ScriptedLine()
     good = robot.frame("get_rv")
@@ -298,6 +307,7 @@ def velocities(*numbers: int) -> Reply:
     return Reply("velocity", dict(zip((38, 39, 40), numbers, strict=True)))
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_late_answer_is_never_the_next_ones(direct: str) -> None:
     robot = ScriptedLine({"get_rv": [Late(velocities(1, 1, 1)), velocities(2, 2, 2)], "st": [None]})
     late, fine, silent, stopped = with_line(direct, robot, "get_rv", "get_rv", "st", "st")
@@ -306,18 +316,21 @@ def test_a_late_answer_is_never_the_next_ones(direct: str) -> None:
     assert robot.names() == ["get_rv", "get_ra", "get_rv", "st", "st", "get_ra", "st"]
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_nak_may_be_an_older_questions(direct: str) -> None:
     robot = ScriptedLine({"vm": [None], "st": NAK})
     lost, nobodys, held_back = with_line(direct, robot, "vm 1 2 3", "st", "vm 1 2 3")
     assert [after["return"] for after in (lost, nobodys, held_back)] == [0, 0, 1]
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_question_is_held_back_while_the_line_is_dead(direct: str) -> None:
     robot = ScriptedLine({"get_rv": [None], "get_ra": None})
     _, held_back = with_line(direct, robot, "get_rv", "get_rv")
     assert held_back["error"] == "get_rv: held back, since a late answer could have passed for its own"
 
 
+@pytest.mark.usefixtures("quick")
 def test_where_every_question_is_owed_quiet_is_waited_for(direct: str) -> None:
     asked = ("get_ra", "get_rv", "get_rc", "get_bp", "get_sn")
     robot = ScriptedLine({name: [None] for name in asked})
@@ -326,6 +339,7 @@ def test_where_every_question_is_owed_quiet_is_waited_for(direct: str) -> None:
     assert robot.names() == [*asked, "get_rv"]
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_mask_that_nobody_answered_is_said_again(direct: str) -> None:
     robot = ScriptedLine(model=N200)
     robot.answers["ct"] = [robot.frame("ct"), None]
@@ -335,6 +349,7 @@ def test_a_mask_that_nobody_answered_is_said_again(direct: str) -> None:
     assert after["State"][17] == 57
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_command_is_held_back_while_the_shape_of_states_is_unknown(direct: str) -> None:
     robot = ScriptedLine(model=N200)
     robot.answers["ct"] = [robot.frame("ct"), None, None]
