@@ -31,10 +31,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def begin(options: argparse.Namespace) -> None:
-    """Log as the options say, from now on; warnings of Python's own as well."""
+    """Log as the options say, Python's own warnings as well; not where a program that hosts us has its own way."""
+    if logging.getLogger().handlers:
+        return
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines() if options.log_format == JSON else TextLines())
-    logging.basicConfig(level=level_of(options), handlers=[handler], force=True)
+    logging.basicConfig(level=level_of(options), handlers=[handler])
     logging.captureWarnings(True)
 
 

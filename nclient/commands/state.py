@@ -12,7 +12,6 @@ no time-out of motion is set, nobody is fed, and a robot that somebody else driv
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import sys
 import time
@@ -61,15 +60,16 @@ def watch(
 ) -> None:
     """Show the state so often, for ever where `looks` is None; on a terminal each time in the same place."""
     in_place = sys.stdout.isatty() and looks != 1 and not as_json
-    for number in itertools.count():
+    looked = 0
+    while looks is None or looked < looks:
+        if looked:
+            sleep(every_s)
+        looked += 1
         state = robot.refresh()
         if as_json:
             print(json.dumps(glance.as_object(state)), flush=True)
         else:
             print(_HOME_AND_CLEAR * in_place + "\n".join(glance.lines(state, parts)), flush=True)
-        if looks is not None and number + 1 >= looks:
-            return
-        sleep(every_s)
 
 
 def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 
-from nclient.errors import ConnectionLost, NomadError
+from nclient.errors import NomadError
 from nclient.shell import glance
 from nclient.shell.session import Session
 
@@ -56,9 +56,7 @@ class Watcher:
             try:
                 self._session.robot.refresh()
                 self._trouble = ""
-            except ConnectionLost as error:
+            except NomadError as error:
                 self._trouble = str(error)
                 if self._session.robot.closed:
                     return
-            except NomadError as error:
-                self._trouble = str(error)

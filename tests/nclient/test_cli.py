@@ -121,6 +121,16 @@ def test_an_error_of_ours_is_told_and_ends_with_1(
     assert capsys.readouterr().err == "nomad: the start touches wall 3\n"
 
 
+def test_one_parser_of_all_has_those_that_cannot_be_loaded_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = [EntryPoint(name, POINTS[name], cli.GROUP) for name in ("fine", "extra", "odd", "gone")]
+    monkeypatch.setattr(cli, "entry_points", lambda group: points if group == cli.GROUP else [])
+    parser = cli.whole_parser()
+    assert parser.parse_args(["fine", "3"]).number == 3
+    assert parser.parse_args(["extra"]).command == "extra"
+    with pytest.raises(SystemExit, match="2"):
+        parser.parse_args(["extra", "--option"])
+
+
 def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(_: argparse.Namespace) -> int:
         raise KeyboardInterrupt

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from nclient import connect
 from nclient.arguments import Parser
 from nserver_emu import cli, logs
 
@@ -21,10 +24,18 @@ DOCS = Path(__file__).parents[2] / "docs"
 @pytest.fixture(autouse=True)
 def _as_it_was() -> Iterator[None]:
     root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
+    level = root.level
     yield
     logging.captureWarnings(False)
-    root.handlers[:], root.level = handlers, level
+    root.handlers.clear()
+    root.setLevel(level)
+
+
+def as_a_process_begins() -> logging.Logger:
+    """Without the handlers that pytest has put there for this test."""
+    root = logging.getLogger()
+    root.handlers.clear()
+    return root
 
 
 def options(*words: str) -> argparse.Namespace:
@@ -45,6 +56,7 @@ def test_levels(words: list[str], level: int) -> None:
 
 
 def test_an_object_holds_what_is_said_and_what_kind_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    as_a_process_begins()
     logs.begin(options("--log-format", "json"))
     logging.getLogger("room").info("not said")
     logging.getLogger("room").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
@@ -59,6 +71,7 @@ def test_an_object_holds_what_is_said_and_what_kind_it_is(capsys: pytest.Capture
 
 
 def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) -> None:
+    as_a_process_begins()
     logs.begin(options("--log-format", "json"))
     try:
         raise ValueError("a fault of ours")
@@ -71,6 +84,7 @@ def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_text_is_as_ever_and_pythons_warnings_are_said_too(capsys: pytest.CaptureFixture[str]) -> None:
+    as_a_process_begins()
     logs.begin(options())
     with warnings.catch_warnings():
         warnings.simplefilter("always")
@@ -84,6 +98,7 @@ def test_text_is_as_ever_and_pythons_warnings_are_said_too(capsys: pytest.Captur
 
 @pytest.mark.parametrize("form", ["text", "json"])
 def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.CaptureFixture[str]) -> None:
+    as_a_process_begins()
     assert cli.main(["no_such_world.toml", "--log-format", form]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     if form == "text":
@@ -92,6 +107,28 @@ def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.Captu
         told = json.loads(line)
         assert told["level"] == "critical"
         assert told["message"].startswith("no_such_world.toml: no such file")
+
+
+def test_a_program_that_hosts_the_daemon_keeps_its_own_way(capsys: pytest.CaptureFixture[str]) -> None:
+    own = logging.NullHandler()
+    as_a_process_begins().addHandler(own)
+    logs.begin(options("--log-format", "json", "-vv"))
+    assert logging.getLogger().handlers == [own]
+    logging.getLogger("room").warning("said")
+    assert capsys.readouterr().err == ""
+
+
+def test_every_line_of_a_daemon_is_an_object() -> None:
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--paused", "--log-format", "json", "-v"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
+        assert daemon.stdout is not None
+        with connect(f"nserver://{daemon.stdout.readline().split()[-1]}/1?tm_s=0"):
+            pass
+        daemon.terminate()
+        _, told = daemon.communicate(timeout=60)
+    lines = [json.loads(line) for line in told.splitlines()]
+    assert "paused, and no client can resume: --allow-control lets them" in [line["message"] for line in lines]
+    assert {"%s: connected", "%s: gone after %d refusals"} <= {line["template"] for line in lines}
 
 
 def test_a_level_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:

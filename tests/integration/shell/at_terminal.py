@@ -26,12 +26,16 @@ _STYLE = re.compile(r"\x1b(?:\[[0-9;?]*[A-Za-z]|[=>]|\][^\x07]*\x07)")
 
 
 class Terminal:
-    """A program that believes it has a user."""
+    """A program that believes it has a user.
+
+    It runs without coverage, whose lock is never opened again where a signal comes in the middle of its own code.
+    """
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str], folder: Path) -> None:
         self._ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, COLUMNS, 0, 0))
-        environment = {**os.environ, "TERM": "xterm", "EDITOR": "", "HOME": str(folder), **environment}
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
+        environment = {**inherited, "TERM": "xterm", "EDITOR": "", "HOME": str(folder), **environment}
         self.process = subprocess.Popen(
             [*_AT_ITS_OWN, os.ttyname(theirs), *command], cwd=folder, env=environment, start_new_session=True
         )

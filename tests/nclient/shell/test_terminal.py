@@ -54,6 +54,24 @@ def test_readline_is_given_one_name_after_the_other(monkeypatch: pytest.MonkeyPa
     plain.close()
 
 
+def test_readline_keeps_the_lines_and_has_them_again(tmp_path: Path) -> None:
+    readline = pytest.importorskip("readline")
+    history = tmp_path / "history"
+    readline.clear_history()
+    plain = PlainReader(terms, history)
+    readline.add_history("pr 240 0 0")
+    plain.close()
+    readline.clear_history()
+    PlainReader(terms, history)
+    assert readline.get_history_item(1) == "pr 240 0 0"
+    readline.clear_history()
+
+
+def test_no_history_is_wanted(tmp_path: Path) -> None:
+    assert isinstance(reader(terms, lambda: "", None), PromptReader)
+    assert not list(tmp_path.iterdir())
+
+
 def test_libedit_is_bound_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> None:
     readline = pytest.importorskip("readline")
     bound: list[str] = []
