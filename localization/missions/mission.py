@@ -27,12 +27,14 @@ from localization.missions.lost import find_again
 from localization.missions.report import DONE, Report, Step
 from localization.missions.settings import Point, Settings
 from localization.planning.course import Stretch, straight, turn_between
-from localization.planning.following import STAND, TURNED_RAD, Follower, turn
+from localization.planning.following import TURNED_RAD, Follower, turn
 from localization.planning.pilot import Ending, Patience, Pilot
 from localization.watch import Trust
 from nclient.errors import NomadError
 from worlds.geometry import inside, polygon_segments
 
+HALT_S: Final = 2.0
+"""An axis at its top speed stands within this."""
 RING_S: Final = 1.0
 """All sixteen sonars have fired once in this time."""
 DOCK_IN: Final = 12.0
@@ -188,6 +190,7 @@ class Mission:
             )
             self._steer(pilot)
             assert pilot.outcome is not None
+            self._halt()
             if pilot.outcome.ending is Ending.ARRIVED:
                 return
             if pilot.outcome.ending is not Ending.LOST:
@@ -200,9 +203,9 @@ class Mission:
         try:
             while True:
                 command = pilot.step(*self._helm.sight)
-                self._helm.period(command)
                 if pilot.outcome:
                     return
+                self._helm.period(command)
         finally:
             if self._step:
                 if not self._step.plans and pilot.log.plans:
@@ -219,7 +222,7 @@ class Mission:
                 self._find_again(self._helm.sight.estimate.verdict.reason)
             left = turn_between(float(self._helm.sight.estimate.pose[2]), goal)
             if abs(left) <= TURNED_RAD:
-                self._helm.period()
+                self._halt()
                 return
             self._helm.period(turn(left, self._helm.limits))
 
@@ -243,7 +246,7 @@ class Mission:
         follower = Follower([Stretch((way,))], self._helm.limits.capped(DOCK_IN_S))
         while not follower.finished and not self._helm.sight.state.touching:
             self._helm.period(follower.command(self._helm.sight.estimate.pose))
-        self._helm.period(STAND)
+        self._halt()
         x, y, _ = self._helm.sight.estimate.pose
         off = hypot(x - place[0], y - place[1])
         if off > 1.0 + 2.0 * DOCKED_IN:
@@ -255,6 +258,13 @@ class Mission:
         since_s = self._helm.clock_s
         find_again(self._helm, self.settings, reason)
         self._note(f"found again after {self._helm.clock_s - since_s:.1f} s")
+
+    def _halt(self) -> None:
+        """Stand until the axes do, or for HALT_S."""
+        until_s = self._helm.clock_s + HALT_S
+        self._helm.period()
+        while self._helm.sight.state.moving and self._helm.clock_s < until_s:
+            self._helm.period()
 
     # what holds in every period
 

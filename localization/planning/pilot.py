@@ -73,8 +73,12 @@ class Patience:
 
 ASIDE_IN: Final = 3.0
 """Farther beside its course than this the robot plans anew."""
-FIND_MARGIN_IN: Final = 0.5
-"""Room between body and a find that a course may keep; new ones leave more (MARGINS_IN)."""
+FIND_MARGIN_IN: Final = 1.5
+"""Room between body and a find that a course must leave, or half of what it was planned with where that is less."""
+SUSPECT_IN, SUSPECT_S, STOP_BEFORE_IN = 30.0, 3.0, 2.0
+"""Three rings make a suspect sure; until then the robot keeps so far from where it would touch it."""
+BESIDE_IN, BESIDE_IN_S = 12.0, 3.0
+"""No faster than this where a find is so near."""
 PASSING: Final = 0.6
 """Share of `within_in` that a course may pass a way-point by: the robot is not exactly on it."""
 PUT_ASIDE_S: Final = 1.0
@@ -170,7 +174,8 @@ class Pilot:
         left = follower.left()
         if not len(finds) or not len(left) or now_s < self._tried_s + PUT_ASIDE_S:
             return False
-        return bool(room(left, finds).min() < self._planner.body_in + FIND_MARGIN_IN)
+        kept_in = min(FIND_MARGIN_IN, 0.5 * self.log.plans[-1].margin_in)
+        return bool(room(left, finds).min() < self._planner.body_in + kept_in)
 
     def _plan(self, estimate: Estimate) -> Follower | None:
         """A new course; None while there is none, and once there is an outcome."""
@@ -233,8 +238,28 @@ class Pilot:
         share = allowed_share(estimate.pose, ahead, cov, self._planner.walls, self._planner.body_in)
         if share > 0.0:
             self._uncertain_s = inf
-            return follower.command(estimate.pose, share)
+            careful = min(self._unless_suspect(follower, command), self._beside_finds(estimate, command))
+            return follower.command(estimate.pose, min(share, careful))
         return self._too_uncertain(estimate, ahead)
+
+    def _unless_suspect(self, follower: Follower, command: Velocities) -> float:
+        """The share of the speed at which what is suspected on the next SUSPECT_IN of the course is not reached before
+        it is sure, or seen through: SUSPECT_S."""
+        suspects = self._unmapped.suspects
+        if not len(suspects):
+            return 1.0
+        near = room(follower.left(1.0, SUSPECT_IN), suspects) < self._planner.body_in + FIND_MARGIN_IN
+        if not near.any():
+            return 1.0
+        left = float(near.argmax()) - STOP_BEFORE_IN
+        return min(1.0, max(0.0, left / SUSPECT_S) / command.translation_in_s)
+
+    def _beside_finds(self, estimate: Estimate, command: Velocities) -> float:
+        """The share of the speed beside what the map does not have: how far it reaches is not known."""
+        finds = self._unmapped.segments
+        if not len(finds) or room(estimate.pose[None, :2], finds)[0] > self._planner.body_in + BESIDE_IN:
+            return 1.0
+        return min(1.0, BESIDE_IN_S / command.translation_in_s)
 
     def _reach_in(self, command: Velocities) -> float:
         """How far ahead a robot at this speed comes before it stands, and a little more."""

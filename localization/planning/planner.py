@@ -3,13 +3,15 @@
     of the ways at each of MARGINS_IN from all walls the widest that is no more than LONGER longer than the shortest,
     and no wider than both ends have room
 
-A way close to walls is slow, for an estimate is never exact; a wider one costs little, up to where it does.
+A way close to walls is slow, for an estimate is never exact; a wider one costs little, up to where it does. Around what
+was found besides it is the widest there is: nobody knows how far that reaches, and sonars are blind for what is near.
 Rules: pure; walls of the map, what was found besides, points. Planners keep their roadmaps of the map.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from math import inf
 from typing import Final, NamedTuple
@@ -59,10 +61,12 @@ class Planner:
         most = max(least_in, self._margins[0], float(rooms.min()))
         margins = [margin for margin in self._margins if least_in <= margin <= most] or [least_in]
         least = self.body_in + self._margins[0]
+        if besides is not None and len(besides):
+            return self._widest(start, goal, besides, margins)
         best, shortest = None, inf
         for margin in margins:
             try:
-                legs = self._with(margin, besides).path(start, goal, least)
+                legs = self._roadmap(margin).path(start, goal, least)
             except NoWayError:
                 if best is None:
                     raise
@@ -83,7 +87,11 @@ class Planner:
         legs = rounded(points, within_in, limits, self.walls, self.body_in + margin)
         return Plan(stretches(legs), margin)
 
-    def _with(self, margin: float, besides: Floats | None) -> Roadmap:
-        if besides is None or not len(besides):
-            return self._roadmap(margin)
-        return Roadmap(np.concatenate((self.walls, besides)), self.body_in + margin)
+    def _widest(self, start: Point, goal: Point, besides: Floats, margins: Sequence[float]) -> Plan:
+        """The shortest way with the most room there is. Raises NoWayError where there is none with the least."""
+        walls, least = np.concatenate((self.walls, besides)), self.body_in + self._margins[0]
+        *wide, narrow = sorted(margins, reverse=True)
+        for margin in wide:
+            with suppress(NoWayError):
+                return Plan(stretches(Roadmap(walls, self.body_in + margin).path(start, goal, least)), margin)
+        return Plan(stretches(Roadmap(walls, self.body_in + narrow).path(start, goal, least)), narrow)

@@ -45,7 +45,7 @@ class Profile:
     """The speeds of a stretch; `duration_s` is what driving it takes."""
 
     def __init__(self, stretch: Stretch, limits: AxisLimits) -> None:
-        count = max(2, ceil(stretch.length_in / STEP_IN) + 1)
+        count = max(3, ceil(stretch.length_in / STEP_IN) + 1)
         self._along = np.linspace(0.0, stretch.length_in, count)
         speeds = self._tops(stretch, limits)
         push = 2.0 * BRAKING_SHARE * limits.translation_in_s2 * float(self._along[1])

@@ -33,7 +33,7 @@ NEAREST_IN, FARTHEST_IN = 6.0, 60.0
 """Readings looked at: nearer ones are dead sonars', farther ones wait until they matter."""
 MOST_STD_IN: Final = 1.5
 """One who knows no better where he is adds nothing."""
-HALF_WIDTH_IN: Final = 2.0
+HALF_WIDTH_IN: Final = 3.0
 """Of the segment that stands for a find: across the beams that found it."""
 Point = tuple[float, float]
 Mask = np.typing.NDArray[np.bool_]
@@ -63,11 +63,19 @@ class Unmapped:
     @property
     def segments(self) -> Floats:
         """What is sure, as walls (k, 4)."""
+        return self._as_walls([find for find in self._finds if find.sure])
+
+    @property
+    def suspects(self) -> Floats:
+        """What may be there and was not heard often enough, as walls (k, 4)."""
+        return self._as_walls([find for find in self._finds if not find.sure])
+
+    @staticmethod
+    def _as_walls(finds: list[_Find]) -> Floats:
         rows = []
-        for find in self._finds:
-            if find.sure:
-                dx, dy = -HALF_WIDTH_IN * sin(find.towards_rad), HALF_WIDTH_IN * cos(find.towards_rad)
-                rows.append((find.x_in - dx, find.y_in - dy, find.x_in + dx, find.y_in + dy))
+        for find in finds:
+            dx, dy = -HALF_WIDTH_IN * sin(find.towards_rad), HALF_WIDTH_IN * cos(find.towards_rad)
+            rows.append((find.x_in - dx, find.y_in - dy, find.x_in + dx, find.y_in + dy))
         return np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def forget(self) -> None:

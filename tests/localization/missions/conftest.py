@@ -1,0 +1,40 @@
+"""A helm on a simulated robot in this process: time passes with exchanges alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from localization.belief import independent
+from localization.missions.helm import Helm
+from localization.surroundings import Surroundings
+from nclient import connect
+from worlds.bodies import BODIES
+from worlds.files import load_world
+
+MakeHelm = Callable[..., Helm]
+
+
+@pytest.fixture
+def helm_at() -> Iterator[MakeHelm]:
+    """Makes helms: `helm_at("thesis_room", "0,0,0,0", setup="noisy", method="finder")`; all are closed at the end."""
+    with ExitStack() as closing:
+
+        def make(world: str, start: str = "0,0,0,0", *, method: str = "ekf", **options: Any) -> Helm:
+            words = {"start": start, "seed": 1, "step_s": 0.05, **options}
+            query = "&".join(f"{key}={value}" for key, value in words.items())
+            robot = closing.enter_context(connect(f"sim:{world}?{query}"))
+            state = robot.refresh()
+            belief = independent([state.x_in, state.y_in, state.steering_rad], (0.1, 0.1, 0.01))
+            body = BODIES[str(options.get("robot", "n150"))]
+            known = Surroundings(load_world(world).walls, body)
+            return closing.enter_context(Helm(robot, known, body, belief, _idle, method, 10.0))
+
+        yield make
+
+
+def _idle(_: float) -> None:
+    """The rest of a period passes with the next question."""

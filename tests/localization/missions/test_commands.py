@@ -1,0 +1,161 @@
+"""`nomad go` and `nomad mission` on simulations in this process: what they print, write and answer."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from localization.missions import command, go
+from localization.missions.failures import StepFailed
+from localization.missions.mission import Mission
+from localization.missions.report import Report, Step
+from localization.missions.running import run_mission
+from localization.readers import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
+from nclient.cli import main
+from nclient.errors import MissionFileError, WorldFileError
+
+SIM = "sim:thesis_room?noisy=1&seed=1"
+
+
+def test_go_arrives_tells_of_each_second_and_reports(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["go", SIM, "--to", "20,12", "--speed", "8"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[1:3] == ["s", "("]
+    assert lines[0].endswith("OK")
+    assert sum(line.endswith("OK") for line in lines) >= 4
+    assert lines[-3].lstrip().startswith("0.0 s  done    go_to (20, 12)")
+    assert " s  done at (" in lines[-2]
+    assert lines[-1].lstrip().startswith("in truth at (")
+
+
+def test_go_that_cannot_says_why_and_json_is_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["go", SIM, "--to", "-11,0,90", "--json"]) == 3
+    report = json.loads(capsys.readouterr().out)
+    assert (report["ending"], report["steps"][0]["ending"]) == ("blocked", "blocked")
+    assert report["reason"].startswith("no room at (-11, 0)")
+    assert report["truth"]["x_in"] == pytest.approx(0.0, abs=0.2)
+
+
+def test_where_it_stands_can_be_told_and_what_it_is_is_the_address_word(capsys: pytest.CaptureFixture[str]) -> None:
+    address = "sim:thesis_room?robot=scout&start=40,40,90"
+    assert main(["go", address, "--to", "40,46", "--start", "40,40,90", "--sonars", "cones", "--method", "ekf"]) == 0
+    assert "done at (40." in capsys.readouterr().out.replace("(39.", "(40.")
+
+
+def test_without_a_map_the_remedy_is_told() -> None:
+    options = argparse.Namespace(address="nserver://nowhere/1", map=None)
+    with pytest.raises(WorldFileError, match="which walls are there\\? --map WORLD"):
+        go.run(_with_defaults(options))
+
+
+def _with_defaults(options: argparse.Namespace) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    go.add_arguments(parser)
+    return argparse.Namespace(**{**vars(parser.parse_args(["--to", "1,2"])), **vars(options)})
+
+
+def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, report = tmp_path / "m.toml", tmp_path / "r.json"
+    file.write_text('title = "T"\nmap = "thesis_room"\n[[step]]\ndo = "turn"\nby_deg = 30\n')
+    assert main(["mission", str(file), "--check"]) == 0
+    assert capsys.readouterr().out == f"{file}: a mission, T\n"
+    assert main(["mission", str(file), SIM, "--report", str(report)]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "T"
+    written = json.loads(report.read_text())
+    assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
+    unwritable = tmp_path / "no" / "r.json"
+    assert main(["mission", str(file), SIM, "--report", str(unwritable)]) == 1
+    assert f"nomad: {unwritable}: the report cannot be written" in capsys.readouterr().err
+
+
+def test_a_program_that_breaks_stops_the_robot_and_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, report = tmp_path / "m.py", tmp_path / "r.json"
+    file.write_text("def mission(robot):\n    robot.look(0.2)\n    1 / 0\n")
+    assert main(["mission", str(file), SIM, "--report", str(report)]) == 1
+    assert f"nomad: {file}: line 3: ZeroDivisionError: division by zero" in capsys.readouterr().err
+    assert json.loads(report.read_text())["ending"] == "error"
+
+
+def mission_of(act: Any) -> Report:
+    report = Report("T")
+    try:
+        run_mission(_Seen(report), act)
+    except (KeyboardInterrupt, MissionFileError, SystemExit) as error:
+        report.reason += f" ({type(error).__name__})"
+    return report
+
+
+class _Seen(Mission):
+    """A mission without a robot, after 5 s."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+
+    @property
+    def seen(self) -> Any:
+        return argparse.Namespace(clock_s=5.0)
+
+
+def fail(error: BaseException) -> Any:
+    def act(_: Mission) -> None:
+        raise error
+
+    return act
+
+
+@pytest.mark.parametrize(
+    ("error", "ending", "reason"),
+    [
+        (StepFailed("blocked", "no way"), "blocked", "no way"),
+        (KeyboardInterrupt(), "interrupted", "Ctrl-C (KeyboardInterrupt)"),
+        (MissionFileError("line 3"), "error", "line 3 (MissionFileError)"),
+        (SystemExit(), "error", "SystemExit (SystemExit)"),
+    ],
+)
+def test_however_it_ends_the_report_says_so(error: BaseException, ending: str, reason: str) -> None:
+    report = mission_of(fail(error))
+    assert (report.ending, report.reason, report.duration_s) == (ending, reason, 5.0)
+    assert mission_of(lambda _: None).done
+
+
+def test_a_report_in_words_and_as_data() -> None:
+    step = Step("go_to", "(1, 2)", 0.0, 4.0, "blocked", "no way", 2, 30.0, 1, 3, 28.0, [(1.0, "touched")])
+    report = Report("T", [step, Step("look", "1 s", 4.0, 5.0, "done")], "blocked", "no way", 5.0)
+    assert report.text().splitlines() == [
+        "T",
+        "    0.0 s  FAILED  go_to (1, 2)  (4.0 s, 30 in, 2 tries, 1 touches, planned 3 times): no way",
+        "    1.0 s          touched",
+        "    4.0 s  done    look 1 s  (1.0 s, 0 in)",
+        "    5.0 s  blocked: no way",
+    ]
+    data = json.loads(json.dumps(report.as_json()))
+    assert (data["pose"], data["truth"], data["touches"], data["way_in"]) == (None, None, 1, 30.0)
+    assert data["steps"][0]["notes"] == [{"at_s": 1.0, "words": "touched"}]
+
+
+def test_what_command_lines_say() -> None:
+    assert point("1,-2") == (1.0, -2.0)
+    assert pose("1,2,180") == pytest.approx((1.0, 2.0, 3.141592653589793))
+    assert seconds("0") == 0.0
+    assert constants("0.05,0.01") == (0.05, 0.01)
+    for reader, text in ((numbers_of_two, "1"), (point, "1,nan"), (stds, "1,-1,1"), (noise, f"0,0,{MOST_NOISE + 1}"),
+                         (constants, "-1"), (constants, "1,1,1,1"), (seconds, "-1"), (positive, "0")):  # fmt: skip
+        with pytest.raises(argparse.ArgumentTypeError):
+            reader(text)
+
+
+def numbers_of_two(text: str) -> list[float]:
+    return numbers(text, 2)
+
+
+def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, module in (("go", go), ("mission", command)):
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+        assert (module.__doc__ or "").splitlines()[0] in capsys.readouterr().out

@@ -1,0 +1,46 @@
+"""The helm: a period at a time, touches that others stop, a robot that stands at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from localization.missions.helm import Helm
+from localization.planning.following import Velocities
+from nclient.errors import BumperHit
+
+MakeHelm = Callable[..., Helm]
+
+
+def test_a_period_drives_and_is_watched(helm_at: MakeHelm) -> None:
+    helm, clocks = helm_at("thesis_room"), []
+    helm.watchers.append(lambda sight: clocks.append(sight.estimate.clock_s))
+    start = helm.clock_s
+    for _ in range(10):
+        sight = helm.period(Velocities(5.0, 0.0))
+    assert sight.state.x_in == pytest.approx(5.0, abs=0.6)
+    assert clocks == pytest.approx([start + 0.1 * (k + 1) for k in range(10)])
+    with helm:
+        helm.period(Velocities(5.0, 0.0))
+    assert helm.robot.refresh().translation_in_s == 0.0
+
+
+def test_a_touch_that_others_stop_is_seen_by_the_next_question(
+    helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    helm = helm_at("thesis_room")
+
+    def hit(**_: float) -> None:
+        raise BumperHit("vm", (0,))
+
+    monkeypatch.setattr(helm.robot, "drive", hit)
+    before = helm.clock_s
+    assert helm.period(Velocities(5.0, 0.0)).estimate.clock_s > before
+
+
+def test_a_fence_is_a_wall_to_the_planner(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room")
+    walls = len(helm.planner.walls)
+    helm.fence(helm.planner.walls[:2] + 5.0)
+    assert len(helm.planner.walls) == walls + 2

@@ -1,0 +1,83 @@
+"""Lost and found on a mission: kidnapped robots of the method that knows when it is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import hypot, pi
+
+import pytest
+
+from localization.missions.failures import MissionOver
+from localization.missions.helm import Helm, Sight
+from localization.missions.mission import Mission
+from localization.missions.settings import OnLost, Settings
+from localization.watch import Trust
+from nclient.robot_state import Pose
+
+MakeHelm = Callable[..., Helm]
+
+
+class Kidnapper:
+    """Carries the robot elsewhere when so much time is over; its encoders think nothing of it."""
+
+    def __init__(self, helm: Helm, pose: Pose, at_s: float = 2.0) -> None:
+        self._helm, self._pose, self._at_s, self.done = helm, pose, at_s, False
+        self.lost_s = 0.0
+        helm.watchers.append(self)
+
+    def __call__(self, sight: Sight) -> None:
+        if not self.done and sight.estimate.clock_s > self._at_s:
+            self.done = True
+            told = sight.state
+            front = self._pose.steering_rad + told.turret_rad - told.steering_rad
+            self._helm.robot.place(replace(self._pose, turret_rad=front))
+            self._helm.robot.set_position(x_in=told.x_in, y_in=told.y_in)
+            self._helm.robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
+        if sight.estimate.verdict.trust is Trust.LOST:
+            self.lost_s = self.lost_s or sight.estimate.clock_s
+
+
+def kidnapped(helm_at: MakeHelm, settings: Settings) -> tuple[Mission, Kidnapper]:
+    helm = helm_at("several_walls", "5,5,0,0", method="finder", setup="noisy")
+    kidnapper = Kidnapper(helm, Pose(85.0, 85.0, pi))
+    return Mission(helm, settings), kidnapper
+
+
+def test_given_up_the_mission_ends_at_once(helm_at: MakeHelm) -> None:
+    mission, kidnapper = kidnapped(helm_at, Settings(on_lost=OnLost.GIVE_UP))
+    with pytest.raises(MissionOver) as over:
+        mission.go_to(35, 55)
+    assert over.value.ending == "lost"
+    assert kidnapper.done
+    assert mission.seen.trust == "LOST"
+    assert mission.report.steps[0].notes[0][1].startswith("lost: ")
+
+
+def test_found_again_by_a_search_the_mission_goes_on(helm_at: MakeHelm) -> None:
+    mission, kidnapper = kidnapped(helm_at, Settings(on_lost=OnLost.SEARCH))
+    mission.go_to(35, 55)
+    assert kidnapper.lost_s > 0.0
+    truth = mission._helm.robot.truth()
+    assert hypot(truth.x_in - 35, truth.y_in - 55) < 1.5
+    assert any(words.startswith("found again after") for _, words in mission.report.steps[0].notes)
+
+
+def test_where_no_place_is_like_any_other_it_searches_until_its_time_is_over(helm_at: MakeHelm) -> None:
+    """The square room has four that look alike, wherever one drives in it."""
+    helm = helm_at("thesis_room", "45,45,0,0", method="finder")
+    Kidnapper(helm, Pose(20.0, 70.0, 1.0))
+    mission = Mission(helm, Settings(on_lost=OnLost.SEARCH, lost_s=25.0))
+    with pytest.raises(MissionOver, match="not found again in 25 s"):
+        mission.patrol([(80, 80), (10, 10)], rounds=3)
+    assert not any(step.touches for step in mission.report.steps)
+
+
+def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHelm) -> None:
+    helm = helm_at("several_walls", "35,55,0,0", method="finder", setup="noisy")
+    Kidnapper(helm, Pose(85.0, 85.0, pi), 0.5)
+    mission = Mission(helm, Settings(on_lost=OnLost.STOP))
+    for heading in (120, 240, 0):
+        mission.turn(heading)
+    truth = helm.robot.truth()
+    assert abs((truth.steering_rad + pi) % (2 * pi) - pi) < 0.15

@@ -1,0 +1,182 @@
+"""The verbs, on a simulated robot: what each does, what fails, and what ends a mission."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import degrees, hypot
+from typing import Any
+
+import pytest
+
+from localization.missions.failures import MissionOver, StepFailed
+from localization.missions.helm import Helm
+from localization.missions.mission import Mission
+from localization.missions.settings import Settings
+from nclient.errors import ConnectionLost
+
+MakeHelm = Callable[..., Helm]
+BOX = [(36.0, -6.0), (44.0, -6.0), (44.0, 6.0), (36.0, 6.0)]
+
+
+def place(mission: Mission) -> tuple[float, float]:
+    return mission.seen.x_in, mission.seen.y_in
+
+
+def endings(mission: Mission) -> list[tuple[str, str]]:
+    return [(step.verb, step.ending) for step in mission.report.steps]
+
+
+def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", setup="noisy")
+    mission = Mission(helm)
+    seen = mission.go_to(30, 20, heading_deg=90)
+    truth = helm.robot.truth()
+    assert hypot(truth.x_in - 30, truth.y_in - 20) < 1.0
+    assert degrees(truth.steering_rad) == pytest.approx(90, abs=6)
+    assert seen.heading_deg == pytest.approx(90, abs=3)
+    assert (seen.trust, seen.touching, seen.bumpers, seen.finds) == ("OK", False, (), 0)
+    (step,) = mission.report.steps
+    assert (step.verb, step.words, step.ending, step.tries, step.plans) == ("go_to", "(30, 20) 90 deg", "done", 1, 1)
+    assert step.way_in == pytest.approx(hypot(30, 20), rel=0.05)
+    assert step.planned_in == pytest.approx(hypot(30, 20), rel=0.05)
+    assert not helm.robot.refresh().moving
+
+
+def test_what_the_map_does_not_have_is_gone_around(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", setup="noisy")
+    helm.robot.add_obstacle(corners_in=BOX)
+    touched = []
+    helm.watchers.append(lambda sight: touched.append(sight.state.touching))
+    mission = Mission(helm)
+    mission.go_to(80, 0)
+    assert not any(touched)
+    assert mission.report.steps[0].plans > 1
+    assert mission.report.steps[0].way_in > 82.0
+
+
+def test_follow_patrol_turn_look_and_note(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+    mission.follow([(10, 0), (10, 10)])
+    assert place(mission) == pytest.approx((10, 10), abs=1.2)
+    mission.patrol([(14, 10), (10, 10)], rounds=2)
+    assert place(mission) == pytest.approx((10, 10), abs=1.2)
+    mission.turn(-90)
+    assert mission.seen.heading_deg == pytest.approx(-90, abs=3)
+    mission.turn(by_deg=90)
+    assert mission.seen.heading_deg == pytest.approx(0, abs=4)
+    before = mission.seen.clock_s
+    mission.look(0.5)
+    assert mission.seen.clock_s == pytest.approx(before + 0.5, abs=0.11)
+    mission.note("well")
+    assert [verb for verb, _ in endings(mission)] == ["follow", *["patrol"] * 4, "turn", "turn", "look", "note"]
+    assert {ending for _, ending in endings(mission)} == {"done"}
+    assert mission.report.steps[0].words == "(10, 0) (10, 10)"
+    with pytest.raises(TypeError, match="one of them"):
+        mission.turn()
+
+
+def test_waiting_ends_by_the_condition_or_by_its_limit(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+    seen = mission.wait_for(lambda seen: seen.clock_s > 0.5, 5.0)
+    assert 0.5 < seen.clock_s < 0.7
+    with pytest.raises(StepFailed, match="somebody: did not come within 1 s") as failed:
+        mission.wait_for(lambda seen: seen.touching, 1.0, "somebody")
+    assert failed.value.ending == "condition"
+    assert endings(mission) == [("wait_for", "done"), ("wait_for", "condition")]
+
+
+def test_a_dock_is_entered_straight_and_a_touch_before_it_fails(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", setup="noisy")
+    mission = Mission(helm)
+    mission.dock(-1.5, 20, 180)
+    truth = helm.robot.truth()
+    assert (truth.x_in, truth.y_in) == pytest.approx((-1.5, 20), abs=0.8)
+    assert degrees(truth.steering_rad) == pytest.approx(180, abs=6)
+    blocked = helm_at("thesis_room", "40,60,180,0")
+    blocked.robot.add_obstacle(corners_in=[(8.0, 55.0), (12.0, 55.0), (12.0, 65.0), (8.0, 65.0)])
+    with pytest.raises(StepFailed, match="before the dock"):
+        Mission(blocked).dock(14, 60, 180)
+
+
+def test_a_step_that_fails_is_tried_again(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+    with pytest.raises(StepFailed, match=r"no room at \(0, -11\)"):
+        mission.go_to(0, -11, retries=2)
+    (step,) = mission.report.steps
+    assert (step.tries, step.ending) == (3, "blocked")
+    assert [words for _, words in step.notes] == [f"{step.reason}; tried again"] * 2
+    mission.go_to(3, 0)
+    assert mission.report.steps[-1].done
+
+
+def test_a_step_has_its_time_and_the_mission_has_its(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"), Settings(time_limit_s=6.0))
+    with pytest.raises(StepFailed, match="the step's time is over") as failed:
+        mission.go_to(60, 0, limit_s=2.0)
+    assert failed.value.ending == "timeout"
+    assert not isinstance(failed.value, MissionOver)
+    with pytest.raises(MissionOver, match="the mission's time is over: 6 s"):
+        mission.look(60.0)
+    assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
+
+
+def test_a_fence_is_planned_within_and_left_by_nobody(helm_at: MakeHelm) -> None:
+    fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
+    helm = helm_at("thesis_room", setup="noisy")
+    mission = Mission(helm, Settings(fence_in=fence))
+    with pytest.raises(StepFailed, match=r"no room at \(40, 60\)|no way from") as failed:
+        mission.go_to(40, 60)
+    assert failed.value.ending == "blocked"
+    mission.go_to(50, 20)
+    helm.robot.set_position(x_in=50, y_in=20)
+    jumped = helm_at("thesis_room", start="60,60,0,0")
+    outside = Mission(jumped, Settings(fence_in=fence))
+    with pytest.raises(MissionOver, match=r"is outside of the fence") as over:
+        outside.look(1.0)
+    assert over.value.ending == "fence"
+
+
+def test_one_step_at_a_time(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+
+    def meddle(_: object) -> bool:
+        mission.look()
+        return True
+
+    with pytest.raises(StepFailed, match="look inside of wait_for: one step at a time"):
+        mission.wait_for(meddle, 3.0)
+
+
+def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room")
+    mission = Mission(helm)
+
+    def lose(_: object) -> None:
+        raise ConnectionLost("the cable is out")
+
+    helm.watchers.append(lose)
+    with pytest.raises(ConnectionLost):
+        mission.go_to(30, 0)
+    (step,) = mission.report.steps
+    assert (step.ending, step.reason) == ("error", "the cable is out")
+
+    def break_off(_: object) -> None:
+        raise KeyboardInterrupt
+
+    helm.watchers[-1] = break_off
+    with pytest.raises(KeyboardInterrupt):
+        mission.turn(90)
+    assert mission.report.steps[-1].reason == "KeyboardInterrupt"
+
+
+def test_touches_are_counted(helm_at: MakeHelm) -> None:
+    """A thing too low for the sonars: they are switched off, the bumpers are not."""
+    helm = helm_at("thesis_room")
+    helm.robot.add_obstacle(corners_in=BOX)
+    spare: Any = lambda *_: None  # noqa: E731
+    helm.unmapped.hear = spare  # type: ignore[method-assign]
+    mission = Mission(helm)
+    mission.go_to(80, 0)
+    (step,) = mission.report.steps
+    assert step.touches >= 1
+    assert any("touched something" in words for _, words in step.notes)
