@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 from dataclasses import asdict, astuple
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 
 from localization.belief import independent
 from localization.calibration.estimator import CalibratingFilter
+from localization.calibration.fit import Fit
 from localization.calibration.found import calibration_in, table
 from localization.calibration.guided import run as guided
 from localization.calibration.square import Driver, Go, NoSquareError, Square, Task, is_clear, largest_square, tasks
@@ -34,6 +36,7 @@ from worlds.world import World
 START_STD = (0.5, 0.5, 0.02)
 """How well the robot is placed at the start: inches, inches, radians."""
 TOLD_EVERY_S = 10.0
+UNFIT = 4
 SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 
@@ -74,32 +77,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it. 0 when the run was driven to its end, 3 when the time ran out: then nothing is written."""
+    """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
     world = load_world(options.world)
     robot, simulated = opened(options.address)
+    fit = Fit(rays=options.sonars == "rays" if options.sonars else simulated)
     with robot:
-        found = _drive(robot, world, options, simulated)
+        found = _drive(robot, world, options, fit)
     if found is None:
         print(f"given up after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit")
+        print(fit.line())
         return 3
+    if not options.json:
+        print(f"{table(found)}\n{fit.line()}")
+    if not fit.good:
+        if options.json:
+            print(fit.line(), file=sys.stderr)
+        return UNFIT
     if options.out:
         said = f"nomad calibrate, in {world.name}: {options.laps} laps each way, {options.spins} turns a corner"
         options.out.write_text(calibration_text(options.body, found, said), encoding="utf-8")
-    print(json.dumps(asdict(found)) if options.json else table(found))
+    if options.json:
+        print(json.dumps({**asdict(found), "nis": fit.nis, "refused_share": fit.refused_share}))
     return 0
 
 
-def _drive(robot: Robot, world: World, options: argparse.Namespace, simulated: bool) -> Calibration | None:
+def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) -> Calibration | None:
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
     body = BODIES[options.body]
-    rays = options.sonars == "rays" if options.sonars else simulated
-    known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if rays else ConeModel())
+    known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeModel())
     method = CalibratingFilter(known, independent(np.array(start), options.start_std))
     driver = Driver(_tasks(world, body.radius_in, start, options), options.speed, math.radians(options.turn_speed))
     told_s = began_s = state.clock_s or 0.0
     for progress in guided(robot, known, method, driver, time.sleep):
         clock_s = progress.estimate.clock_s
+        fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:
             return None
         if not options.json and clock_s >= told_s + TOLD_EVERY_S:

@@ -93,6 +93,20 @@ def test_it_gives_up_at_the_time_limit_and_writes_nothing(
     assert not out.exists()
 
 
+@pytest.mark.parametrize("words", [[], ["--json"]])
+def test_readings_that_do_not_fit_are_told_and_nothing_is_written(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A robot that stands elsewhere than it is said."""
+    out = tmp_path / "found.toml"
+    told = ["--start", "4,3,0", "--start-std", "0.01,0.01,0.01", "--laps", "0", "--out", str(out), "--square", "5,5,80"]
+    code = cli.main(["calibrate", "sim:thesis_room", "--world", "thesis_room", *told, *words])
+    said = capsys.readouterr()
+    assert code == 4
+    assert "do not believe this" in said.out + said.err
+    assert not out.exists()
+
+
 def test_a_square_among_walls_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["calibrate", "sim:thesis_room", "--world", "thesis_room", "--square", "0,0,100"]) == 1
     assert "too near to walls" in capsys.readouterr().err

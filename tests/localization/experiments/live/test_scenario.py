@@ -17,6 +17,7 @@ def test_a_setup_says_how_the_robot_errs(name: str) -> None:
     setup = tomllib.loads(scenario.setup(5))
     assert setup["base"] == scenario.base
     assert setup["odometry"]["scales"] == [scenario.scale(5), 1.0, 1.0]
+    assert ("clock_step_s" in setup) is scenario.line
     noise = scenario.odometry
     variances = [setup["motion"][key] for key in ("alpha1", "alpha2", "alpha3")]
     assert variances == pytest.approx([noise.rotation_std**2, noise.drift_std**2, noise.translation_std**2])
