@@ -1,6 +1,6 @@
 /* NOMAD_ROBOT, the address that the Python programs of this project take too:
  *
- *     nserver://host[:port][/id]       serial:///dev/ttyUSB0?model=n150&baud=38400       robotd://host[:port]?model=n200
+ *     nserver://host[:port][/id]       serial:///dev/ttyUSB0?model=n150&baud=38400     robotd://host[:port]?model=n200
  *
  * It tells a program that names no machine where its robot is. The number of the robot is the program's own.
  */

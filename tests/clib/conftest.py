@@ -37,3 +37,15 @@ def can_build(request: pytest.FixtureRequest) -> None:
     width: Kind = request.getfixturevalue("width")
     if width.bits == 32 and not makes_32_bits():
         pytest.skip(NO_32_BITS)
+
+
+@pytest.fixture(autouse=True)
+def nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No robot of the tester's own."""
+    monkeypatch.delenv("NOMAD_ROBOT", raising=False)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For silence that is waited out."""
+    monkeypatch.setenv("REPLAY_TIMEOUT_MS", "400")
