@@ -172,12 +172,13 @@ def faults_of_types(environment: Environment, version: str) -> Iterator[str]:
 
 
 def interpreters() -> dict[str, str]:
-    """Every Python of PYTHONS that this machine has, found by its name, by pyenv's habit, or as this one."""
+    """Every Python of PYTHONS that this machine has: this one, by its name, or where pyenv keeps it."""
     found = {}
     for version in PYTHONS:
         homes = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
-        path = shutil.which(f"python{version}", path=None) or (str(homes[-1]) if homes else None)
-        if path is not None and _is(path, version):
+        candidates = (sys.executable, shutil.which(f"python{version}"), *map(str, homes))
+        path = next((path for path in candidates if path and _is(path, version)), None)
+        if path is not None:
             found[version] = path
     return found
 
@@ -200,11 +201,13 @@ def main() -> int:
         lacking = missing_from(wheel)
         print(f"{wheel.name} ({wheel.stat().st_size} bytes), {sdist.name}; missing: {', '.join(lacking) or 'nothing'}")
         wrong += bool(lacking)
-        for version, python in interpreters().items():
-            if options.python and version not in options.python:
+        there = interpreters()
+        for version in options.python or PYTHONS:
+            if version not in there:
+                print(f"{version:6} is not on this machine")
                 continue
             for extra in options.extra or ("none", *EXTRAS, "all"):
-                wrong += _tried(Path(folder), wheel, version, python, "" if extra == "none" else extra)
+                wrong += _tried(Path(folder), wheel, version, there[version], "" if extra == "none" else extra)
         wrong += _tried(Path(folder), sdist, "sdist", sys.executable, "")
     return wrong
 
