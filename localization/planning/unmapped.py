@@ -33,8 +33,8 @@ NEAREST_IN, FARTHEST_IN = 6.0, 60.0
 """Readings looked at: nearer ones are dead sonars', farther ones wait until they matter."""
 MOST_STD_IN: Final = 1.5
 """One who knows no better where he is adds nothing."""
-HALF_WIDTH_IN: Final = 3.0
-"""Of the segment that stands for a find: across the beams that found it."""
+HALF_WIDTH_IN: Final = 5.0
+"""Of the segment that stands for a find, across the beams that found it: half of what lies between two at 24 in."""
 Point = tuple[float, float]
 Mask = np.typing.NDArray[np.bool_]
 _FAN_RAD: Final = np.radians(np.linspace(-16.0, 16.0, 17))

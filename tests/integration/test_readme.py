@@ -121,6 +121,12 @@ def test_a_run_in_one_process(tmp_path: Path) -> None:
     assert "3 of 3 way-points reached" in run(drive, tmp_path)
 
 
+def test_a_way_and_a_mission(tmp_path: Path) -> None:
+    (go,), (mission,) = commands("nomad go"), commands("nomad mission")
+    assert "done at (90." in run(go, tmp_path).replace("(89.", "(90.")
+    assert "dock (0, 20) 180 deg" in run(mission, tmp_path)
+
+
 def test_a_robot_on_its_cable(tmp_path: Path) -> None:
     lines = [command.replace("/tmp/nomad", str(tmp_path / "nomad")) for command in COMMANDS if "/tmp/nomad" in command]
     start, doctor, drive, faults, stop = lines

@@ -10,6 +10,7 @@ import pytest
 
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm, Sight
+from localization.missions.lost import DRIVE_IN_S, WAY_IN, _driving
 from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
 from localization.watch import Trust
@@ -81,3 +82,18 @@ def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHel
         mission.turn(heading)
     truth = helm.robot.truth()
     assert abs((truth.steering_rad + pi) % (2 * pi) - pi) < 0.15
+
+
+def test_a_search_drives_where_there_is_room_and_back_from_a_touch(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", "45,45,0,0")
+    commands = _driving(helm)
+    gone = [next(commands) for _ in range(3)]
+    assert {command.translation_in_s for command in gone} == {DRIVE_IN_S}
+    start = helm.sight.state.x_in
+    for command in commands:
+        helm.period(command)
+    assert helm.sight.state.x_in - start == pytest.approx(WAY_IN, abs=1.5)
+    touching = replace(helm.sight.state, raw=(*helm.sight.state.raw[:33], 1, *helm.sight.state.raw[34:]))
+    helm.sight = helm.sight._replace(state=touching)
+    back = [command.translation_in_s for command in _driving(helm)]
+    assert back == [0.0, *[-DRIVE_IN_S] * 15]

@@ -25,6 +25,7 @@ from worlds.files import load_world
 
 WALLS = np.array(load_world("several_walls").walls)
 PLANNER = Planner(WALLS, N150.radius_in)
+WIDE = Planner(np.array(load_world("thesis_room").walls), N150.radius_in)
 AXES = LIMITS["n150"].capped(8.0)
 Feels = Callable[[float, float, float], bool]
 """Whether a bumper touches at a place, at a clock."""
@@ -103,7 +104,7 @@ def test_way_points_are_passed_by_without_stopping_or_planned_to_one_by_one() ->
 
 def test_a_find_in_the_way_is_gone_around() -> None:
     world = World()
-    pilot = pilot_of(world, (40.0, 60.0))
+    pilot = Pilot(WIDE, AXES, world.unmapped, [(40.0, 60.0)])
     world.drive(pilot, 3.0)
     for _ in range(4):
         world.unmapped._add(25.0, 30.0, 1.0)
@@ -116,7 +117,7 @@ def test_a_find_in_the_way_is_gone_around() -> None:
 def test_way_points_with_a_find_between_are_gone_around_too() -> None:
     world = World()
     world.unmapped.touch(0.0, (20.0, 20.0), 1.0, 9.0)
-    pilot = pilot_of(world, (35.0, 55.0), (60.0, 55.0))
+    pilot = Pilot(WIDE, AXES, world.unmapped, [(35.0, 55.0), (60.0, 55.0)])
     world.drive(pilot)
     assert ending(pilot) is Ending.ARRIVED
     assert len(pilot.log.plans) >= 2
@@ -268,3 +269,19 @@ def test_going_backwards_a_touch_is_behind() -> None:
     assert (x1, x2) == pytest.approx((5.0 - N150.radius_in,) * 2)
     world.feels = lambda *_: False
     assert pilot.step(world.estimate(), world.state()).translation_in_s > 0.0
+
+
+def test_beside_a_find_and_before_a_suspect_it_is_slow() -> None:
+    world = World(30.0, 55.0)
+    pilot = pilot_of(world, (90.0, 55.0))
+    world.drive(pilot, 3.0)
+    free = pilot.step(world.estimate(), world.state()).translation_in_s
+    world.unmapped._add(float(world.pose[0]) + 25.0, 55.0, 0.0)
+    suspicious = pilot.step(world.estimate(), world.state()).translation_in_s
+    assert 0.0 < suspicious < 0.7 * free
+    world.unmapped.forget()
+    world.unmapped._add(float(world.pose[0]), 35.0, 0.0)
+    assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(free)
+    for _ in range(3):
+        world.unmapped._add(float(world.pose[0]), 36.0, 0.0)
+    assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(3.0)

@@ -28,7 +28,7 @@ def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> N
     assert not len(unmapped.segments)
     hear(unmapped, 0.35, 15.0)
     ((x1, y1, x2, y2),) = unmapped.segments
-    assert hypot(x2 - x1, y2 - y1) == pytest.approx(6.0)
+    assert hypot(x2 - x1, y2 - y1) == pytest.approx(10.0)
     assert (0.5 * (x1 + x2), 0.5 * (y1 + y2)) == pytest.approx(
         (20.0 + 24.06 * cos(0.32), 20.0 + 24.06 * sin(0.32)), abs=0.6
     )
@@ -84,7 +84,7 @@ def test_it_fades_with_time_and_no_weight_is_beyond_the_most() -> None:
 def test_what_is_felt_is_sure_at_once_and_not_seen_through() -> None:
     unmapped = Unmapped(WALLS, RING_IN)
     unmapped.touch(0.0, HERE, pi / 2.0, 9.72)
-    np.testing.assert_allclose(unmapped.segments, [[23.0, 29.72, 17.0, 29.72]])
+    np.testing.assert_allclose(unmapped.segments, [[25.0, 29.72, 15.0, 29.72]])
     hear(unmapped, pi / 2.0, 72.0, times=20)
     assert len(unmapped.segments) == 1
     hear(unmapped, pi / 2.0, 21.0, times=2)
