@@ -24,7 +24,7 @@ class Shown:
     y_in: float
     steering_rad: float
     turret_rad: float
-    sonars_in: tuple[float, ...]
+    sonars_in: tuple[int, ...]
 
 
 class BadReadings:
@@ -38,12 +38,14 @@ class BadReadings:
         """The report as the filter is shown it."""
         if not self._share or report.clock_s is None:
             return report
-        readings = [self._reading(sonar, report.clock_s, heard) for sonar, heard in enumerate(report.sonars_in)]
+        readings = [
+            self._reading(sonar, report.clock_s, int(heard)) for sonar, heard in enumerate(report.sonars_in)
+        ]
         return Shown(
             report.clock_s, report.x_in, report.y_in, report.steering_rad, report.turret_rad, tuple(readings)
         )
 
-    def _reading(self, sonar: int, clock_s: float, heard_in: float) -> float:
+    def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
         schedule = self._schedule
         since_s = clock_s - schedule.start_s - schedule.order.index(sonar) * schedule.interval_s
         turn = int(since_s // schedule.round_s)
