@@ -17,18 +17,25 @@ from typing import Final
 
 import numpy as np
 
-from localization.belief import HEADING, Belief, Floats
+from localization.belief import HEADING, Belief, difference
 from localization.echoes import CLOCK_STEP_S
+from localization.odometry import EncoderPose
 from localization.systematic import POSE
 
 LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """The difference of two instants, each anywhere within one step of the clock."""
 
 
-def with_lag(belief: Belief, rates: Floats) -> Belief:
-    """A belief over states (n,) of a robot that drives at `rates` (2,), in/s and rad/s, widened by that."""
-    heading = float(belief.mean[HEADING])
-    ahead = LAG_STD_S * np.array([rates[0] * cos(heading), rates[0] * sin(heading), rates[1]])
+def with_lag(belief: Belief, before: EncoderPose, now: EncoderPose) -> Belief:
+    """A belief over states (n,) of a robot whose encoders went from one pose to the other, widened by that; the belief
+    itself where it stood."""
+    passed_s = now.clock_s - before.clock_s
+    dx, dy, turn = difference(now.pose, before.pose).tolist()
+    if passed_s <= 0.0 or not (dx or dy or turn):
+        return belief
+    told, heading = float(before.pose[HEADING]) + 0.5 * turn, float(belief.mean[HEADING])
+    way = LAG_STD_S * (dx * cos(told) + dy * sin(told)) / passed_s
+    ahead = np.array([way * cos(heading), way * sin(heading), LAG_STD_S * turn / passed_s])
     cov = belief.cov.copy()
-    cov[:POSE, :POSE] += np.outer(ahead, ahead)
+    cov[:POSE, :POSE] += ahead[:, None] * ahead
     return Belief(belief.mean, cov)

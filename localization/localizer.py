@@ -131,7 +131,7 @@ class Localizer:
         echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        told = with_lag(self._filter.ahead(step), self._history.rates)
+        told = with_lag(self._filter.ahead(step), *self._history.last_two)
         return Estimate(latest.clock_s, told, echoes, self._filter.verdict, smoothed)
 
     def _hear(self, firing: Firing, reading_in: float) -> Echo:

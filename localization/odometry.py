@@ -9,10 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-import numpy as np
-
 from localization.belief import HEADING, Floats, add, difference, wrapped
-from localization.motion import step_between
 
 REMEMBERED_S = 2.0
 """Longer than a ring takes, so that every echo still readable has its pose."""
@@ -37,6 +34,11 @@ class PoseHistory:
     def __init__(self) -> None:
         self._poses: deque[EncoderPose] = deque()
 
+    @property
+    def last_two(self) -> tuple[EncoderPose, EncoderPose]:
+        """The last one added and the one before it; of one alone it is both."""
+        return self._poses[max(len(self._poses) - 2, 0)], self._poses[-1]
+
     def add(self, pose: EncoderPose) -> None:
         """A pose later than all others; the oldest are forgotten."""
         self._poses.append(pose)
@@ -47,15 +49,6 @@ class PoseHistory:
     def latest(self) -> EncoderPose:
         """The last one added."""
         return self._poses[-1]
-
-    @property
-    def rates(self) -> Floats:
-        """How fast it went between the last two poses, (2,): in/s along the heading, and rad/s; of one pose 0."""
-        if len(self._poses) < 2:
-            return np.zeros(2)
-        before, after = self._poses[-2], self._poses[-1]
-        rates: Floats = step_between(before.pose, after.pose) / (after.clock_s - before.clock_s)
-        return rates
 
     def at(self, instant_s: float) -> EncoderPose:
         """The pose at an instant; the nearest there is where it lies before or after all of them."""

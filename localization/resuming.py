@@ -16,7 +16,7 @@ from localization.belief import Belief
 from localization.kept import Kept, Moved, resumed, site_of
 from localization.odometry import EncoderPose
 from localization.run import Run
-from localization.systematic import POSE, with_constants
+from localization.systematic import LARGEST, POSE, with_constants
 from localization.watch import Trust
 from nclient.errors import EstimateFileError
 from nclient.robot_state import RobotState
@@ -54,7 +54,10 @@ def belief(options: argparse.Namespace, world: World, state: RobotState) -> Beli
 
 
 def save(options: argparse.Namespace, world: World, done: Run) -> None:
-    """Write the end of a run down where that is asked for. Raises EstimateFileError, for a lost estimate too."""
+    """Write the end of a run down where that is asked for: pose and wheels, not what a method knows besides.
+
+    Raises EstimateFileError, for a lost estimate too.
+    """
     if options.save is None:
         return
     last = done.moments[-1]
@@ -62,7 +65,8 @@ def save(options: argparse.Namespace, world: World, done: Run) -> None:
     if estimate.verdict.trust is Trust.LOST:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.verdict.reason}")
     encoders = EncoderPose(estimate.clock_s, np.array(last.odometry), last.turret_rad)
-    kept_file.save(options.save, Kept(site_of(world, options.body), encoders, estimate.belief))
+    known = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
+    kept_file.save(options.save, Kept(site_of(world, options.body), encoders, known))
 
 
 def _moved(text: str) -> Moved:

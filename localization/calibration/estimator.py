@@ -50,11 +50,14 @@ _INSIDE_IN: Final = 1e-3
 
 
 class CalibratingFilter:
-    """See the head of this file. `pose`: the belief over poses (3,) at the start."""
+    """See the head of this file. `start`: the belief over states (n,) at the start, 3 <= n <= 6: `stds` is of all
+    constants, those that it has already are its own."""
 
-    def __init__(self, known: Surroundings, pose: Belief, stds: tuple[float, ...] = CONSTANTS_STD) -> None:
-        self.belief = Belief(np.append(pose.mean, np.zeros(SIZE - POSE)), np.diag(np.append(np.zeros(POSE), stds) ** 2))
-        self.belief.cov[:POSE, :POSE] = pose.cov
+    def __init__(self, known: Surroundings, start: Belief, stds: tuple[float, ...] = CONSTANTS_STD) -> None:
+        size = len(start.mean)
+        self.belief = Belief(np.zeros(SIZE), np.diag(np.append(np.zeros(POSE), stds) ** 2))
+        self.belief.mean[:size] = start.mean
+        self.belief.cov[:size, :size] = start.cov
         self._odometry = known.odometry
         self._lowest_in, self._highest_in = known.sonar.lowest_in, known.sonar.highest_in
         self._variance: Callable[[Floats], Floats] = known.sonar.variance

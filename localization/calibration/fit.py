@@ -59,7 +59,8 @@ class Fit:
         told = f"readings fit with a NIS of {self.nis:.2f} (1 is right), {self.refused_share:.1%} refused"
         if self.good:
             return told
+        ring = "a real ring's cones are taken for rays (--sonars cones), " if self.rays else ""
         return (
-            f"{told}: do not believe this. The encoders miss more than --odometry-noise says, --start is elsewhere, or "
-            "the map is not of this room"
+            f"{told}: do not believe this. The encoders miss more than --odometry-noise says, {ring}--start is "
+            "elsewhere, or the map is not of this room"
         )

@@ -12,6 +12,7 @@ import numpy as np
 from localization import sigma_points, updates
 from localization.atlas import Atlas, draw_atlas
 from localization.belief import Belief
+from localization.calibration.estimator import CalibratingFilter
 from localization.cone import ConeModel
 from localization.filters.finder import Finder
 from localization.filters.hearing import Hearing, hearing_of
@@ -22,7 +23,7 @@ from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_fro
 from localization.filters.smoother import FixedLagSmoother
 from localization.measurement import SonarModel
 from localization.surroundings import Surroundings
-from localization.systematic import POSE
+from localization.systematic import LARGEST, POSE, with_constants
 
 Maker = Callable[[Surroundings, Belief, int], Filter]
 """Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
@@ -51,6 +52,11 @@ def _particles(known: Surroundings, belief: Belief, seed: int) -> Filter:
     return ParticleFilter(states, likelihood_of(known), known.odometry, chance, parameters)
 
 
+def _offsets(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+    """Of the wheels' constants it finds out those that the belief has."""
+    return CalibratingFilter(known, with_constants(belief, (0.0,) * (LARGEST - len(belief.mean))))
+
+
 def _finder(known: Surroundings, belief: Belief, _seed: int) -> Filter:
     return finder(known, belief)
 
@@ -63,6 +69,7 @@ METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
         "smoother": _smoother,
         "mcl": _particles,
         "finder": _finder,
+        "offsets": _offsets,
     }
 )
 """Every method by its name."""

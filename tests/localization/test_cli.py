@@ -157,3 +157,17 @@ def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureF
         localize(f"sim:thesis_room?model_file={mine}", *words, *calibration, "--time-limit", "40")
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
     assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
+
+
+def test_sonars_that_read_too_much_are_found_out_while_driving(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine, kept = tmp_path / "mine.toml", tmp_path / "kept.json"
+    mine.write_text(calibration_text("n150", Calibration(offsets_in=(2.0,) * 16)))
+    ends = []
+    for method in ("ekf", "offsets"):
+        words = [*TO_GOAL, "--method", method, "--save", str(kept), "--json"]
+        localize(f"sim:thesis_room?setup=noisy&seed=2&model_file={mine}", *words, "--time-limit", "60")
+        ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
+    assert ends[1] < 0.5 * ends[0]
+    assert len(json.loads(kept.read_text())["mean"]) == 6

@@ -52,11 +52,10 @@ def test_the_oldest_poses_are_forgotten_but_never_the_last_two() -> None:
     assert history.at(99.9).pose[0] == pytest.approx(999.0)
 
 
-def test_rates_are_those_between_the_last_two_poses() -> None:
+def test_the_last_two_of_one_are_both() -> None:
     history = PoseHistory()
-    history.add(EncoderPose(0.0, np.array([0.0, 0.0, 0.0]), 0.0))
-    assert history.rates.tolist() == [0.0, 0.0]
-    history.add(EncoderPose(0.5, np.array([0.0, 0.0, 3.1]), 0.0))
-    history.add(EncoderPose(0.7, np.array([-1.0, 0.0, -3.1]), 0.0))
-    turn = 2 * math.pi - 6.2
-    assert history.rates == pytest.approx([1.0 / 0.2, turn / 0.2])
+    first, second = pose(1.0, 3.0), pose(2.0, 4.0)
+    history.add(first)
+    assert history.last_two == (first, first)
+    history.add(second)
+    assert history.last_two == (first, second)

@@ -24,7 +24,7 @@ class Shown:
     y_in: float
     steering_rad: float
     turret_rad: float
-    sonars_in: tuple[float, ...]
+    sonars_in: tuple[int, ...]
 
 
 class BadReadings:
@@ -40,12 +40,14 @@ class BadReadings:
         """The report as the filter is shown it."""
         if not self._share or report.clock_s is None:
             return report
-        readings = [self._reading(sonar, report.clock_s, heard) for sonar, heard in enumerate(report.sonars_in)]
+        readings = [
+            self._reading(sonar, report.clock_s, int(heard)) for sonar, heard in enumerate(report.sonars_in)
+        ]
         return Shown(
             report.clock_s, report.x_in, report.y_in, report.steering_rad, report.turret_rad, tuple(readings)
         )
 
-    def _reading(self, sonar: int, clock_s: float, heard_in: float) -> float:
+    def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
         since_s = clock_s - self._schedule.start_s - self._late_s[sonar]
         turn = int(since_s // self._round_s)
         if self._replaced.get(sonar, (None, None))[0] != turn:

@@ -28,6 +28,7 @@ def test_many_refusals_are_not_good_of_rays(rays: bool) -> None:
     assert fit.refused_share == 0.2
     assert fit.good is not rays
     assert ("do not believe this" in fit.line()) is rays
+    assert ("--sonars cones" in fit.line()) is rays
 
 
 def test_nor_is_a_large_nis() -> None:

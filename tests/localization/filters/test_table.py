@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from localization.atlas import draw_atlas
-from localization.belief import independent
+from localization.belief import Belief, independent
 from localization.filters.table import METHODS, finder, make
 from localization.motion import OdometryNoise
 from localization.surroundings import Surroundings
+from localization.systematic import with_constants
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -22,7 +23,7 @@ BELIEF = independent([40.0, 45.0, 0.3], [0.5, 0.5, 0.02])
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_starts_where_it_is_told_and_looks_ahead_without_going(method: str) -> None:
     made = make(method, KNOWN, BELIEF, seed=3)
-    np.testing.assert_allclose(made.belief.mean, BELIEF.mean, atol=0.1)
+    np.testing.assert_allclose(made.belief.mean[:3], BELIEF.mean, atol=0.1)
     before = made.belief
     ahead = made.ahead(np.array([2.0, 0.1]))
     assert np.hypot(*(ahead.mean - before.mean)[:2]) == pytest.approx(2.0, abs=0.2)
@@ -43,3 +44,10 @@ def test_robots_that_know_the_same_map_share_its_atlas() -> None:
     drawn = draw_atlas(known.walls, N150, known.sonar, known.clearance_in)
     assert (one._map.ranges_in == drawn.ranges_in).all()
     assert finder(replace(known, clearance_in=12.0), None)._map is not one._map
+
+
+def test_offsets_of_sonars_are_found_besides_the_wheels_constants_that_the_belief_has() -> None:
+    wheels = with_constants(BELIEF, (0.05,))
+    made = make("offsets", KNOWN, Belief(wheels.mean + np.array([0.0, 0.0, 0.0, 0.01]), wheels.cov))
+    assert made.belief.mean.tolist() == [40.0, 45.0, 0.3, 0.01, *[0.0] * 20]
+    assert made.belief.std[3:7].tolist() == pytest.approx([0.05, 0.0, 0.0, 2.0])
