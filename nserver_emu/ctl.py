@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.errors import ConnectionLost, ControlError, NomadError, WorldFileError
 from nclient.faults.plan import nearest
 from nclient.faults.plan_file import read_plan
 from nserver_emu.server.control import BY_NAME, COMMANDS
@@ -25,6 +25,8 @@ from nserver_emu.server.control_socket import default_path
 
 HELP: Final = "help"
 """Answered here, daemon or not."""
+WORDS: Final = "WORDS"
+"""An argument of one word or more."""
 PATIENCE_S: Final = 30.0
 _CHUNK: Final = 65536
 _GROUPS: Final = frozenset(row.name.partition(" ")[0] for row in COMMANDS if " " in row.name)
@@ -80,6 +82,10 @@ def shown(said: dict[str, Any]) -> Iterator[str]:
     """An answer for people to read."""
     if "plan" in said:
         yield said["plan"].rstrip()
+    elif "text" in said:
+        yield said["text"].rstrip()
+    elif "noise" in said:
+        yield from (f"robot {number}: {_noise(noise)}" for number, noise in said["noise"].items())
     elif "counts" in said:
         yield from _counts(said["counts"])
     elif "robots" in said:
@@ -97,7 +103,8 @@ def _status(said: dict[str, Any]) -> Iterator[str]:
         touched = f", bumpers {robot['bumpers']:#x}" if robot["bumpers"] else ""
         yield (
             f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
-            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}"
+            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}, "
+            f"{_noise(robot['noise'])}"
         )
     for name, place in said["lines"].items():
         yield f"line {name}: {place}"
@@ -106,6 +113,10 @@ def _status(said: dict[str, Any]) -> Iterator[str]:
         yield f"client {client['name']}: {whose}, {client['refused']} refused{', waiting' if client['waiting'] else ''}"
     struck = ", ".join(f"{kind} {count}" for kind, count in said["faults"]["struck"].items())
     yield f"faults: {said['faults']['rules']} rules{f', so far {struck}' if struck else ''}"
+
+
+def _noise(noise: dict[str, str]) -> str:
+    return f"sensors {noise['sensors']}, motion {noise['motion']}"
 
 
 def _time(said: dict[str, Any]) -> str:
@@ -139,6 +150,8 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     if name not in BY_NAME:
         parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{nearest(name, BY_NAME)}")
     wanted = BY_NAME[name].argument
+    if wanted == WORDS and arguments:
+        arguments = [" ".join(arguments)]
     if len(arguments) != bool(wanted):
         parser.error(f"{name} takes {wanted or 'no argument'}, not {' '.join(arguments) or 'nothing'}")
     return name, arguments[0] if arguments else None
@@ -149,10 +162,19 @@ def _argument(name: str, given: str | None) -> object:
     match name, given:
         case "faults set", str():
             return {"file": given, "text": read_plan(Path(given))}
+        case "world set", str():
+            return {"file": given, "text": _world(Path(given))}
         case "save", str():
             return str(Path(given).absolute())
         case _:
             return given
+
+
+def _world(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise WorldFileError(f"{path}: cannot be read: {error}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -27,6 +27,8 @@ from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.hosting import LONGEST_STEP_MS
 from nserver_emu.server.pace import FASTEST, SLOWEST
+from nserver_emu.server.switches import noise_of, noise_words, put_world, switch_noise
+from worlds.writing import world_text
 
 log = logging.getLogger(__name__)
 
@@ -46,6 +48,10 @@ class Served(Protocol):
 
     def paced(self) -> None:
         """The emulator's pace was changed."""
+        ...
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """The simulation was changed so (switches.py), by no client's request."""
         ...
 
     def lines(self) -> Mapping[str, str]:
@@ -103,7 +109,7 @@ def status(served: Served, _: object = None) -> Said:
                 "number": number, "model": robot.model.name, "moving": any(robot.moving), "bumpers": robot.bumpers,
                 "x_in": round(robot.actual.x_in, 3), "y_in": round(robot.actual.y_in, 3),
                 "steering_deg": round(math.degrees(robot.actual.steering_rad), 2),
-                "turret_deg": round(math.degrees(robot.actual.turret_rad), 2),
+                "turret_deg": round(math.degrees(robot.actual.turret_rad), 2), "noise": noise_of(robot),
             }
             for number, robot in simulation.robots.items()
         ],
@@ -193,6 +199,29 @@ def _help(_served: Served, _: object) -> Said:
     return {"commands": {row.name: [row.argument, row.about] for row in COMMANDS}}
 
 
+def _noise(served: Served, argument: object) -> Said:
+    wanted = noise_words(argument) if isinstance(argument, str) else argument
+    if not isinstance(wanted, dict):
+        raise ControlError(f"noise: a text or an object, not {argument!r}")
+    said = {"noise": switch_noise(served.emulator, wanted)}
+    served.changed({"noise": wanted})
+    return said
+
+
+def _show_world(served: Served, _: object) -> Said:
+    return {"text": world_text(served.emulator.simulation.world)}
+
+
+def _put_world(served: Served, argument: object) -> Said:
+    wanted = "world set: the text of a world file, and its name"
+    if not isinstance(argument, dict):
+        raise ControlError(f'{wanted}: {{"text": ..., "file": ...}}')
+    text, file = _text(argument.get("text"), wanted), _text(argument.get("file", "world.toml"), wanted)
+    world = put_world(served.emulator, text, file)
+    served.changed({"world": {"text": text, "file": file}})
+    return {"world": world.name}
+
+
 def _number(argument: object, least: float, most: float, wanted: str) -> float:
     try:
         value = float(argument) if isinstance(argument, int | float | str) and argument is not True else math.nan
@@ -216,6 +245,9 @@ COMMANDS: Final = (
     ControlCommand("faults clear", "", "no faults any more", _clear),
     ControlCommand("faults counts", "", "what the plan did so far, by line and rule", _counts),
     ControlCommand("faults reset", "", "the same, and count from 0 again", _reset),
+    ControlCommand("noise", "WORDS", "what errs how: 'sensors=measured motion=ideal robot=1'", _noise),
+    ControlCommand("world show", "", "the world as it stands, as TOML", _show_world),
+    ControlCommand("world set", "FILE", "put another world in its place; robots stay where they are", _put_world),
     ControlCommand("pause", "", "let simulated time stand", _pause),
     ControlCommand("resume", "", "let it go on", _resume),
     ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),

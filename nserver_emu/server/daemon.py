@@ -88,6 +88,10 @@ class Daemon:
         """The emulator's pace was changed by who may, not by a client."""
         self.recorder.paced(self.emulator.pace.factor, self.emulator.pace.paused)
 
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """The simulation was changed by who may, not by a client (switches.py)."""
+        self.recorder.changed(what)
+
     async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
         try:

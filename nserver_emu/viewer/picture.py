@@ -2,7 +2,8 @@
 
     always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
                 robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same}}
-    if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential"}}
+    if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
+                          "noise": {"sensors": name in force, "motion": the same}, "noises": the names there are}}
                 world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the edges of the rooms first,
                           "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
                           degrees] ...], "paths": {name: [[x, y] ...]}}
@@ -24,10 +25,12 @@ from typing import Any, Final, NamedTuple
 from nserver_emu.server.graphics import Shape
 from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import Look
+from nserver_emu.server.switches import noise_choices, noise_of
 from nserver_emu.server.traces import Trace
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import RobotSetup
 from worlds.world import Polygon, World
 
 REMEMBERED: Final = 64
@@ -45,7 +48,7 @@ Plain = dict[str, Any]
 class Mark(NamedTuple):
     """How far everything that grows or changes was at a picture."""
 
-    bodies: tuple[int, ...]
+    bodies: tuple[tuple[int, RobotSetup], ...]
     world: World
     graphics: int
     lasers: int
@@ -101,7 +104,8 @@ class Album:
         counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
         simulation = stage.simulation
         return Mark(
-            tuple(simulation.robots), simulation.world, stage.graphics.drawn, self._lasers_taken,
+            tuple((n, robot.setup) for n, robot in simulation.robots.items()),
+            simulation.world, stage.graphics.drawn, self._lasers_taken,
             said[-1] if said else None, counts,
         )  # fmt: skip
 
@@ -121,6 +125,7 @@ def body(robot: SimulatedRobot) -> Plain:
         "model": robot.model.name, "family": robot.model.family, "radius_in": shape.radius_in,
         "ring_in": shape.sonar_ring_radius_in, "bumpers": len(shape.bumper_angles_rad),
         "differential": robot.model.track_in is not None, "sees": robot.model.sees,
+        "noise": noise_of(robot), "noises": noise_choices(robot),
     }  # fmt: skip
 
 

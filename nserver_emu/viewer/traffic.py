@@ -10,7 +10,7 @@ connection taken up anew with the next.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from nclient.protocol.models import Model
@@ -54,6 +54,10 @@ class Listening:
     def paced(self, factor: float | None, paused: bool) -> None:
         """Handed on."""
         self.inner.paced(factor, paused)
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """Handed on."""
+        self.inner.changed(what)
 
     def close(self) -> None:
         """Handed on."""

@@ -19,6 +19,7 @@ from nserver_emu.server.control import BY_NAME, answer_line
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import Pace
+from worlds.files import parse_world
 
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
@@ -29,6 +30,7 @@ class House:
     def __init__(self, pace: Pace | None = None) -> None:
         self.emulator = Emulator(simulation(seed=5), pace=pace)
         self.faults = FaultDesk(lambda: 0.0)
+        self.changes: list[dict[str, Any]] = []
         self.paces: list[tuple[float | None, bool]] = []
 
     def step(self, dt_s: float) -> None:
@@ -36,6 +38,9 @@ class House:
 
     def paced(self) -> None:
         self.paces.append((self.emulator.pace.factor, self.emulator.pace.paused))
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        self.changes.append(dict(what))
 
     def lines(self) -> Mapping[str, str]:
         return {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
@@ -109,6 +114,30 @@ def test_a_plan_comes_into_force_counts_and_goes() -> None:
     house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
     assert house.said("faults clear") == {"counts": counts}
     assert house.said("faults counts") == {"counts": {}}
+
+
+def test_noise_is_switched_told_and_noted() -> None:
+    house = House()
+    assert house.said("noise", "sensors=measured") == {"noise": {"1": {"sensors": "measured", "motion": "ideal"}}}
+    assert house.said("noise", {"motion": "noisy", "robot": 1})["noise"]["1"]["motion"] == "noisy"
+    assert house.said("status")["robots"][0]["noise"] == {"sensors": "measured", "motion": "noisy"}
+    for wrong in (7, "loud", {"sensors": "loud"}):
+        assert "noise: " in house.told({"command": "noise", "argument": wrong})["error"]
+    assert house.changes == [{"noise": {"sensors": "measured"}}, {"noise": {"motion": "noisy", "robot": 1}}]
+
+
+def test_the_world_is_shown_and_another_put_in_its_place() -> None:
+    house = House()
+    text = house.said("world show")["text"]
+    assert parse_world(text, "", "").name == "thesis_room"
+    changed = {"text": text.replace("thesis_room", "mine"), "file": "x.toml"}
+    assert house.said("world set", changed) == {"world": "mine"}
+    assert house.said("status")["world"] == "mine"
+    for wrong in ("name", {"file": "x"}, {"text": text, "file": 3}):
+        assert "world set: the text of a world file" in house.told({"command": "world set", "argument": wrong})["error"]
+    broken = {"command": "world set", "argument": {"text": "]", "file": "x.toml"}}
+    assert "x.toml: is no TOML" in house.told(broken)["error"]
+    assert house.changes == [{"world": changed}]
 
 
 def test_the_simulation_is_saved(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -36,6 +37,9 @@ class Inner:
 
     def stepped(self, dt_s: float) -> None:
         self.told.append(("stepped", dt_s))
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        self.told.append(("changed", dict(what)))
 
     def paced(self, factor: float | None, paused: bool) -> None:
         self.told.append(("paced", factor, paused))
@@ -138,8 +142,9 @@ def test_everything_is_handed_on_to_the_real_recorder() -> None:
     tape.close()
     listening.stepped(0.1)
     listening.paced(2.0, False)
+    listening.changed({"noise": {}})
     listening.close()
     assert inner.told == [
         ("open", "client", TCP, "n150", None), ("to_robot", 3), ("to_host", 2, True), "close", ("stepped", 0.1),
-        ("paced", 2.0, False), "close",
+        ("paced", 2.0, False), ("changed", {"noise": {}}), "close",
     ]  # fmt: skip
