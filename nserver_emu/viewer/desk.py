@@ -6,6 +6,7 @@ Rules: whoever only looks is told so when it wants more. What goes wrong is told
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
 
 
+STALE_S: Final = 60.0
+"""Real seconds after which an estimate is no news to a newcomer any more."""
+
+
 class Desk:
     """What all viewers share: the daemon, who looks, what was clicked, where to go."""
 
@@ -28,21 +33,24 @@ class Desk:
         self.daemon = daemon
         self.hub = hub
         self._asked: dict[int, int] = {}
-        self.waypoints: list[list[float]] | None = None
-        self.waypoints_set = 0
+        self.waypoints: dict[int, list[list[float]]] = {}
+        """Where each robot is to go, as set at a page."""
+        self._waypoints_set: Counter[int] = Counter()
         self._hands: dict[Viewer, Hands] = {}
         self._guests = 0
-        self._published = ""
+        self._published: dict[int, tuple[float, Message]] = {}
         self.listening = Listening(daemon.recorder, self._terms_of, lambda: daemon.emulator.simulation.time_s)
         daemon.recorder = self.listening
 
-    def arrive(self, *, may_act: bool, watch_token: str = "") -> Viewer:
+    def arrive(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
         """A page was opened."""
         viewer = self.hub.join(may_act=may_act)
-        viewer.tell(to_page("hello", version=VERSION, may_act=may_act, watch_token=watch_token if may_act else None))
+        viewer.tell(to_page("hello", version=VERSION, may_act=may_act, watch_token=watch_token if may_act else None,
+                            waypoints=self.waypoints, lines=dict(self.daemon.lines()) if may_act else {}))
         viewer.tell(to_page("asked", robots=self._asked))
-        if self._published:
-            viewer.tell(self._published)
+        for heard, told in self._published.values():
+            if now - heard < STALE_S:
+                viewer.tell(to_page("localization", **told, age_s=round(now - heard, 1)))
         self._guests += 1
         self._hands[viewer] = Hands(self.daemon, f"viewer {self._guests}")
         self._open_clicks()
@@ -75,18 +83,32 @@ class Desk:
         try:
             message = from_page(text)
         except BadMessage as error:
-            viewer.tell(to_page("answer", id=None, ok=False, error=str(error)))
+            viewer.tell(to_page("answer", id=error.number, ok=False, error=str(error)))
             return
         if message["do"] not in LOOKING and not viewer.may_act:
             viewer.tell(to_page("answer", id=message.get("id"), ok=False, error="this link only looks"))
             return
         _DOES[message["do"]](self, viewer, message, now)
 
-    def publish(self, text: str) -> Message:
+    def publish(self, text: str, now: float) -> Message:
         """What a localizer thinks, for all to see; where it is to go. Raises BadMessage."""
-        self._published = to_page("localization", **published(text))
-        self.hub.tell(self._published)
-        return {"waypoints": self.waypoints, "set": self.waypoints_set}
+        told = published(text)
+        robot = told["robot"]
+        if robot not in self.daemon.emulator.simulation.robots:
+            raise BadMessage(f"there is no robot {robot}")
+        self._published[robot] = now, told
+        self.hub.tell(to_page("localization", **told, age_s=0.0))
+        return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}
+
+    def set_waypoints(self, robot: int, points: list[list[float]]) -> None:
+        """Somebody says where a robot is to go."""
+        self.waypoints[robot] = points
+        self._waypoints_set[robot] += 1
+        self.hub.tell(to_page("waypoints", robot=robot, points=points))
+
+    def others(self, viewer: Viewer, robot: int) -> list[str]:
+        """The names of the other viewers that drive a robot by hand now."""
+        return [hands.name for other, hands in self._hands.items() if other is not viewer and hands.drives(robot)]
 
     def hands(self, viewer: Viewer) -> Hands:
         """What this viewer does things with."""
@@ -123,7 +145,9 @@ def _call(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
 
 
 def _drive(desk: Desk, viewer: Viewer, message: Message, now: float) -> None:
-    desk.hands(viewer).drive(message["robot"], message["args"], now, _teller(viewer, message["id"]))
+    robot, tell = message["robot"], _teller(viewer, message["id"])
+    others = desk.others(viewer, robot)
+    desk.hands(viewer).drive(robot, message["args"], now, lambda answer: tell(answer | {"others": others}))
 
 
 def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
@@ -139,9 +163,7 @@ def _click(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
 
 
 def _waypoints(desk: Desk, _viewer: Viewer, message: Message, _now: float) -> None:
-    desk.waypoints = message["points"]
-    desk.waypoints_set += 1
-    desk.hub.tell(to_page("waypoints", points=desk.waypoints))
+    desk.set_waypoints(message["robot"], message["points"])
 
 
 def _teller(viewer: Viewer, number: int) -> Callable[[Answer], None]:

@@ -103,7 +103,7 @@ class Hands:
 
     def __init__(self, daemon: Daemon, name: str) -> None:
         self._daemon = daemon
-        self._name = name
+        self.name = name
         self._hands: dict[int, Hand] = {}
         self._driven: dict[int, float] = {}
 
@@ -111,7 +111,7 @@ class Hands:
         """Say a command to a robot."""
         hand = self._hands.get(robot_id)
         if hand is None or hand.session.closing:
-            hand = Hand(self._daemon, f"{self._name} on robot {robot_id}")
+            hand = Hand(self._daemon, f"{self.name} on robot {robot_id}")
             if not hand.connect(robot_id):
                 hand.close()
                 then({"ok": False, "error": f"there is no robot {robot_id}"})
@@ -125,6 +125,10 @@ class Hands:
         self.call(robot_id, "vm", args, then)
         if any(args):
             self._driven[robot_id] = now + DEAD_MAN_S
+
+    def drives(self, robot_id: int) -> bool:
+        """Whether a robot is driven by hand now."""
+        return robot_id in self._driven
 
     def tick(self, now: float) -> None:
         """Real time has passed: whoever fell silent lets go."""

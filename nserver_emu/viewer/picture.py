@@ -7,8 +7,10 @@
                 world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the edges of the rooms first,
                           "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
                           degrees] ...], "paths": {name: [[x, y] ...]}}
-                graphics  [[figure, numbers, colour, xor] ...]
-                traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...
+                graphics  [[number, figure, numbers, colour, xor] ...], or what changed of them:
+                drawn     {"gone": [number ...], "come": [[number, figure, numbers, colour, xor] ...]}
+                traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...; null, null
+                          before a point that the robot did not drive to
                 lasers    {id: [x, y, x, y ...]}    in the robot's frame
                 said      [[time_s, id, text] ...]
 
@@ -39,6 +41,8 @@ LASER_EVERY: Final = 4
 """The laser is looked through at every so many pictures: its 482 rays cost more than all else."""
 MOST_NEW: Final = 25
 """Points of a track that a picture adds: 12 in of way in a twentieth of a second, faster than any robot."""
+JUMP_IN: Final = 6.0
+"""Points of a track farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
 NOTHING_YET: Final = (0, 0)
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
@@ -87,8 +91,7 @@ class Album:
             told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
         if old is None or old.world is not new.world:
             told["world"] = ground(new.world)
-        if old is None or old.graphics != new.graphics:
-            told["graphics"] = [_shape(shape) for shape in self._stage.graphics.shapes]
+        told |= self._drawn(old.graphics if old else None)
         if old is None or old.lasers != new.lasers:
             told["lasers"] = self._lasers
         if old is None or old.said is not new.said:
@@ -96,6 +99,16 @@ class Album:
         if grown := self._grown(old.traces if old else {}, new.traces):
             told["traces"] = grown
         return told
+
+    def _drawn(self, before: int | None) -> Plain:
+        graphics = self._stage.graphics
+        if before == graphics.drawn:
+            return {}
+        changes = None if before is None else graphics.changes(before)
+        if changes is None:
+            return {"graphics": [_shape(*numbered) for numbered in graphics.numbered]}
+        gone, come = changes
+        return {"drawn": {"gone": gone, "come": [_shape(*numbered) for numbered in come]}}
 
     def _mark(self) -> Mark:
         stage = self._stage
@@ -177,14 +190,22 @@ def _seen(robot: SimulatedRobot) -> list[float]:
     return [round(number, 1) for point in seen.tolist() for number in point]
 
 
-def _shape(shape: Shape) -> list[Any]:
-    return [shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
+def _shape(number: int, shape: Shape) -> list[Any]:
+    return [number, shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
 
 
 def _newer(trace: Trace, had: int) -> Plain:
     """What a track grew by; a viewer that follows a simulation at a hundred times real time gets every so many."""
-    points = trace.newer(had)
-    pairs = list(zip(points[::2], points[1::2], strict=True))
-    if had and len(pairs) > MOST_NEW:
-        pairs = pairs[:: -(-len(pairs) // MOST_NEW)]
-    return {"gone": trace.gone, "points": [round(number, 2) for pair in pairs for number in pair]}
+    flat = iter(trace.newer(max(had - 1, 0)))
+    pairs = list(zip(flat, flat, strict=True))
+    before = pairs.pop(0) if had and len(pairs) > trace.gone - had else None
+    every = -(-len(pairs) // MOST_NEW) if had and len(pairs) > MOST_NEW else 1
+    told: list[float | None] = []
+    for k, point in enumerate(pairs):
+        jumped = before is not None and math.dist(before, point) > JUMP_IN
+        before = point
+        if jumped:
+            told += (None, None)
+        if jumped or k % every == 0:
+            told += (round(number, 2) for number in point)
+    return {"gone": trace.gone, "points": told}

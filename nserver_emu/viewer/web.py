@@ -27,7 +27,7 @@ from nclient.errors import ConnectionLost
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.picture import Album
-from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage
+from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -93,11 +93,12 @@ class Viewing:
         self.desk.close()
 
     async def _run_clock(self) -> None:
-        loop = asyncio.get_running_loop()
+        due = _now()
         while True:
-            await asyncio.sleep(PERIOD_S)
+            due = max(due + PERIOD_S, _now())
+            await asyncio.sleep(due - _now())
             if self.hub.viewers:
-                self.desk.tick(loop.time())
+                self.desk.tick(_now())
                 self.hub.take()
                 for bell in self._bells.values():
                     bell.set()
@@ -121,24 +122,26 @@ class Viewing:
         if not self._may(request):
             raise web.HTTPForbidden(text="this token only looks\n")
         try:
-            return web.json_response(self.desk.publish(await request.text()))
-        except BadMessage as error:
+            return web.json_response(self.desk.publish((await request.read()).decode(), _now()))
+        except (BadMessage, UnicodeDecodeError) as error:
             raise web.HTTPBadRequest(text=f"{error}\n") from None
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         may_act = self._may(request)
         origin = request.headers.get("Origin", "")
-        if urlsplit(origin).netloc != request.host:
+        if not from_here(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"a page from {origin or 'nowhere'} is none of ours\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=20.0, max_msg_size=MOST_TEXT)
         await socket.prepare(request)
-        viewer = self.desk.arrive(may_act=may_act, watch_token=self.watch_token)
+        viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
         self._bells[viewer] = asyncio.Event()
         teller = asyncio.create_task(self._tell(viewer, socket))
         try:
             async for message in socket:
                 if message.type == WSMsgType.TEXT:
-                    self.desk.hear(viewer, message.data, asyncio.get_running_loop().time())
+                    self.desk.hear(viewer, message.data, _now())
+                elif message.type == WSMsgType.BINARY:
+                    viewer.tell(to_page("answer", id=None, ok=False, error="a message is text, not bytes"))
         finally:
             teller.cancel()
             del self._bells[viewer]
@@ -155,12 +158,22 @@ class Viewing:
                     await socket.send_str(text)
 
 
+def _now() -> float:
+    """Real time, seconds, as the loop has it."""
+    return asyncio.get_running_loop().time()
+
+
+def from_here(origin: str, scheme: str, host: str) -> bool:
+    """Whether a page of this Origin is the one that is served under this Host."""
+    return origin.lower() == f"{scheme}://{host}".lower()
+
+
 def known_host(host: str) -> bool:
     """Whether a page asked for under this Host can be ours: a number, or the name of loopback."""
-    name = urlsplit(f"//{host}").hostname or ""
-    if name == LOOPBACK_NAME:
-        return True
     try:
+        name = urlsplit(f"//{host}").hostname or ""
+        if name == LOOPBACK_NAME:
+            return True
         ipaddress.ip_address(name)
     except ValueError:
         return False

@@ -94,8 +94,10 @@ function drawTraces(pen, traces, view, theme) {
     pen.strokeStyle = colour;
     pen.lineWidth = 1.5;
     pen.beginPath();
-    for (let k = 0; k + 1 < points.length; k += 2) {
-      (k ? pen.lineTo : pen.moveTo).call(pen, ...toScreen(view, points[k], points[k + 1]));
+    for (let k = 0, pass = pen.moveTo; k + 1 < points.length; k += 2) {
+      if (points[k] === null) { pass = pen.moveTo; continue; }
+      pass.call(pen, ...toScreen(view, points[k], points[k + 1]));
+      pass = pen.lineTo;
     }
     pen.stroke();
   }
@@ -205,17 +207,18 @@ function drawScale(pen, view, { theme, metric }) {
 
 // What clients drew, on a sheet of its own: there two shapes in XOR cancel where they meet, as on the old screens.
 export function drawGraphics(pen, scene, view, { theme }) {
-  for (const [figure, numbers, colour, xor] of scene.graphics) {
-    pen.globalCompositeOperation = xor ? 'xor' : 'source-over';
-    pen.strokeStyle = clientColour(colour, theme);
-    pen.fillStyle = pen.strokeStyle;
-    pen.lineWidth = 2;
-    drawShape(pen, figure, numbers.map((n) => n / 10), view);
+  for (const shape of scene.graphics) {
+    pen.globalCompositeOperation = shape[4] ? 'xor' : 'source-over';
+    drawShape(pen, shape, view, clientColour(shape[3], theme));
   }
   pen.globalCompositeOperation = 'source-over';
 }
 
-function drawShape(pen, figure, n, view) {
+// One of them; [number, figure, its numbers in tenths, colour, whether in XOR].
+export function drawShape(pen, [, figure, tenths], view, colour) {
+  const n = tenths.map((tenth) => tenth / 10);
+  pen.strokeStyle = pen.fillStyle = colour;
+  pen.lineWidth = 2;
   const radians = (degrees) => degrees * Math.PI / 180;
   if (figure === 'line') line(pen, view, n[0], n[1], n[2], n[3]);
   else if (figure === 'arc') drawArc(pen, n, view);

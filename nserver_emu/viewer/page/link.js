@@ -11,7 +11,7 @@ export function openLink(token, { hear, state }) {
     const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
     socket = new WebSocket(`${scheme}://${location.host}/ws?token=${encodeURIComponent(token)}`);
     socket.onopen = () => { wait_ms = 250; state('live'); };
-    socket.onmessage = (event) => take(JSON.parse(event.data));
+    socket.onmessage = (event) => take(JSON.parse(event.data), event.data.length);
     socket.onclose = () => {
       state('lost');
       for (const then of answers.values()) then({ ok: false, error: 'the connection was lost' });
@@ -21,7 +21,7 @@ export function openLink(token, { hear, state }) {
     };
   }
 
-  function take(message) {
+  function take(message, size) {
     if (message.type === 'picture') {
       pictures += 1;
       if (pictures % ACKNOWLEDGE_EVERY === 0) send({ do: 'seen', frame: message.frame });
@@ -30,7 +30,7 @@ export function openLink(token, { hear, state }) {
       const then = answers.get(message.id);
       answers.delete(message.id);
       then(message);
-    } else hear(message);
+    } else hear(message, size);
   }
 
   function send(message) { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); }

@@ -75,6 +75,7 @@ def test_requests_and_replies_are_told_in_words_with_their_bytes() -> None:
     assert [(row["to"], row["what"]) for row in rows] == [
         ("robot", "connect_robot"), ("host", "simple"), ("robot", "vm"), ("host", "state"),
     ]  # fmt: skip
+    assert [row["of"] for row in rows] == ["connect_robot", "connect_robot", "vm", "vm"]
     assert rows[2]["text"] == "vm 100 -50 0"
     assert rows[2]["hex"].startswith("00 0c 00 03 00 00 00 64 ff ff ff ce")
     assert (rows[2]["size"], rows[2]["who"]) == (16, "client")
