@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import hmac
 import ipaddress
 import logging
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
-from aiohttp import WSMsgType, web
+from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.errors import ConnectionLost
 from nserver_emu.viewer.desk import Desk
@@ -37,7 +38,12 @@ log = logging.getLogger(__name__)
 PAGE: Final = Path(__file__).with_name("page")
 PERIOD_S: Final = 0.05
 """Twenty pictures a second."""
+HEARTBEAT_S: Final = 6.0
+"""How often a page is asked whether it is there; half as long it may take to answer."""
+CLOSING_S: Final = 0.5
+"""How long a page that is told to go may take to say goodbye."""
 LOOPBACK_NAME: Final = "localhost"
+REMEDIES: Final = {errno.EADDRINUSE: "--viewer 0 takes a free port", errno.EACCES: "take a port above 1023"}
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -57,11 +63,14 @@ class Viewing:
         self.hub = Hub(Album(daemon.emulator))
         self.desk = Desk(daemon, self.hub)
         self._bells: dict[Viewer, asyncio.Event] = {}
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._known = LOOPBACK_NAME
         self._runner: web.AppRunner | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Serve; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
+        self._known = host.lower()
         app = web.Application(client_max_size=MOST_TEXT)
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
@@ -74,8 +83,9 @@ class Viewing:
             await web.TCPSite(self._runner, host, port).start()
         except OSError as error:
             await self._runner.cleanup()
+            remedy = REMEDIES.get(error.errno or 0, "take an address of this machine")
             raise ConnectionLost(
-                f"cannot serve the page on {host}:{port}: {error.strerror or error}; --viewer 0 takes a free port"
+                f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         self._clock = asyncio.create_task(self._run_clock())
         return int(self._runner.addresses[0][1])
@@ -87,6 +97,8 @@ class Viewing:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._clock
             self._clock = None
+        for socket in tuple(self._sockets):
+            await socket.close(code=WSCloseCode.GOING_AWAY, drain=False)
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None
@@ -105,7 +117,7 @@ class Viewing:
 
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
-        if not known_host(request.host):
+        if not known_host(request.host, self._known):
             raise web.HTTPForbidden(text=f"this page is not known as {request.host}: ask by its number\n")
         token = request.query.get("token", "")
         if hmac.compare_digest(token.encode(), self.token.encode()):
@@ -131,8 +143,9 @@ class Viewing:
         origin = request.headers.get("Origin", "")
         if not from_here(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"a page from {origin or 'nowhere'} is none of ours\n")
-        socket = web.WebSocketResponse(compress=False, heartbeat=20.0, max_msg_size=MOST_TEXT)
+        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MOST_TEXT)
         await socket.prepare(request)
+        self._sockets.add(socket)
         viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
         self._bells[viewer] = asyncio.Event()
         teller = asyncio.create_task(self._tell(viewer, socket))
@@ -143,6 +156,7 @@ class Viewing:
                 elif message.type == WSMsgType.BINARY:
                     viewer.tell(to_page("answer", id=None, ok=False, error="a message is text, not bytes"))
         finally:
+            self._sockets.discard(socket)
             teller.cancel()
             del self._bells[viewer]
             self.desk.leave(viewer)
@@ -168,11 +182,11 @@ def from_here(origin: str, scheme: str, host: str) -> bool:
     return origin.lower() == f"{scheme}://{host}".lower()
 
 
-def known_host(host: str) -> bool:
-    """Whether a page asked for under this Host can be ours: a number, or the name of loopback."""
+def known_host(host: str, served: str = LOOPBACK_NAME) -> bool:
+    """Whether a page asked for under this Host can be ours: a number, loopback's name, or the one it is served on."""
     try:
         name = urlsplit(f"//{host}").hostname or ""
-        if name == LOOPBACK_NAME:
+        if name in (LOOPBACK_NAME, served):
             return True
         ipaddress.ip_address(name)
     except ValueError:

@@ -21,13 +21,14 @@ export function drawScene(pen, scene, view, options) {
   if (!scene.world) return;
   drawWorld(pen, scene.world, view, options);
   if (shown.graphics) options.graphics?.(pen, scene, view, options);
+  const many = Object.keys(scene.robots).length > 1;
   for (const [id, robot] of Object.entries(scene.robots)) {
     const body = scene.bodies[id];
     if (!body) continue;
     if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
     if (id === options.robot) drawSensors(pen, robot, body, scene.lasers[id], view, options);
     if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
-    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id });
+    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && many });
     if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
   }
   if (shown.estimate) options.estimate?.(pen, scene, view, options);
@@ -147,13 +148,13 @@ function ray(pen, view, x, y, direction, from, to) {
   line(pen, view, x + from * c, y + from * s, x + to * c, y + to * s);
 }
 
-export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, name }) {
+export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, name, chosen }) {
   pen.strokeStyle = colour;
   pen.fillStyle = colour;
   pen.lineWidth = 2;
   pen.setLineDash(dashed ? [5, 4] : []);
   circle(pen, view, x, y, body.radius_in);
-  if (!dashed) { pen.globalAlpha = 0.18; pen.fill(); pen.globalAlpha = 1; }
+  if (!dashed) { pen.globalAlpha = chosen ? 0.4 : 0.18; pen.fill(); pen.globalAlpha = 1; }
   pen.stroke();
   pen.setLineDash([]);
   arrow(pen, view, x, y, steer, body.radius_in);

@@ -23,10 +23,10 @@ def test_an_estimate_is_shown_and_waypoints_come_back(browser: Browser) -> None:
             page.wait("nserver.map.shown.estimate")
             page.page.click("#tool-waypoint")
             page.page.mouse.click(*page.at(30, 30))
-            page.wait("document.querySelector('#window-localization').innerText.includes('1 of 1 reached')")
+            page.wait("document.querySelector('#window-localization').innerText.includes('2 of 2 reached')")
             out, _ = localizer.communicate(timeout=60)
         assert localizer.returncode == 0
-        assert "1 of 1 way-points reached" in out
+        assert "2 of 2 way-points reached" in out
         x, y = page.value("nserver.scene.robots['1'].actual.slice(0, 2)")
         assert (x, y) == pytest.approx((30, 30), abs=2)
         words = page.value("document.querySelector('#window-localization').innerText")
