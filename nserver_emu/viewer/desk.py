@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from nclient.protocol.terms import Terms
 from nserver_emu.server.control import answer_line
+from nserver_emu.viewer.guard import Guard
 from nserver_emu.viewer.hand import Answer, Hands
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.localization import published
@@ -32,12 +33,12 @@ class Desk:
     def __init__(self, daemon: Daemon, hub: Hub) -> None:
         self.daemon = daemon
         self.hub = hub
+        self.guard = Guard()
         self._asked: dict[int, int] = {}
         self.waypoints: dict[int, list[list[float]]] = {}
         """Where each robot is to go, as set at a page."""
         self._waypoints_set: Counter[int] = Counter()
         self._hands: dict[Viewer, Hands] = {}
-        self._guests = 0
         self._published: dict[int, tuple[float, Message]] = {}
         self.listening = Listening(daemon.recorder, self._terms_of, lambda: daemon.emulator.simulation.time_s)
         daemon.recorder = self.listening
@@ -51,8 +52,7 @@ class Desk:
         for heard, told in self._published.values():
             if now - heard < STALE_S:
                 viewer.tell(to_page("localization", **told, age_s=round(now - heard, 1)))
-        self._guests += 1
-        self._hands[viewer] = Hands(self.daemon, f"viewer {self._guests}")
+        self._hands[viewer] = Hands(self.daemon, viewer.name, self.guard)
         self._open_clicks()
         return viewer
 
@@ -64,31 +64,36 @@ class Desk:
         self._open_clicks()
 
     def tick(self, now: float) -> None:
-        """Real time has passed."""
+        """Real time has passed: first of all, who drove by hand and fell silent lets go."""
         for hands in self._hands.values():
             hands.tick(now)
-        asked = self.daemon.emulator.clicks.asked()
-        if asked != self._asked:
-            self._asked = asked
-            self.hub.tell(to_page("asked", robots=asked))
-
-        self._tell_traffic()
+        with self.guard.over("what programs ask for"):
+            self._tell_asked()
+        with self.guard.over("the traffic"):
+            self._tell_traffic()
 
     def close(self) -> None:
         """Nobody looks any more."""
         self.daemon.recorder = self.listening.inner
 
     def hear(self, viewer: Viewer, text: str, now: float) -> None:
-        """Do what a page says."""
+        """Do what a page says. Whatever goes wrong is an answer, and costs nobody else."""
         try:
             message = from_page(text)
         except BadMessage as error:
             viewer.tell(to_page("answer", id=error.number, ok=False, error=str(error)))
             return
+        number = message.get("id")
         if message["do"] not in LOOKING and not viewer.may_act:
-            viewer.tell(to_page("answer", id=message.get("id"), ok=False, error="this link only looks"))
+            viewer.tell(to_page("answer", id=number, ok=False, error="this link only looks"))
             return
-        _DOES[message["do"]](self, viewer, message, now)
+
+        def failed(error: Exception) -> None:
+            said = f"a fault of the daemon, its log says where: {error!r}"
+            viewer.tell(to_page("answer", id=number, ok=False, error=said))
+
+        with self.guard.over("what a page says", viewer.name, failed):
+            _DOES[message["do"]](self, viewer, message, now)
 
     def publish(self, text: str, now: float) -> Message:
         """What a localizer thinks, for all to see; where it is to go. Raises BadMessage."""
@@ -113,6 +118,12 @@ class Desk:
     def hands(self, viewer: Viewer) -> Hands:
         """What this viewer does things with."""
         return self._hands[viewer]
+
+    def _tell_asked(self) -> None:
+        asked = self.daemon.emulator.clicks.asked()
+        if asked != self._asked:
+            self._asked = asked
+            self.hub.tell(to_page("asked", robots=asked))
 
     def _tell_traffic(self) -> None:
         rows, missed, self.listening.missed = self.listening.rows(), self.listening.missed, 0

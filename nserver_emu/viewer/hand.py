@@ -23,6 +23,7 @@ from nclient.protocol.terms import tcp_terms
 from nclient.recording.follower import TCP
 from nserver_emu.server.session import Session
 from nserver_emu.server.talker import Talker
+from nserver_emu.viewer.guard import Guard
 from nserver_emu.viewer.protocol import DEAD_MAN_S
 
 if TYPE_CHECKING:
@@ -64,7 +65,8 @@ class Hand(Talker):
         self._came(request)
 
     def close(self) -> None:
-        """The page is gone, or the daemon ends: what moves by this hand stops. Twice is fine."""
+        """The page is gone, or the daemon ends: what moves by this hand stops, what was asked is not answered any
+        more. Twice is fine."""
         if self not in self._daemon.connections:
             return
         self._silence()
@@ -72,6 +74,9 @@ class Hand(Talker):
         self._behind.leave(self.session.visit)
         self._tape.close()
         self.session.closing = True
+        while self._waiting:
+            name, then = self._waiting.popleft()
+            then({"ok": False, "error": f"{name}: the connection to the robot broke off"})
 
     def _send(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
@@ -101,8 +106,9 @@ def _answer(name: str, reply: Reply) -> Answer:
 class Hands:
     """The hands of one viewer. `now` is real time in seconds, handed in."""
 
-    def __init__(self, daemon: Daemon, name: str) -> None:
+    def __init__(self, daemon: Daemon, name: str, guard: Guard) -> None:
         self._daemon = daemon
+        self._guard = guard
         self.name = name
         self._hands: dict[int, Hand] = {}
         self._driven: dict[int, float] = {}
@@ -133,11 +139,22 @@ class Hands:
     def tick(self, now: float) -> None:
         """Real time has passed: whoever fell silent lets go."""
         for robot_id in [robot_id for robot_id, until in self._driven.items() if now >= until]:
-            self.call(robot_id, "st", [], lambda _: None)
+            with self._guard.over("stopping a robot", self.name):
+                self._let_go(robot_id)
 
     def close(self) -> None:
         """The page is gone."""
-        for hand in self._hands.values():
-            hand.close()
-        self._hands.clear()
         self._driven.clear()
+        while self._hands:
+            _, hand = self._hands.popitem()
+            with self._guard.over("letting a robot go", self.name):
+                hand.close()
+
+    def _let_go(self, robot_id: int) -> None:
+        """Stop a robot: by a word or, where that goes wrong, by hanging up, which stops what this hand moves."""
+        del self._driven[robot_id]
+        try:
+            self.call(robot_id, "st", [], lambda _: None)
+        except Exception:
+            self._hands.pop(robot_id).close()
+            raise

@@ -11,6 +11,7 @@ picture share the text that takes them on. A viewer that is gone is forgotten.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from typing import Final
 
 from nserver_emu.viewer.picture import Album
@@ -24,8 +25,9 @@ MOST_NEWS: Final = 1000
 class Viewer:
     """One page that is open. `may_act`: whether it may do more than look."""
 
-    def __init__(self, *, may_act: bool) -> None:
+    def __init__(self, *, may_act: bool, name: str = "viewer") -> None:
         self.may_act = may_act
+        self.name = name
         self.has = 0
         self.drawn = 0
         self.sent = 0
@@ -76,10 +78,12 @@ class Hub:
         self.viewers: set[Viewer] = set()
         self._album = album
         self._texts: dict[int, str] = {}
+        self._guests = 0
 
     def join(self, *, may_act: bool) -> Viewer:
         """Somebody opened the page."""
-        viewer = Viewer(may_act=may_act)
+        self._guests += 1
+        viewer = Viewer(may_act=may_act, name=f"viewer {self._guests}")
         self.viewers.add(viewer)
         return viewer
 
@@ -103,13 +107,13 @@ class Hub:
         self._texts.clear()
         self._album.take(laser=any(viewer.laser for viewer in self.viewers))
 
-    def next_for(self, viewer: Viewer) -> list[str]:
-        """What this viewer is to be told now."""
-        told = viewer.news()
+    def next_for(self, viewer: Viewer) -> Iterator[str]:
+        """What this viewer is to be told now, the picture last: what is wrong with it keeps no news back."""
+        yield from viewer.news()
         if viewer.has != self._album.number and not viewer.behind:
-            told.append(self._text_from(viewer.has))
+            text = self._text_from(viewer.has)
             viewer.given(self._album.number)
-        return told
+            yield text
 
     def _text_from(self, number: int) -> str:
         if number not in self._texts:

@@ -73,13 +73,14 @@ class Album:
 
     def take(self, *, laser: bool = False) -> None:
         """Take a new picture; `laser`: somebody looks at what the lasers see."""
-        self.number += 1
         robots = self._stage.simulation.robots
-        if laser and self.number % LASER_EVERY == 0:
+        if laser and (self.number + 1) % LASER_EVERY == 0:
             self._lasers = {str(number): _seen(robot) for number, robot in robots.items() if robot.model.sees}
             self._lasers_taken += bool(self._lasers)
-        self._now = _now(self._stage)
-        self._marks.append(self._mark())
+        now, mark = _now(self._stage), self._mark()
+        self.number += 1
+        self._now = now
+        self._marks.append(mark)
 
     def since(self, number: int) -> Plain:
         """The newest picture for who has that one: what is always there, and what changed."""
