@@ -3,11 +3,13 @@
     call(name, args, then) ──> bytes ──> Session ──> answer of simulation or real robot ──> bytes ──> then(answer)
 
 Rules: one connection a robot, made when it is first touched; it is on the recording as any client's is, and what it
-drives stops when the page is gone. Who drives by hand says so again and again: silence stops the robot.
+drives stops when the page is gone. Who drives by hand says so again and again: silence stops the robot. Faults on
+purpose are for lines and clients: no plan touches a hand, for what stops a robot must arrive.
 """
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -28,6 +30,8 @@ from nserver_emu.viewer.protocol import DEAD_MAN_S
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
+
+log = logging.getLogger(__name__)
 
 Answer = dict[str, Any]
 Then = Callable[[Answer], None]
@@ -80,9 +84,15 @@ class Hand(Talker):
 
     def _send(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
-            assert isinstance(frame, TcpFrame)
+            if not isinstance(frame, TcpFrame) or not self._waiting:
+                log.error("%s: hung up: %r answers nothing that was asked", self.session.name, frame)
+                self.close()
+                return
             name, then = self._waiting.popleft()
             then(_answer(name, language.read_tcp_reply(BY_NAME[name], frame, self._terms)))
+
+    def _plug_in_faults(self) -> None:
+        """None here, whatever plan is in force."""
 
     def _language(self) -> Language:
         return TcpLanguage(False)
