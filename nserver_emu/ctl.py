@@ -86,6 +86,10 @@ def shown(said: dict[str, Any]) -> Iterator[str]:
         yield said["text"].rstrip()
     elif "noise" in said:
         yield from (f"robot {number}: {_noise(noise)}" for number, noise in said["noise"].items())
+    elif "held" in said:
+        yield from (f"robot {number}{_held(hold)}" for number, hold in said["held"].items())
+        if not said["held"]:
+            yield "no robot is held"
     elif "counts" in said:
         yield from _counts(said["counts"])
     elif "robots" in said:
@@ -104,7 +108,7 @@ def _status(said: dict[str, Any]) -> Iterator[str]:
         yield (
             f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
             f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}, "
-            f"{_noise(robot['noise'])}"
+            f"{_noise(robot['noise'])}{_held(robot['held'])}"
         )
     for name, place in said["lines"].items():
         yield f"line {name}: {place}"
@@ -117,6 +121,10 @@ def _status(said: dict[str, Any]) -> Iterator[str]:
 
 def _noise(noise: dict[str, str]) -> str:
     return f"sensors {noise['sensors']}, motion {noise['motion']}"
+
+
+def _held(hold: dict[str, Any] | None) -> str:
+    return "" if hold is None else f", held by {hold['by']}, told to move {hold['ignored']} times since"
 
 
 def _time(said: dict[str, Any]) -> str:
@@ -152,7 +160,7 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     wanted = BY_NAME[name].argument
     if wanted == WORDS and arguments:
         arguments = [" ".join(arguments)]
-    if len(arguments) != bool(wanted):
+    if not BY_NAME[name].wants <= len(arguments) <= bool(wanted):
         parser.error(f"{name} takes {wanted or 'no argument'}, not {' '.join(arguments) or 'nothing'}")
     return name, arguments[0] if arguments else None
 

@@ -12,7 +12,7 @@ import json
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -33,6 +33,8 @@ from worlds.writing import world_text
 log = logging.getLogger(__name__)
 
 MAX_SPEED: Final = "max"
+OPERATOR: Final = "nserver ctl"
+"""Who holds a robot that was stopped from here."""
 Said = dict[str, Any]
 
 
@@ -54,6 +56,14 @@ class Served(Protocol):
         """The simulation was changed so (switches.py), by no client's request."""
         ...
 
+    def hold(self, robot_ids: Iterable[int], by: str) -> None:
+        """Stop these robots, and let nobody move them until they are released."""
+        ...
+
+    def release(self, robot_ids: Iterable[int]) -> None:
+        """They may be moved again."""
+        ...
+
     def lines(self) -> Mapping[str, str]:
         """The lines there are, by name, and where each is reached."""
         ...
@@ -65,12 +75,18 @@ class Served(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ControlCommand:
-    """A row: its name, what its argument is called ("" for none), what it is for, what it does."""
+    """A row: its name, what its argument is called ("" for none, in brackets where it may be left out), what it is
+    for, what it does."""
 
     name: str
     argument: str
     about: str
     does: Callable[[Served, Any], Said]
+
+    @property
+    def wants(self) -> bool:
+        """Whether it cannot do without its argument."""
+        return bool(self.argument) and not self.argument.startswith("[")
 
 
 def answer_line(served: Served, line: bytes) -> bytes:
@@ -91,7 +107,7 @@ def _done(served: Served, line: bytes) -> Said:
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
         raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{nearest(str(name), BY_NAME)}")
-    if row.argument and argument is None:
+    if row.wants and argument is None:
         raise ControlError(f"{row.name} wants {row.argument}")
     return row.does(served, argument)
 
@@ -110,6 +126,7 @@ def status(served: Served, _: object = None) -> Said:
                 "x_in": round(robot.actual.x_in, 3), "y_in": round(robot.actual.y_in, 3),
                 "steering_deg": round(math.degrees(robot.actual.steering_rad), 2),
                 "turret_deg": round(math.degrees(robot.actual.turret_rad), 2), "noise": noise_of(robot),
+                "held": None if (hold := emulator.holds.of(number)) is None else hold.told(),
             }
             for number, robot in simulation.robots.items()
         ],
@@ -156,6 +173,27 @@ def _time(served: Served) -> Said:
     served.paced()
     told = status(served)
     return {key: told[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
+
+
+def _stop(served: Served, argument: object) -> Said:
+    served.hold(_robots(served, argument, "stop"), OPERATOR)
+    return {"held": served.emulator.holds.told()}
+
+
+def _release(served: Served, argument: object) -> Said:
+    served.release(_robots(served, argument, "release"))
+    return {"held": served.emulator.holds.told()}
+
+
+def _robots(served: Served, argument: object, command: str) -> list[int]:
+    """The robot of that number; every robot where none was said."""
+    there = list(served.emulator.simulation.robots)
+    if argument is None:
+        return there
+    number = int(argument) if isinstance(argument, str) and argument.isdecimal() else argument
+    if not isinstance(number, int) or number not in there:
+        raise ControlError(f"{command}: no robot {argument}; there are {', '.join(map(str, there))}")
+    return [number]
 
 
 def _save(served: Served, argument: object) -> Said:
@@ -252,6 +290,8 @@ COMMANDS: Final = (
     ControlCommand("resume", "", "let it go on", _resume),
     ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),
     ControlCommand("step", "SECONDS", "let so much simulated time pass at once", _step),
+    ControlCommand("stop", "[ROBOT]", "stop a robot, or all, and let nobody move it until it is released", _stop),
+    ControlCommand("release", "[ROBOT]", "let clients move it again", _release),
     ControlCommand("save", "FILE", "save the simulation", _save),
     ControlCommand("help", "", "the commands there are", _help),
 )

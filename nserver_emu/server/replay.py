@@ -99,6 +99,10 @@ class _DaemonAgain:
             self._emulator.look_anew()
         if "noise" in entry.more:
             switch_noise(self._emulator, entry.more["noise"])
+        for robot_id in entry.more.get("hold", {}).get("robots", ()):
+            self._emulator.hold(robot_id, entry.more["hold"]["by"])
+        for robot_id in entry.more.get("release", ()):
+            self._emulator.holds.release(robot_id)
         if "world" in entry.more:
             put_world(self._emulator, **entry.more["world"])
         match entry.kind:

@@ -3,7 +3,7 @@
     Stage    simulation | pace | graphics | traces | transcript | arms | who drives which robot | what the setup allows
 
 Rules: handlers change it, the daemon and the viewer read it. Connections come and go; everything else is what a
-snapshot keeps.
+snapshot keeps, but for what people at a window do: waiting clicks, holds.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from nserver_emu.server.arm import Arm
 from nserver_emu.server.clicks import Clicks
 from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
+from nserver_emu.server.holds import Holds
 from nserver_emu.server.layers import layers
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
@@ -59,6 +60,7 @@ class Stage:
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
+        self.holds = Holds()
         self._line_terms: dict[int, Terms] = {}
         self.clicks = Clicks()
         self._looked: dict[int, tuple[float, Look]] = {}
@@ -72,6 +74,13 @@ class Stage:
         self.drivers.leave(visit, self.simulation.robots)
         for robot_id in self.drivers.leave_arms(visit):
             self.stop_arm(robot_id)
+
+    def hold(self, robot_id: int, by: str) -> None:
+        """Stop a robot, and let nobody move it until it is released (holds.py). Raises KeyError for no robot."""
+        self.simulation.robots[robot_id].stop()
+        self.stop_arm(robot_id)
+        self.look_anew()
+        self.holds.put(robot_id, by)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""

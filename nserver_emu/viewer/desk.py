@@ -46,8 +46,9 @@ class Desk:
     def arrive(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
         """A page was opened."""
         viewer = self.hub.join(may_act=may_act)
-        viewer.tell(to_page("hello", version=VERSION, may_act=may_act, watch_token=watch_token if may_act else None,
-                            waypoints=self.waypoints, lines=dict(self.daemon.lines()) if may_act else {}))
+        viewer.tell(to_page("hello", version=VERSION, name=viewer.name, may_act=may_act,
+                            watch_token=watch_token if may_act else None, waypoints=self.waypoints,
+                            lines=dict(self.daemon.lines()) if may_act else {}))
         viewer.tell(to_page("asked", robots=self._asked))
         for heard, told in self._published.values():
             if now - heard < STALE_S:
@@ -81,19 +82,21 @@ class Desk:
         try:
             message = from_page(text)
         except BadMessage as error:
-            viewer.tell(to_page("answer", id=error.number, ok=False, error=str(error)))
+            self._refuse(viewer, error.number, str(error))
             return
         number = message.get("id")
         if message["do"] not in LOOKING and not viewer.may_act:
-            viewer.tell(to_page("answer", id=number, ok=False, error="this link only looks"))
+            self._refuse(viewer, number, "this link only looks")
             return
 
         def failed(error: Exception) -> None:
-            said = f"a fault of the daemon, its log says where: {error!r}"
-            viewer.tell(to_page("answer", id=number, ok=False, error=said))
+            self._refuse(viewer, number, f"a fault of the daemon, its log says where: {error!r}")
 
         with self.guard.over("what a page says", viewer.name, failed):
-            _DOES[message["do"]](self, viewer, message, now)
+            try:
+                _DOES[message["do"]](self, viewer, message, now)
+            except BadMessage as error:
+                self._refuse(viewer, number, str(error))
 
     def publish(self, text: str, now: float) -> Message:
         """What a localizer thinks, for all to see; where it is to go. Raises BadMessage."""
@@ -115,9 +118,19 @@ class Desk:
         """The names of the other viewers that drive a robot by hand now."""
         return [hands.name for other, hands in self._hands.items() if other is not viewer and hands.drives(robot)]
 
+    def robots(self, message: Message) -> list[int]:
+        """The robots that a message is about: the one it names, or all. Raises BadMessage."""
+        there, named = list(self.daemon.emulator.simulation.robots), message.get("robot")
+        if named is not None and named not in there:
+            raise BadMessage(f"there is no robot {named}; there are {', '.join(map(str, there))}")
+        return there if named is None else [named]
+
     def hands(self, viewer: Viewer) -> Hands:
         """What this viewer does things with."""
         return self._hands[viewer]
+
+    def _refuse(self, viewer: Viewer, number: int | None, error: str) -> None:
+        viewer.tell(to_page("answer", id=number, ok=False, error=error))
 
     def _tell_asked(self) -> None:
         asked = self.daemon.emulator.clicks.asked()
@@ -161,6 +174,20 @@ def _drive(desk: Desk, viewer: Viewer, message: Message, now: float) -> None:
     desk.hands(viewer).drive(robot, message["args"], now, lambda answer: tell(answer | {"others": others}))
 
 
+def _stop(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    desk.daemon.hold(desk.robots(message), viewer.name)
+    _tell_held(desk, viewer, message)
+
+
+def _release(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
+    desk.daemon.release(desk.robots(message))
+    _tell_held(desk, viewer, message)
+
+
+def _tell_held(desk: Desk, viewer: Viewer, message: Message) -> None:
+    _teller(viewer, message["id"])({"ok": True, "held": desk.daemon.emulator.holds.told()})
+
+
 def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
     request = json.dumps({"command": message["command"], "argument": message.get("argument")})
     answer: dict[str, Any] = json.loads(answer_line(desk.daemon, request.encode()))
@@ -183,6 +210,6 @@ def _teller(viewer: Viewer, number: int) -> Callable[[Answer], None]:
 
 
 _DOES: Final[dict[str, Callable[[Desk, Viewer, Message, float], None]]] = {
-    "seen": _seen, "watch": _watch, "call": _call, "drive": _drive, "control": _control, "click": _click,
-    "waypoints": _waypoints,
+    "seen": _seen, "watch": _watch, "call": _call, "drive": _drive, "stop": _stop, "release": _release,
+    "control": _control, "click": _click, "waypoints": _waypoints,
 }  # fmt: skip

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.language import Language, TcpLanguage
@@ -23,6 +23,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
 from nclient.recording.follower import TCP
+from nserver_emu.server.holds import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.server.talker import Talker
 from nserver_emu.viewer.guard import Guard
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+ALWAYS_MOVE: Final = frozenset({"zr", "lp"})
+"""What moves a robot, or lets it go, without an argument."""
 Answer = dict[str, Any]
 Then = Callable[[Answer], None]
 
@@ -134,12 +137,17 @@ class Hands:
                 return
             self._hands[robot_id] = hand
         self._driven.pop(robot_id, None)
+        hold = self._daemon.emulator.holds.of(robot_id)
+        if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
+            error = f"robot {robot_id} is held by {hold.by}: release it first"
+            then({"ok": False, "held": hold.by, "error": error})
+            return
         hand.call(name, args, then)
 
     def drive(self, robot_id: int, args: list[int], now: float, then: Then) -> None:
         """Drive at these velocities, for as long as it is said again in time."""
         self.call(robot_id, "vm", args, then)
-        if any(args):
+        if any(args) and self._daemon.emulator.holds.of(robot_id) is None:
             self._driven[robot_id] = now + DEAD_MAN_S
 
     def drives(self, robot_id: int) -> bool:

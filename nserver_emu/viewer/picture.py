@@ -1,7 +1,9 @@
 """What the page shows, as plain data, and what of it changed since a picture that a viewer has. Pure.
 
     always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
-                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same}}
+                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same,
+                          "held": {"by": who stopped it for good, "ignored": how often it was told to move since} or
+                          null}}
     if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
                           "noise": {"sensors": name in force, "motion": the same}, "noises": the names there are}}
                 world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the edges of the rooms first,
@@ -173,6 +175,7 @@ def _now(stage: Stage) -> Plain:
             str(number): {
                 "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder),
+                "held": None if (hold := stage.holds.of(number)) is None else hold.told(),
             }
             for number, robot in stage.simulation.robots.items()
         },

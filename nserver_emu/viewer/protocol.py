@@ -1,21 +1,25 @@
 """What page and daemon say to each other over the websocket: JSON objects, one a message. Pure.
 
 to the page, by `type`
-    hello        version, may_act, watch_token (of a link that only looks; None for who only looks), waypoints (points
-                 by robot), lines (where each is reached, by its name; none for who only looks)
+    hello        version, name (of this viewer), may_act, watch_token (of a link that only looks; None for who only
+                 looks), waypoints (points by robot), lines (where each is reached, by name; none for who only looks)
     picture      picture.py
     traffic      rows of what clients said and were answered (traffic.py), missed: how many were left out
     localization what a localizer published last (localization.py), and how long ago: age_s
     asked        robots: at which robots clients wait for a click of a pose (get_robot_conf), and how many
     waypoints    robot, points: somebody set them
     missed       count: of other news, left out since the viewer was too slow
-    answer       id, ok, and what was said: values, slots, or error; of a drive, others: who else drives the robot
+    answer       id, ok, and what was said: values, slots, or error; of a drive, others: who else drives the robot; of
+                 stop and release, held: {robot: {"by", "ignored"} ...} of all that are held then
 
 from the page, by `do`
     seen         frame: the picture that was drawn last
     watch        traffic, laser: whether it wants them
     call         id, robot, call (C name), args (wire units): what a client of that robot could say
     drive        id, robot, args: a vm that ends by itself when the next does not come within DEAD_MAN_S
+    stop         id, robot (left out: every robot): it stands, and nobody moves it until it is released, programs, other
+                 viewers and the page itself (server/holds.py)
+    release      id, robot (left out: every robot): it may be moved again, and is as soon as a program says so
     control      id, command, argument: time, faults, noise, world (control.py)
     click        robot, pose: x, y, steer, turret in tenths
     waypoints    robot, points: [[x_in, y_in] ...] for who localizes it
@@ -30,7 +34,7 @@ import json
 from collections.abc import Callable
 from typing import Any, Final
 
-VERSION: Final = 2
+VERSION: Final = 3
 MOST_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MOST_ARGS: Final = 64
@@ -124,6 +128,9 @@ def _is_argument(value: object) -> bool:
 
 Field = tuple[Callable[[object], bool], str]
 _ID: Final[Field] = (_is_id, "a whole number of 0 or more")
+_ROBOT_OR_ALL: Final[Field] = (
+    lambda value: value is None or _is_id(value), "the number of a robot, or left out for every robot"
+)
 _FLAG: Final[Field] = (lambda value: isinstance(value, bool), "true or false")
 _ARGS: Final[Field] = (_are_ints, f"a list of at most {MOST_ARGS} whole numbers of 32 bits")
 FIELDS: Final[dict[str, dict[str, Field]]] = {
@@ -134,6 +141,8 @@ FIELDS: Final[dict[str, dict[str, Field]]] = {
         "call": (lambda value: isinstance(value, str) and value in CALLS, f"one of {', '.join(sorted(CALLS))}"),
     },
     "drive": {"id": _ID, "robot": _ID, "args": (lambda value: _are_ints(value, 3), "three whole numbers")},
+    "stop": {"id": _ID, "robot": _ROBOT_OR_ALL},
+    "release": {"id": _ID, "robot": _ROBOT_OR_ALL},
     "control": {
         "id": _ID, "argument": (_is_argument, "nothing, a number, a text or an object"),
         "command": (

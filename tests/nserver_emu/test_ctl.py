@@ -55,6 +55,9 @@ def run(path: Path, *words: str, said: object = None, error: str = "") -> tuple[
     [
         (["status"], {"command": "status", "argument": None}),
         (["speed", "10"], {"command": "speed", "argument": "10"}),
+        (["stop"], {"command": "stop", "argument": None}),
+        (["stop", "2"], {"command": "stop", "argument": "2"}),
+        (["release", "2"], {"command": "release", "argument": "2"}),
         (["faults", "clear"], {"command": "faults clear", "argument": None}),
         (["noise", "sensors=noisy", "robot=2"], {"command": "noise", "argument": "sensors=noisy robot=2"}),
     ],
@@ -86,9 +89,10 @@ STATUS = {
     "lockstep_s": None,
     "robots": [
         {"number": 1, "model": "n150", "moving": True, "bumpers": 0, "x_in": 1.25, "y_in": -3.0, "steering_deg": 90.0,
-         "turret_deg": 0.0, "noise": {"sensors": "ideal", "motion": "worn"}},
+         "turret_deg": 0.0, "noise": {"sensors": "ideal", "motion": "worn"}, "held": None},
         {"number": 2, "model": "scout", "moving": False, "bumpers": 5, "x_in": 0.0, "y_in": 0.0, "steering_deg": 0.0,
-         "turret_deg": 0.0, "noise": {"sensors": "measured", "motion": "noisy"}},
+         "turret_deg": 0.0, "noise": {"sensors": "measured", "motion": "noisy"},
+         "held": {"by": "viewer 1", "ignored": 4}},
     ],
     "lines": {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/nomad"},
     "connections": [
@@ -105,7 +109,8 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         "nserver 0.1.0, thesis_room, seed 1",
         "time 12.500 s, 2 x real time",
         "robot 1: n150 at 1.2, -3.0 in, 90.0 deg, moving, sensors ideal, motion worn",
-        "robot 2: scout at 0.0, 0.0 in, 0.0 deg, standing, bumpers 0x5, sensors measured, motion noisy",
+        "robot 2: scout at 0.0, 0.0 in, 0.0 deg, standing, bumpers 0x5, sensors measured, motion noisy, "
+        "held by viewer 1, told to move 4 times since",
         "line nserver: 127.0.0.1:7019",
         "line serial:1: /tmp/nomad",
         "client 127.0.0.1:5: robot 1, 2 refused, waiting",
@@ -126,6 +131,8 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         ({"time_s": 1, "paused": False, "lockstep_s": 0.1, "speed": 1}, "time 1.000 s, lockstep, 0.1 s a request"),
         ({"time_s": 1, "paused": False, "lockstep_s": None, "speed": "max"}, "time 1.000 s, as fast as it can"),
         ({"saved": "/x"}, "saved: /x"),
+        ({"held": {}}, "no robot is held"),
+        ({"held": {"2": {"by": "page", "ignored": 0}}}, "robot 2, held by page, told to move 0 times since"),
         ({"text": 'name = "w"\n'}, 'name = "w"'),
         ({"noise": {"2": {"sensors": "ideal", "motion": "worn"}}}, "robot 2: sensors ideal, motion worn"),
     ],

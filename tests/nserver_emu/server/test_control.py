@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,14 @@ class House:
 
     def changed(self, what: Mapping[str, Any]) -> None:
         self.changes.append(dict(what))
+
+    def hold(self, robot_ids: Iterable[int], by: str) -> None:
+        for robot_id in robot_ids:
+            self.emulator.hold(robot_id, by)
+
+    def release(self, robot_ids: Iterable[int]) -> None:
+        for robot_id in robot_ids:
+            self.emulator.holds.release(robot_id)
 
     def lines(self) -> Mapping[str, str]:
         return {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
@@ -188,3 +196,19 @@ def test_what_is_asked_wrongly_changes_nothing_and_says_what_is_right(request_: 
     for part in words.split(".*"):
         assert part in answer["error"]
     assert house.said("status") == before
+
+
+def test_robots_are_stopped_for_good_and_released() -> None:
+    house = House()
+    house.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
+    assert house.said("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
+    assert house.emulator.simulation.robots[1].still((0, 1, 2))
+    assert house.said("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
+    assert house.said("release", "1") == {"held": {}}
+    assert house.said("stop", 1)["held"]
+    assert house.said("release")["held"] == {}
+    assert house.said("status")["robots"][0]["held"] is None
+    for wrong in ("7", "all", 1.0, [1]):
+        error = house.told({"command": "stop", "argument": wrong})["error"]
+        assert error == f"stop: no robot {wrong}; there are 1"
+    assert house.said("status")["robots"][0]["held"] is None

@@ -215,6 +215,25 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
     assert replay(tape).difference
 
 
+def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        await client.ask("vm", 100, 0, 0)
+        house.daemon.step(0.5)
+        house.daemon.hold([1], "viewer 1")
+        for _ in range(3):
+            assert (await client.ask("vm", 100, 0, 0)).slots[38] == 0
+            house.daemon.step(0.5)
+        house.daemon.release([1])
+        assert (await client.ask("vm", 100, 0, 0)).slots[38] == 100
+
+    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    outcome = replay(recording)
+    assert (outcome.answers, outcome.difference) == (6, "")
+    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "hold" not in e.more))
+    assert replay(tape).difference
+
+
 def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
     emulator = LOCKSTEP.emulator()
     emulator.simulation.robots[1].set_velocities(10.0, 0.1, 0.0)
