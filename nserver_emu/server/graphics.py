@@ -82,16 +82,16 @@ class Graphics:
         """The same, each with the number of the drawing that put it there."""
         return [(number, shape) for shape, number in self._shapes.items()]
 
-    def changes(self, drawn: int) -> tuple[list[int], list[tuple[int, Shape]]] | None:
-        """What changed since `drawn` was so much: the numbers of shapes that went, and the shapes that came.
-
-        None where that is not known any more.
+    def changes(self, drawn: int, until: int) -> tuple[list[int], list[tuple[int, Shape]]] | None:
+        """What changed since `drawn` was so much until it was `until`: the numbers of shapes that went, and the shapes
+        that came, but for those that have gone since. None where that is not known any more.
         """
         if len(self._gone) == MOST_GONE and self._gone[0][0] > drawn:
             return None
-        gone = [number for when, number in takewhile(lambda one: one[0] > drawn, reversed(self._gone))]
+        gone = [n for when, n in takewhile(lambda one: one[0] > drawn, reversed(self._gone)) if when <= until]
         come = takewhile(lambda one: one[1] > drawn, reversed(self._shapes.items()))
-        return [number for number in gone if number <= drawn], [(number, shape) for shape, number in come][::-1]
+        come_then = [(number, shape) for shape, number in come if number <= until]
+        return [number for number in gone if number <= drawn], come_then[::-1]
 
     def draw(self, figure: Figure, numbers: tuple[int, ...], mode: int) -> None:
         """Draw a line, an arc or a robot in a mode; modes out of range count as the nearest there is."""

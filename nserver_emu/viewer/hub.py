@@ -11,7 +11,7 @@ picture share the text that takes them on. A viewer that is gone is forgotten.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from nserver_emu.viewer.picture import Album
@@ -23,11 +23,12 @@ MOST_NEWS: Final = 1000
 
 
 class Viewer:
-    """One page that is open. `may_act`: whether it may do more than look."""
+    """One page that is open. `may_act`: whether it may do more than look; `ring` is called when there is news."""
 
     def __init__(self, *, may_act: bool, name: str = "viewer") -> None:
         self.may_act = may_act
         self.name = name
+        self.ring: Callable[[], object] = lambda: None
         self.has = 0
         self.drawn = 0
         self.sent = 0
@@ -43,6 +44,7 @@ class Viewer:
             self._news.popleft()
             self.missed += 1
         self._news.append(text)
+        self.ring()
 
     def news(self) -> list[str]:
         """What is new and was not told yet."""

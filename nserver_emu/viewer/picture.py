@@ -17,7 +17,8 @@
                 said      [[time_s, id, text] ...]
 
 Inches and radians, rounded to what a screen shows; State is in the wire's tenths. Keys of JSON are texts, so are ids.
-Rules: looking changes nothing in the simulation. Pictures are numbered from 1; who has picture 0 has nothing.
+Rules: looking changes nothing in the simulation. Pictures are numbered from 1; who has picture 0 has nothing. What
+grows is told as far as it was when the picture was taken, however late that is.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class Album:
             told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
         if old is None or old.world is not new.world:
             told["world"] = ground(new.world)
-        told |= self._drawn(old.graphics if old else None)
+        told |= self._drawn(old.graphics if old else None, new.graphics)
         if old is None or old.lasers != new.lasers:
             told["lasers"] = self._lasers
         if old is None or old.said is not new.said:
@@ -103,13 +104,13 @@ class Album:
             told["traces"] = grown
         return told
 
-    def _drawn(self, before: int | None) -> Plain:
+    def _drawn(self, before: int | None, now: int) -> Plain:
         graphics = self._stage.graphics
-        if before == graphics.drawn:
+        if before == now:
             return {}
-        changes = None if before is None else graphics.changes(before)
+        changes = None if before is None else graphics.changes(before, now)
         if changes is None:
-            return {"graphics": [_shape(*numbered) for numbered in graphics.numbered]}
+            return {"graphics": [_shape(number, shape) for number, shape in graphics.numbered if number <= now]}
         gone, come = changes
         return {"drawn": {"gone": gone, "come": [_shape(*numbered) for numbered in come]}}
 
@@ -128,7 +129,9 @@ class Album:
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
         ways = self._stage.traces
         return {
-            str(n): {"actual": _newer(ways.actual[n], had[0]), "encoder": _newer(ways.encoder[n], had[1])}
+            str(n): {
+                "actual": _newer(ways.actual[n], had[0], has[0]), "encoder": _newer(ways.encoder[n], had[1], has[1]),
+            }
             for n, has in new.items()
             if (had := old.get(n, NOTHING_YET)) != has
         }
@@ -198,11 +201,13 @@ def _shape(number: int, shape: Shape) -> list[Any]:
     return [number, shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
 
 
-def _newer(trace: Trace, had: int) -> Plain:
-    """What a track grew by; a viewer that follows a simulation at a hundred times real time gets every so many."""
+def _newer(trace: Trace, had: int, has: int) -> Plain:
+    """What a track grew by from so many points to so many, whatever it grew by since; a viewer that follows a
+    simulation at a hundred times real time gets every so many of them."""
     flat = iter(trace.newer(max(had - 1, 0)))
     pairs = list(zip(flat, flat, strict=True))
     before = pairs.pop(0) if had and len(pairs) > trace.gone - had else None
+    del pairs[max(len(pairs) - (trace.gone - has), 0) :]
     every = -(-len(pairs) // MOST_NEW) if had and len(pairs) > MOST_NEW else 1
     told: list[float | None] = []
     for k, point in enumerate(pairs):
@@ -212,4 +217,4 @@ def _newer(trace: Trace, had: int) -> Plain:
             told += (None, None)
         if jumped or k % every == 0:
             told += (round(number, 2) for number in point)
-    return {"gone": trace.gone, "points": told}
+    return {"gone": has, "points": told}

@@ -153,7 +153,9 @@ class Viewing:
         await socket.prepare(request)
         self._sockets.add(socket)
         viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
-        self._bells[viewer] = asyncio.Event()
+        self._bells[viewer] = bell = asyncio.Event()
+        viewer.ring = bell.set
+        bell.set()
         teller = asyncio.create_task(self._tell(viewer, socket))
         try:
             async for message in socket:

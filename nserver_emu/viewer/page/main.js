@@ -90,6 +90,8 @@ function hear(message, size) {
 
 function greet(message) {
   app.mayAct = message.may_act;
+  greeted = true;
+  tellState();
   app.watchToken = message.watch_token;
   app.lines = message.lines;
   app.waypoints = message.waypoints;
@@ -182,7 +184,7 @@ setInterval(() => { refresh = true; tellState(); }, 1000);  // what grows old is
 
 const STATES = { live: 'live', lost: 'connection lost: trying again',
   refused: 'nserver was started anew: open the address that it printed now', replay: 'a run that was kept' };
-let state = '', lostAt = 0;
+let state = '', lostAt = 0, greeted = false;
 function showState(name) {
   if (name === 'lost' && state === 'live') lostAt = performance.now();
   state = name;
@@ -192,7 +194,7 @@ function showState(name) {
 
 function tellState() {
   const ago = state === 'lost' && lostAt ? `, last heard ${Math.round((performance.now() - lostAt) / 1000)} s ago` : '';
-  part('link-state').textContent = `${STATES[state] ?? ''}${ago}`;
+  part('link-state').textContent = `${STATES[state] ?? ''}${state === 'live' && greeted && !app.mayAct ? ', only looking' : ''}${ago}`;
 }
 
 function beginAnew() {

@@ -4,12 +4,18 @@
 const TYPED = 'textarea, input:not([type="checkbox"], [type="range"], [type="button"]), [contenteditable]';
 const PRESSED = 'button, summary, select, input';
 
+// Whether the focus came where it is by a pointer: browsers call it visible from the first key on.
+let pointed = false, byPointer = false;
+document.addEventListener('pointerdown', () => { pointed = true; }, { capture: true });
+document.addEventListener('keydown', (event) => { if (event.key !== ' ') pointed = false; }, { capture: true });
+document.addEventListener('focusin', () => { byPointer = pointed; });
+
 export function meansStop(event) {
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (event.key === 'Escape') return true;
   if (event.key !== ' ') return false;
   const { target } = event;
-  return !(target.matches?.(TYPED) || (target.matches?.(PRESSED) && target.matches(':focus-visible')));
+  return !(target.matches?.(TYPED) || (target.matches?.(PRESSED) && !byPointer));
 }
 
 export function setUpStopping(stop) {

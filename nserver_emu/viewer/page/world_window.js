@@ -4,7 +4,7 @@
 import { element, button, download, form, lengthField } from './parts.js';
 import { addObstacle, deleteObstacle, moveObstacle } from './tools.js';
 import { control } from './time_window.js';
-import { unitIn, unitName } from './units.js';
+import { tenthsOf, unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
 
@@ -16,7 +16,7 @@ export function typedCorners(text) {
 }
 
 export const worldWindow = {
-  id: 'world', title: 'World', acts: true,
+  id: 'world', title: 'World', acts: true, moves: Promise.resolve(),
   build(box, app) {
     app.replaceWorld = (title, forth) => replaceWorld(app, title, forth);
     this.list = element('div', { id: 'world-list' });
@@ -62,13 +62,21 @@ export const worldWindow = {
       made.dataset.key = `${k} ${word}`;
       return made;
     };
-    const by = (dx, dy) => () => moveObstacle(app, thing.corners, dx * this.step.inches, dy * this.step.inches);
+    const by = (dx, dy) => () => { this.moves = this.moves.then(() => shift(app, k, dx * this.step.inches, dy * this.step.inches)); };
     return element('div', { className: 'row' },
       element('span', {}, `${name}: ${thing.corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
       press('←', 'move left', by(-1, 0)), press('→', 'move right', by(1, 0)), press('↑', 'move up', by(0, 1)), press('↓', 'move down', by(0, -1)),
       press('Delete', 'delete', () => deleteObstacle(app, thing)));
   },
 };
+
+// Moves the obstacle of that number, from where the move before it left it, though no picture of that came yet.
+async function shift(app, k, dx_in, dy_in) {
+  const thing = app.scene.world.obstacles[k];
+  if (!thing) return;
+  const answer = await moveObstacle(app, thing.corners, dx_in, dy_in);
+  if (answer?.ok) thing.corners = thing.corners.map(([x, y]) => [x + tenthsOf(dx_in) / 10, y + tenthsOf(dy_in) / 10]);
+}
 
 async function worldNow(app) {
   const answer = await control(app, 'world show');

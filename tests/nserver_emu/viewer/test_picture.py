@@ -137,6 +137,30 @@ def test_drawings_are_told_on_from_where_a_viewer_has_them() -> None:
         assert len(change["come"]) <= 6
 
 
+def test_what_came_and_went_after_a_picture_was_taken_is_told_with_the_next_and_once() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    shapes: list[Any] = []
+    points: list[Any] = album.since(0)["traces"]["1"]["actual"]["points"]
+    client.ask("vm", 100, 100, 0)
+    for number in range(30):
+        client.ask("draw_line", 0, 0, number % 5, 0, 3 + number % 3)
+        album.take()
+        emulator.pass_time(0.2)
+        client.ask("draw_line", 0, 0, number % 4, 0, 3 + number % 3)
+        told = album.since(album.number - 1)
+        shapes = [shape for shape in shapes if shape[0] not in told["drawn"]["gone"]] + told["drawn"]["come"]
+        points += told.get("traces", {"1": {"actual": {"points": []}}})["1"]["actual"]["points"]
+    album.take()
+    told = album.since(album.number - 1)
+    shapes = [shape for shape in shapes if shape[0] not in told["drawn"]["gone"]] + told["drawn"]["come"]
+    whole = album.since(0)
+    assert shapes == whole["graphics"]
+    assert points + told["traces"]["1"]["actual"]["points"] == whole["traces"]["1"]["actual"]["points"]
+
+
 def test_who_missed_more_than_is_remembered_of_the_drawings_looks_at_them_anew() -> None:
     emulator = Emulator(simulation())
     album = Album(emulator)

@@ -14,7 +14,7 @@ from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.viewer.protocol import DEAD_MAN_S
-from nserver_emu.viewer.web import Viewing, from_here, known_host
+from nserver_emu.viewer.web import PERIOD_S, Viewing, from_here, known_host
 
 
 def an_emulator() -> Emulator:
@@ -234,6 +234,39 @@ def test_who_drives_is_told_that_another_does_as_well() -> None:
             await one.answer(2)
             await other.say(do="drive", id=2, robot=1, args=[-10, 0, 0])
             assert (await other.answer(2))["others"] == []
+
+    asyncio.run(scenario())
+
+
+def test_an_answer_does_not_wait_for_the_next_picture_and_an_open_page_delays_no_end() -> None:
+    async def scenario() -> None:
+        loop = asyncio.get_running_loop()
+        async with served(an_emulator()) as here, here.page() as page:
+            await page.say(do="call", id=0, robot=1, call="st", args=[])
+            await page.answer(0)
+            begin = loop.time()
+            for number in range(1, 41):
+                await page.say(do="call", id=number, robot=1, call="st", args=[])
+                await page.answer(number)
+            assert loop.time() - begin < 20 * PERIOD_S
+            begin = loop.time()
+            await here.viewing.close()
+            assert loop.time() - begin < 1.5
+            assert not here.viewing.hub.viewers
+
+    asyncio.run(scenario())
+
+
+def test_the_name_that_the_page_is_served_on_is_known() -> None:
+    assert known_host("robots.example:7080", "robots.example")
+    assert not known_host("evil.example:7080", "robots.example")
+
+
+@pytest.mark.parametrize(("host", "remedy"), [("192.0.2.1", "take an address of this machine")])
+def test_where_it_cannot_be_served_the_remedy_fits(host: str, remedy: str) -> None:
+    async def scenario() -> None:
+        with pytest.raises(ConnectionLost, match=remedy):
+            await Viewing(Daemon(an_emulator())).open(host, 0)
 
     asyncio.run(scenario())
 
