@@ -13,8 +13,9 @@ from wire_client import simulation
 from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.viewer.entrance import from_here, known_host
 from nserver_emu.viewer.protocol import DEAD_MAN_S
-from nserver_emu.viewer.web import PERIOD_S, Viewing, from_here, known_host
+from nserver_emu.viewer.web import PERIOD_S, Viewing
 
 
 def an_emulator() -> Emulator:
