@@ -112,7 +112,7 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
     pen.arc(cx, cy, inner + share * (outer - inner), 0, 2 * Math.PI);
     pen.stroke();
     const far = Math.round(share * most / unitIn(metric));
-    pen.fillText(share === 1 ? `${far} ${unitName(metric)}` : String(far), cx + 2, cy - inner - share * (outer - inner) - 2);
+    pen.fillText(share === 1 ? `${far} ${unitName(metric)}` : String(far), cx + 3, cy - inner - share * (outer - inner) + 11);
   }
   if (numbered) {
     pen.textAlign = 'center';
@@ -147,14 +147,14 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
   }
 }
 
-// Sixteen strips, one a sonar, the latest at the right; the height of a strip is 255 inches.
+// Sixteen strips, one a sonar, the latest at the right; as high as what was heard of late is far.
 function drawStrips(canvas, theme, samples, now_s, metric) {
   const pen = sizedPen(canvas, 1);
   if (!pen) return;
-  const left = 22, high = (pen.height - 30) / 16, wide = pen.width - left - 4;
+  const reach = polarReach(samples.flatMap((sample) => sample.sonars)), left = 22, high = (pen.height - 30) / 16, wide = pen.width - left - 4;
   pen.font = '11px system-ui, sans-serif';
   pen.fillStyle = theme.quiet;
-  pen.fillText(`a strip is ${Math.round(255 / unitIn(metric))} ${unitName(metric)} high`, left, 10);
+  pen.fillText(`a strip is ${Math.round(reach / unitIn(metric))} ${unitName(metric)} high`, left, 10);
   timeAxis(pen, theme, { left, right: pen.width - 4, y: pen.height - 3, span_s: HISTORY_S });
   pen.translate(0, 14);
   for (let k = 0; k < 16; k += 1) {
@@ -167,7 +167,7 @@ function drawStrips(canvas, theme, samples, now_s, metric) {
     pen.beginPath();
     samples.forEach((sample, n) => {
       const x = left + wide * (1 - (now_s - sample.time_s) / HISTORY_S);
-      const y = bottom - sample.sonars[k] / 255 * (high - 4);
+      const y = bottom - Math.min(sample.sonars[k] / reach, 1) * (high - 4);
       (n ? pen.lineTo : pen.moveTo).call(pen, x, y);
     });
     pen.stroke();

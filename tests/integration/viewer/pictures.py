@@ -43,10 +43,12 @@ def the_map_and_the_windows(browser: Browser, folder: Path, scheme: str) -> None
             page.page.evaluate("(document.activeElement.blur(), document.querySelector('#windows').scrollTop = 0)")
             page.page.wait_for_timeout(700)
             page.page.screenshot(path=folder / "map.png")
+            robot.drive(steering_rad_s=0.3, turret_rad_s=0.3)
             page.page.set_viewport_size({"width": 1280, "height": 3600})
             page.page.wait_for_timeout(700)
             for name in WINDOWS:
                 page.page.locator(f"#window-{name}").screenshot(path=folder / f"{name}.png")
+            robot.stop()
         with shown(browser, program.url, scheme, 390, 844) as phone:
             phone.page.wait_for_timeout(500)
             phone.page.screenshot(path=folder / "phone.png")
@@ -59,7 +61,7 @@ def the_estimate(browser: Browser, folder: Path, scheme: str) -> None:
         told = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", "several_walls",
                 "--waypoints", "35,55", "90,55", "--publish", program.url]  # fmt: skip
         with subprocess.Popen([sys.executable, "-c", LOCALIZE, *told], stdout=subprocess.DEVNULL) as localizer:
-            page.wait("nserver.estimateOf('1')?.passed === 1")
+            page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25")
             page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
             page.page.wait_for_timeout(2500)
             page.page.screenshot(path=folder / "localization.png")
