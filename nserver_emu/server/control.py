@@ -27,8 +27,15 @@ from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.hosting import LONGEST_STEP_MS
 from nserver_emu.server.pace import FASTEST, SLOWEST
-from nserver_emu.server.switches import noise_of, noise_words, put_world, switch_noise
-from worlds.writing import world_text
+from nserver_emu.server.switches import (
+    OBSTACLE_WANTED,
+    change_obstacle,
+    noise_of,
+    noise_words,
+    put_world,
+    show_world,
+    switch_noise,
+)
 
 log = logging.getLogger(__name__)
 
@@ -247,7 +254,9 @@ def _noise(served: Served, argument: object) -> Said:
 
 
 def _show_world(served: Served, _: object) -> Said:
-    return {"text": world_text(served.emulator.simulation.world)}
+    text = show_world(served.emulator)
+    served.changed({"shown": True})
+    return {"text": text}
 
 
 def _put_world(served: Served, argument: object) -> Said:
@@ -258,6 +267,18 @@ def _put_world(served: Served, argument: object) -> Said:
     world = put_world(served.emulator, text, file)
     served.changed({"world": {"text": text, "file": file}})
     return {"world": world.name}
+
+
+def _obstacle(served: Served, argument: object) -> Said:
+    try:
+        wanted = json.loads(argument) if isinstance(argument, str) else argument
+    except (ValueError, RecursionError):
+        wanted = None
+    if not isinstance(wanted, dict):
+        raise ControlError(f"{OBSTACLE_WANTED}, not {argument!r:.200}")
+    world = change_obstacle(served.emulator, wanted)
+    served.changed({"obstacle": wanted})
+    return {"obstacles": len(world.obstacles)}
 
 
 def _number(argument: object, least: float, most: float, wanted: str) -> float:
@@ -286,6 +307,7 @@ COMMANDS: Final = (
     ControlCommand("noise", "WORDS", "what errs how: 'sensors=measured motion=ideal robot=1'", _noise),
     ControlCommand("world show", "", "the world as it stands, as TOML", _show_world),
     ControlCommand("world set", "FILE", "put another world in its place; robots stay where they are", _put_world),
+    ControlCommand("obstacle", "JSON", "move an obstacle by its corners, or take it away (no by)", _obstacle),
     ControlCommand("pause", "", "let simulated time stand", _pause),
     ControlCommand("resume", "", "let it go on", _resume),
     ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),

@@ -20,7 +20,7 @@ from nserver_emu.server.in_process import SCHEME, InProcess, open_address
 from nserver_emu.server.line_session import LineSession
 from nserver_emu.server.recording import DAEMON, beginning_of
 from nserver_emu.server.session import Conversation, Session
-from nserver_emu.server.switches import put_world, switch_noise
+from nserver_emu.server.switches import change_obstacle, put_world, show_world, switch_noise
 
 _SHOWN = 12
 
@@ -103,6 +103,10 @@ class _DaemonAgain:
             self._emulator.hold(robot_id, entry.more["hold"]["by"])
         for robot_id in entry.more.get("release", ()):
             self._emulator.holds.release(robot_id)
+        if "shown" in entry.more:
+            show_world(self._emulator)
+        if "obstacle" in entry.more:
+            change_obstacle(self._emulator, entry.more["obstacle"])
         if "world" in entry.more:
             put_world(self._emulator, **entry.more["world"])
         match entry.kind:

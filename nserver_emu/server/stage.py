@@ -30,6 +30,7 @@ from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
+from worlds.world import World
 
 PIECE_PS: Final = PS_PER_S // 10
 """The longest time that passes before those who wait for it are asked, a tenth of a second."""
@@ -61,6 +62,8 @@ class Stage:
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
         self.holds = Holds()
+        self.shown: dict[str, World] = {}
+        """Worlds whose text was told to somebody, who may want to have them back (switches.py)."""
         self._line_terms: dict[int, Terms] = {}
         self.clicks = Clicks()
         self._looked: dict[int, tuple[float, Look]] = {}

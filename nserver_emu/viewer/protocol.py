@@ -51,7 +51,7 @@ CALLS: Final = frozenset({
 })  # fmt: skip
 CONTROLS: Final = frozenset({
     "status", "pause", "resume", "speed", "step", "faults show", "faults set", "faults clear", "faults counts", "noise",
-    "world show", "world set",
+    "world show", "world set", "obstacle",
 })  # fmt: skip
 """What the owner may do at the page: all of control.py but what writes files."""
 LOOKING: Final = frozenset({"seen", "watch"})

@@ -145,7 +145,7 @@ def test_the_world_is_shown_and_another_put_in_its_place() -> None:
         assert "world set: the text of a world file" in house.told({"command": "world set", "argument": wrong})["error"]
     broken = {"command": "world set", "argument": {"text": "]", "file": "x.toml"}}
     assert "x.toml: is no TOML" in house.told(broken)["error"]
-    assert house.changes == [{"world": changed}]
+    assert house.changes == [{"shown": True}, {"world": changed}]
 
 
 def test_the_simulation_is_saved(tmp_path: Path) -> None:
@@ -212,3 +212,24 @@ def test_robots_are_stopped_for_good_and_released() -> None:
         error = house.told({"command": "stop", "argument": wrong})["error"]
         assert error == f"stop: no robot {wrong}; there are 1"
     assert house.said("status")["robots"][0]["held"] is None
+
+
+def test_an_obstacle_is_moved_by_its_corners() -> None:
+    house = House()
+    house.emulator.simulation.change_world(parse_world(WITH_OBSTACLE, "w", "w"))
+    wanted = {"corners": [[60, 60], [70, 60], [70, 70]], "by": [1, 2]}
+    assert house.said("obstacle", wanted) == {"obstacles": 1}
+    assert house.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
+    assert house.said("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}') == {"obstacles": 0}
+    assert len(house.changes) == 2
+    for wrong in (3, "{", [1]):
+        assert "obstacle: such as" in house.told({"command": "obstacle", "argument": wrong})["error"]
+    assert len(house.changes) == 2
+
+
+WITH_OBSTACLE = """
+[[room]]
+corners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]
+[[obstacle]]
+corners_in = [[60, 60], [70, 60], [70, 70]]
+"""

@@ -8,6 +8,7 @@ import dataclasses
 import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from lockstep_run import request
@@ -212,6 +213,35 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (7, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
+    assert replay(tape).difference
+
+
+def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        def told(command: str, argument: object = None) -> dict[str, Any]:
+            line = json.dumps({"command": command, "argument": argument}).encode()
+            answer = json.loads(answer_line(house.daemon, line))
+            assert answer["ok"]
+            said: dict[str, Any] = answer["said"]
+            return said
+
+        client = await house.call()
+        await client.ask("add_obstacle", 3, 200, -100, 260, -100, 260, 100)
+        told("obstacle", {"corners": [[20, -10], [26, -10], [26, 10]], "by": [-2.345, 0]})
+        house.daemon.step(1.5)
+        await client.ask("gs")
+        before = told("world show")["text"]
+        await client.ask("new_world")
+        told("world set", {"text": before, "file": "before"})
+        house.daemon.step(1.5)
+        await client.ask("gs")
+        told("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
+        house.daemon.step(1.5)
+        await client.ask("gs")
+
+    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    assert (replay(recording).answers, replay(recording).difference) == (6, "")
+    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
     assert replay(tape).difference
 
 

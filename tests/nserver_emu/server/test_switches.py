@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,19 @@ from nclient.errors import ControlError, WorldFileError
 from nserver_emu.server import snapshot
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.setting import Setting
-from nserver_emu.server.switches import noise_of, noise_words, put_world, switch_noise
+from nserver_emu.server.switches import (
+    MOST_SHOWN,
+    change_obstacle,
+    noise_of,
+    noise_words,
+    put_world,
+    show_world,
+    switch_noise,
+)
 from nserver_emu.simulation.setup import IDEAL, SETUPS
 from worlds.files import load_world
-from worlds.world import StartPose
+from worlds.world import Path as WayPoints
+from worlds.world import Polygon, StartPose, World
 from worlds.writing import world_text
 
 
@@ -140,3 +150,79 @@ def test_a_world_where_a_robot_has_no_room_or_that_is_none_changes_nothing() -> 
     with pytest.raises(WorldFileError, match=r"bad\.toml: is no TOML"):
         put_world(emulator, "[[room", "bad.toml")
     assert emulator.simulation.world is world
+
+
+TWELVE = tuple(
+    (60.123456789 + 9 * math.cos(k * math.tau / 12), 50.1 + 9 * math.sin(k * math.tau / 12)) for k in range(12)
+)
+ROOM = Polygon(((-30.0, -30.0), (120.0, -30.0), (120.0, 120.0), (-30.0, 120.0)), "hall")
+
+
+def a_world() -> World:
+    """More than the wire can say: twelve corners, names, tenths of tenths, a start that something stands on, a path."""
+    things = (Polygon(TWELVE, "pillar"), Polygon(((20.25, 80.0), (30.1, 80.0), (30.1, 90.0)), "table"))
+    starts = (StartPose(0.0, 0.0, 0.1, 0.2), StartPose(60.0, 50.0, 1 / 3, 2 / 3))
+    paths = {"round": WayPoints("round", "5.1", starts[1], ((60.0, 50.0), (5.0, 5.0)))}
+    return World("w", "t", (ROOM,), obstacles=things, starts=starts, paths=paths)
+
+
+def test_a_world_that_was_shown_comes_back_as_the_very_same() -> None:
+    emulator = Emulator(simulation())
+    world = a_world()
+    emulator.simulation.change_world(world)
+    before = show_world(emulator)
+    meet(emulator)[0].ask("new_world")
+    emptied = emulator.simulation.world
+    after = show_world(emulator)
+    put_world(emulator, "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]", "other.toml")
+    assert put_world(emulator, before, "before") is world
+    assert emulator.simulation.world is world
+    assert put_world(emulator, after, "after") is emptied
+    assert put_world(emulator, before + "# edited", "edited.toml") is not world
+
+
+def test_no_more_worlds_are_kept_than_steps_can_be_taken_back() -> None:
+    emulator = Emulator(simulation())
+    first = emulator.simulation.world
+    text = show_world(emulator)
+    for k in range(MOST_SHOWN):
+        emulator.simulation.change_world(World(f"w{k}", "", (ROOM,)))
+        show_world(emulator)
+    assert len(emulator.shown) == MOST_SHOWN
+    assert put_world(emulator, text, "first") is not first
+
+
+def test_an_obstacle_of_any_number_of_corners_is_moved_and_taken_away() -> None:
+    emulator = Emulator(simulation())
+    emulator.simulation.change_world(a_world())
+    shown = [[round(x, 3), round(y, 3)] for x, y in TWELVE]
+    moved = change_obstacle(emulator, {"corners": shown, "by": [1.5, -0.25]})
+    assert moved.obstacles[0].name == "pillar"
+    assert moved.obstacles[0].corners_in == tuple((x + 1.5, y - 0.25) for x, y in TWELVE)
+    assert moved.obstacles[1] == a_world().obstacles[1]
+    with pytest.raises(ControlError, match="there is none with these corners"):
+        change_obstacle(emulator, {"corners": shown})
+    left = change_obstacle(emulator, {"corners": [[x + 1.5, y - 0.25] for x, y in shown]})
+    assert [thing.name for thing in left.obstacles] == ["table"]
+    assert emulator.simulation.world is left
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ({}, "obstacle: such as"), ({"corners": 3}, "obstacle: such as"),
+        ({"corners": [[1, "x"]]}, "obstacle: such as"),
+        ({"corners": [[1e999, 0]]}, "obstacle: such as"), ({"corners": [[10**400, 0]]}, "obstacle: such as"),
+        ({"corners": [list(corner) for corner in TWELVE], "by": [1]}, "obstacle: such as"),
+        ({"corners": [list(corner) for corner in TWELVE], "by": [1e9, 0]}, "off the map"),
+        ({"corners": [list(corner) for corner in TWELVE], "by": [-60, -50]}, "a robot stands"),
+        ({"corners": [list(corner) for corner in TWELVE[:11]], "by": [1, 0]}, "none with these corners"),
+    ],
+)  # fmt: skip
+def test_an_obstacle_that_cannot_be_changed_so_stays(wanted: dict[str, Any], words: str) -> None:
+    emulator = Emulator(simulation())
+    emulator.simulation.change_world(a_world())
+    before = emulator.simulation.world
+    with pytest.raises(ControlError, match=words):
+        change_obstacle(emulator, wanted)
+    assert emulator.simulation.world is before
