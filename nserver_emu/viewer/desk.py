@@ -160,7 +160,7 @@ def _seen(_desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
 
 
 def _watch(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
-    viewer.traffic, viewer.laser = message["traffic"], message["laser"]
+    viewer.traffic, viewer.laser, viewer.whose_laser = message["traffic"], message["laser"], message.get("robot")
     desk.listening.watched = desk.hub.watch_traffic
 
 

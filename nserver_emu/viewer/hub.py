@@ -34,6 +34,7 @@ class Viewer:
         self.sent = 0
         self.traffic = False
         self.laser = False
+        self.whose_laser: int | None = None
         self.missed = 0
         self._since_drawn: deque[int] = deque()
         self._news: deque[str] = deque()
@@ -107,7 +108,8 @@ class Hub:
     def take(self) -> None:
         """A new picture for whoever looks."""
         self._texts.clear()
-        self._album.take(laser=any(viewer.laser for viewer in self.viewers))
+        looked_at = {viewer.whose_laser for viewer in self.viewers if viewer.laser}
+        self._album.take(lasers=None if None in looked_at else looked_at)
 
     def next_for(self, viewer: Viewer) -> Iterator[str]:
         """What this viewer is to be told now, the picture last: what is wrong with it keeps no news back."""

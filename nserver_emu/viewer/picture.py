@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from typing import Any, Final, NamedTuple
 
 from nserver_emu.server.graphics import Shape
@@ -74,11 +75,15 @@ class Album:
         self._now: Plain = {}
         self.number = 0
 
-    def take(self, *, laser: bool = False) -> None:
-        """Take a new picture; `laser`: somebody looks at what the lasers see."""
+    def take(self, *, lasers: Collection[int | None] | None = ()) -> None:
+        """Take a new picture; `lasers`: of which robots somebody looks at what the laser sees; None: of all."""
         robots = self._stage.simulation.robots
-        if laser and (self.number + 1) % LASER_EVERY == 0:
-            self._lasers = {str(number): _seen(robot) for number, robot in robots.items() if robot.model.sees}
+        if (lasers is None or lasers) and (self.number + 1) % LASER_EVERY == 0:
+            self._lasers = {
+                str(number): _seen(robot)
+                for number, robot in robots.items()
+                if robot.model.sees and (lasers is None or number in lasers)
+            }
             self._lasers_taken += bool(self._lasers)
         now, mark = _now(self._stage), self._mark()
         self.number += 1

@@ -14,7 +14,7 @@ to the page, by `type`
 
 from the page, by `do`
     seen         frame: the picture that was drawn last
-    watch        traffic, laser: whether it wants them
+    watch        traffic, laser: whether it wants them; robot: whose laser (left out: every robot's)
     call         id, robot, call (C name), args (wire units): what a client of that robot could say
     drive        id, robot, args: a vm that ends by itself when the next does not come within DEAD_MAN_S
     stop         id, robot (left out: every robot): it stands, and nobody moves it until it is released, programs, other
@@ -135,7 +135,7 @@ _FLAG: Final[Field] = (lambda value: isinstance(value, bool), "true or false")
 _ARGS: Final[Field] = (_are_ints, f"a list of at most {MOST_ARGS} whole numbers of 32 bits")
 FIELDS: Final[dict[str, dict[str, Field]]] = {
     "seen": {"frame": _ID},
-    "watch": {"traffic": _FLAG, "laser": _FLAG},
+    "watch": {"traffic": _FLAG, "laser": _FLAG, "robot": _ROBOT_OR_ALL},
     "call": {
         "id": _ID, "robot": _ID, "args": _ARGS,
         "call": (lambda value: isinstance(value, str) and value in CALLS, f"one of {', '.join(sorted(CALLS))}"),

@@ -118,7 +118,7 @@ class Viewing:
     async def _run_clock(self) -> None:
         due = _now()
         while True:
-            due = max(due + PERIOD_S, _now())
+            due = next_due(due, _now())
             await asyncio.sleep(due - _now())
             if self.hub.viewers:
                 self._beat()
@@ -202,6 +202,12 @@ class Viewing:
                         log.info("%s takes nothing: hung up", viewer.name)
                         _hang_up(request)
                         return
+
+
+def next_due(due_s: float, now_s: float) -> float:
+    """When the picture after the one that was due then is due: a period later, however late that one was, so that they
+    are twenty a second on the whole; what a whole period was not enough for is not made up for."""
+    return max(due_s + PERIOD_S, now_s)
 
 
 def _now() -> float:

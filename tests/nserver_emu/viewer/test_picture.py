@@ -210,7 +210,7 @@ def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> N
         album.take()
     assert album.since(0)["lasers"] == {}
     for _ in range(LASER_EVERY):
-        album.take(laser=True)
+        album.take(lasers=None)
     seen = album.since(0)["lasers"]["1"]
     assert "lasers" in album.since(LASER_EVERY)
     wire = meet(emulator)[0].ask("get_ls").laser
@@ -227,7 +227,7 @@ def test_looking_changes_nothing_that_comes_later() -> None:
     for _ in range(20):
         for emulator in (looked, alone):
             emulator.pass_time(0.13)
-        album.take(laser=True)
+        album.take(lasers=None)
         album.since(0)
     first, second = (client.ask("gs") for client in clients)
     assert first == second

@@ -20,6 +20,7 @@ from nserver_emu.viewer.protocol import (
 GOOD: list[dict[str, Any]] = [
     {"do": "seen", "frame": 3},
     {"do": "watch", "traffic": True, "laser": False},
+    {"do": "watch", "traffic": False, "laser": True, "robot": 2},
     {"do": "call", "id": 1, "robot": 1, "call": "place_robot", "args": [1, -2, 3, 4]},
     {"do": "drive", "id": 2, "robot": 1, "args": [100, 0, 0]},
     {"do": "stop", "id": 3},

@@ -15,7 +15,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.viewer.entrance import from_here, known_host
 from nserver_emu.viewer.protocol import DEAD_MAN_S
-from nserver_emu.viewer.web import PERIOD_S, Viewing
+from nserver_emu.viewer.web import PERIOD_S, Viewing, next_due
 
 
 def an_emulator() -> Emulator:
@@ -306,3 +306,15 @@ def test_a_click_is_taken_where_a_client_waits_for_it() -> None:
             assert here.viewing.desk.waypoints == {1: [[10, 20]]}
 
     asyncio.run(scenario())
+
+
+def test_pictures_are_twenty_a_second_on_the_whole_and_come_in_no_bursts() -> None:
+    due = now = 100.0
+    for _ in range(200):
+        due = next_due(due, now)
+        now = max(now, due) + 0.012  # the loop wakes late, and the picture takes its time
+    assert (now - 100.0) / 200 == pytest.approx(PERIOD_S, rel=0.01)
+    now += 3.0
+    due = next_due(due, now)
+    assert due == now
+    assert next_due(due, now) == now + PERIOD_S
