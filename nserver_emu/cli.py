@@ -55,6 +55,7 @@ from nserver_emu.server.talker import REQUESTS_A_TURN
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer.options import add_options as add_viewer_options
+from nserver_emu.viewer.options import refuse as refuse_viewer
 from nserver_emu.viewer.options import viewed
 from worlds.compiled import load_for
 from worlds.files import load_world, world_names
@@ -84,6 +85,7 @@ def main(argv: list[str] | None = None) -> int:
     _refuse_unknown_models(parser, options)
     refuse_lines(parser, options)
     real_options.refuse(parser, options)
+    refuse_viewer(parser, options)
     restore_options.refuse(parser, options, words)
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     logs.begin(options)

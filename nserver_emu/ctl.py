@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.arguments import Parser
-from nclient.errors import ConnectionLost, ControlError, NomadError
+from nclient.errors import ConnectionLost, ControlError, NomadError, WorldFileError
 from nclient.exit_codes import ExitCode
 from nclient.faults.plan_file import read_plan
 from nclient.suggesting import did_you_mean
@@ -27,6 +27,8 @@ from nserver_emu.server.control_socket import default_path
 
 HELP: Final = "help"
 """Answered here, daemon or not."""
+WORDS: Final = "WORDS"
+"""An argument of one word or more."""
 PATIENCE_S: Final = 30.0
 _CHUNK: Final = 65536
 _GROUPS: Final = frozenset(row.name.partition(" ")[0] for row in COMMANDS if " " in row.name)
@@ -82,6 +84,14 @@ def shown(said: dict[str, Any]) -> Iterator[str]:
     """An answer for people to read."""
     if "plan" in said:
         yield said["plan"].rstrip()
+    elif "text" in said:
+        yield said["text"].rstrip()
+    elif "noise" in said:
+        yield from (f"robot {number}: {_noise(noise)}" for number, noise in said["noise"].items())
+    elif "held" in said:
+        yield from (f"robot {number}{_held(hold)}" for number, hold in said["held"].items())
+        if not said["held"]:
+            yield "no robot is held"
     elif "counts" in said:
         yield from _counts(said["counts"])
     elif "robots" in said:
@@ -99,7 +109,8 @@ def _status(said: dict[str, Any]) -> Iterator[str]:
         touched = f", bumpers {robot['bumpers']:#x}" if robot["bumpers"] else ""
         yield (
             f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
-            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}"
+            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}, "
+            f"{_noise(robot['noise'])}{_held(robot['held'])}"
         )
     for name, place in said["lines"].items():
         yield f"line {name}: {place}"
@@ -108,6 +119,14 @@ def _status(said: dict[str, Any]) -> Iterator[str]:
         yield f"client {client['name']}: {whose}, {client['refused']} refused{', waiting' if client['waiting'] else ''}"
     struck = ", ".join(f"{kind} {count}" for kind, count in said["faults"]["struck"].items())
     yield f"faults: {said['faults']['rules']} rules{f', so far {struck}' if struck else ''}"
+
+
+def _noise(noise: dict[str, str]) -> str:
+    return f"sensors {noise['sensors']}, motion {noise['motion']}"
+
+
+def _held(hold: dict[str, Any] | None) -> str:
+    return "" if hold is None else f", held by {hold['by']}, told to move {hold['ignored']} times since"
 
 
 def _time(said: dict[str, Any]) -> str:
@@ -141,7 +160,9 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     if name not in BY_NAME:
         parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(name, BY_NAME)}")
     wanted = BY_NAME[name].argument
-    if len(arguments) != bool(wanted):
+    if wanted == WORDS and arguments:
+        arguments = [" ".join(arguments)]
+    if not BY_NAME[name].wants <= len(arguments) <= bool(wanted):
         parser.error(f"{name} takes {wanted or 'no argument'}, not {' '.join(arguments) or 'nothing'}")
     return name, arguments[0] if arguments else None
 
@@ -151,10 +172,19 @@ def _argument(name: str, given: str | None) -> object:
     match name, given:
         case "faults set", str():
             return {"file": given, "text": read_plan(Path(given))}
+        case "world set", str():
+            return {"file": given, "text": _world(Path(given))}
         case "save", str():
             return str(Path(given).absolute())
         case _:
             return given
+
+
+def _world(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise WorldFileError(f"{path}: cannot be read: {error}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

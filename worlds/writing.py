@@ -1,4 +1,8 @@
-"""A world as the text of a world file (files.py), which reads back as the same world. Rules: values in, text out."""
+"""A world as the text of a file: files.py reads the same world out of it. Pure.
+
+Rules: every text can be read again. Obstacles move while a simulation runs; a start or a path that one of them has come
+to stand on is left out, and a comment says so.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +15,8 @@ from worlds.world import Path, Point, Polygon, StartPose, World
 
 
 def world_text(world: World, said: str = "") -> str:
-    """The file; `said` stands above it as a comment, line by line."""
-    parts = [
-        *(f"# {line}" for line in said.splitlines()),
-        f"name = {_text(world.name)}",
-        f"title = {_text(world.title or world.name)}",
-        *(_outline("room", room) for room in world.rooms),
-        *(f"\n[[wall]]\npoints_in = {_points(points)}" for points in polylines(world.inner_walls)),
-        *(_outline("obstacle", thing) for thing in world.obstacles),
-        *(_start(start) for start in world.starts),
-        *(_path(key, path, world.starts) for key, path in world.paths.items()),
-    ]
-    return "\n".join(parts) + "\n"
+    """The world as TOML, in inches and degrees; `said` stands above it as a comment, line by line."""
+    return "\n".join([*(f"# {line}" for line in said.splitlines()), *_lines(world)]) + "\n"
 
 
 def polylines(walls: FloatArray) -> Iterator[list[Point]]:
@@ -37,23 +31,45 @@ def polylines(walls: FloatArray) -> Iterator[list[Point]]:
         yield line
 
 
-def _outline(kind: str, polygon: Polygon) -> str:
-    name = f"name = {_text(polygon.name)}\n" if polygon.name else ""
-    return f"\n[[{kind}]]\n{name}corners_in = {_points(polygon.corners_in)}"
+def _lines(world: World) -> Iterator[str]:
+    yield f"name = {_text(world.name)}"
+    if world.title.strip():
+        yield f"title = {_text(world.title)}"
+    for room in world.rooms:
+        yield from _outline("room", room)
+    for points in polylines(world.inner_walls):
+        yield from ("", "[[wall]]", f"points_in = {_points(points)}")
+    for thing in world.obstacles:
+        yield from _outline("obstacle", thing)
+    starts = [start for start in world.starts if world.clearance(start.x_in, start.y_in) > 0.0]
+    for start in world.starts:
+        if start not in starts:
+            yield from ("", f"# left out, since something stands there: a start at {start.x_in!r}, {start.y_in!r}")
+        elif world.starts != (StartPose(0.0, 0.0),):
+            yield from ("", "[[start]]", f"x_in = {start.x_in!r}", f"y_in = {start.y_in!r}")
+            yield f"steering_deg = {degrees(start.steering_rad)!r}"
+            yield f"turret_deg = {degrees(start.turret_rad)!r}"
+    for path in world.paths.values():
+        if all(world.clearance(*point) > 0.0 for point in path.points_in):
+            yield from _path(path, starts)
+        else:
+            yield from ("", f"# left out, since something stands on it: the path {_text(path.name)}")
 
 
-def _start(start: StartPose) -> str:
-    angles = {"steering_deg": start.steering_rad, "turret_deg": start.turret_rad}
-    lines = [f"{key} = {degrees(angle)!r}" for key, angle in angles.items() if angle]
-    return "\n".join(["\n[[start]]", f"x_in = {float(start.x_in)!r}", f"y_in = {float(start.y_in)!r}", *lines])
+def _path(path: Path, starts: list[StartPose]) -> Iterator[str]:
+    yield from ("", "[[path]]", f"name = {_text(path.name)}")
+    if path.figure:
+        yield f"figure = {_text(path.figure)}"
+    if path.start in starts and path.start != StartPose(*path.points_in[0]):
+        yield f"start = {starts.index(path.start)}"
+    yield f"points_in = {_points(path.points_in)}"
 
 
-def _path(key: str, path: Path, starts: tuple[StartPose, ...]) -> str:
-    lines = ["\n[[path]]", f"name = {_text(path.name)}"]
-    lines += [f"figure = {_text(path.figure)}"] if path.figure else []
-    lines += [f"start = {starts.index(path.start)}"] if path.start in starts else []
-    assert key == (path.figure or path.name)
-    return "\n".join([*lines, f"points_in = {_points(path.points_in)}"])
+def _outline(kind: str, polygon: Polygon) -> Iterator[str]:
+    yield from ("", f"[[{kind}]]")
+    if polygon.name:
+        yield f"name = {_text(polygon.name)}"
+    yield f"corners_in = {_points(polygon.corners_in)}"
 
 
 def _points(points: Iterable[Point]) -> str:
@@ -61,5 +77,5 @@ def _points(points: Iterable[Point]) -> str:
 
 
 def _text(text: str) -> str:
-    """A JSON string is a TOML string, but for one character that TOML wants escaped."""
+    """A text as both JSON and TOML write it."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -9,8 +9,8 @@ simulated time is recorded the same whenever it is made. OFF records nothing and
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol
 
 from nclient.protocol.models import Model
 from nclient.recording.follower import TCP, Follower
@@ -71,6 +71,10 @@ class Recorder:
     def paced(self, factor: float | None, paused: bool) -> None:
         """Time goes otherwise from now on, by no request; State[0] shows it."""
         self.write(TIME, "", 0.0, more={"pace": [factor, paused]})
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """The simulation was changed so from now on, by no request."""
+        self.write(TIME, "", 0.0, more=dict(what))
 
     def write(
         self, kind: str, name: str, robots_clock_s: float, data: bytes = b"",
@@ -136,6 +140,8 @@ class _Off:
 
     def paced(self, factor: float | None, paused: bool) -> None: ...
 
+    def changed(self, what: Mapping[str, Any]) -> None: ...
+
     def close(self) -> None: ...
 
 
@@ -149,4 +155,5 @@ class AnyRecorder(Protocol):
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape: ...
     def stepped(self, dt_s: float) -> None: ...
     def paced(self, factor: float | None, paused: bool) -> None: ...
+    def changed(self, what: Mapping[str, Any]) -> None: ...
     def close(self) -> None: ...

@@ -64,7 +64,15 @@ class Gateway:
             return self._switch(side, visit, to_real=call.name == REAL)
         if not side.active or stays_here(call.name):
             return self._emulator.answer(call, visit)
-        return side.answer(call, visit)
+        meant = self._emulator.holds.meant(call, visit.robot_id)
+        return error_reply(REFUSED) if meant is None else side.answer(meant, visit)
+
+    def hold(self, robot_id: int, by: str) -> None:
+        """Stop a robot, the real one too where it is driven, and let nobody move it until it is released."""
+        self._emulator.hold(robot_id, by)
+        side = self.sides.get(robot_id)
+        if side is not None and side.active:
+            side.stop()
 
     def leave(self, visit: Visit) -> None:
         """A connection is gone: what it drove stops, on either side."""

@@ -13,21 +13,13 @@ from __future__ import annotations
 from typing import Final
 
 from nclient.protocol.commands import Call
+from nserver_emu.server.holds import MOTIONS, moves
 from nserver_emu.server.session import Visit
 
-_MOTIONS: Final = frozenset({"vm", "pr", "pa", "mv", "zr", "arm_zr", "arm_mv"})
-_CHANGES: Final = _MOTIONS | {
+_CHANGES: Final = MOTIONS | {
     "lp", "sp", "ac", "dp", "da", "place_robot", "tk", "special_request", "arm_ws",
     "conf_ir", "conf_sn", "conf_cp", "conf_ls", "conf_tm", "conf_sg", "conf_ser",
 }  # fmt: skip
-_MV_MOTIONS: Final = (1, 2, 3)
-
-
-def moves(call: Call) -> bool:
-    """Whether this call moves the robot; an mv does where one of its modes moves an axis or lets it go."""
-    if call.name == "mv":
-        return any(mode in _MV_MOTIONS for mode in call.args[::2])
-    return call.name in _MOTIONS
 
 
 def changes(call: Call) -> bool:

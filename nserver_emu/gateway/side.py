@@ -19,10 +19,11 @@ from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.following import Follower
-from nserver_emu.gateway.ownership import Ownership, moves
+from nserver_emu.gateway.ownership import Ownership
 from nserver_emu.gateway.real_robot import SLOW, STOP, Outcome, RealRobot, Ticket
 from nserver_emu.gateway.robot_state import REAL_TIME, Link, moving_axes, state_for
 from nserver_emu.gateway.translate import HIGHEST_TIMEOUT_S, REFRESH, Plan, Shaping, plan
+from nserver_emu.server.holds import moves
 from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
 
 log = logging.getLogger(__name__)
@@ -96,6 +97,10 @@ class RealSide:
         if self._timeout is not None and self._timeout[0] is visit:
             self._timeout = None
             self._submit((self._timeout_call(),))
+
+    def stop(self) -> None:
+        """Whoever owns the robot: it stops."""
+        self._submit((STOP,))
 
     def let_go(self) -> None:
         """The robot is not driven from here any more: it stops, and is nobody's."""

@@ -12,7 +12,7 @@ import json
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -27,10 +27,21 @@ from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.hosting import LONGEST_STEP_MS
 from nserver_emu.server.pace import FASTEST, SLOWEST
+from nserver_emu.server.switches import (
+    OBSTACLE_WANTED,
+    change_obstacle,
+    noise_of,
+    noise_words,
+    put_world,
+    show_world,
+    switch_noise,
+)
 
 log = logging.getLogger(__name__)
 
 MAX_SPEED: Final = "max"
+OPERATOR: Final = "nserver ctl"
+"""Who holds a robot that was stopped from here."""
 Said = dict[str, Any]
 
 
@@ -48,6 +59,18 @@ class Served(Protocol):
         """The emulator's pace was changed."""
         ...
 
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """The simulation was changed so (switches.py), by no client's request."""
+        ...
+
+    def hold(self, robot_ids: Iterable[int], by: str) -> None:
+        """Stop these robots, and let nobody move them until they are released."""
+        ...
+
+    def release(self, robot_ids: Iterable[int]) -> None:
+        """They may be moved again."""
+        ...
+
     def lines(self) -> Mapping[str, str]:
         """The lines there are, by name, and where each is reached."""
         ...
@@ -59,12 +82,18 @@ class Served(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ControlCommand:
-    """A row: its name, what its argument is called ("" for none), what it is for, what it does."""
+    """A row: its name, what its argument is called ("" for none, in brackets where it may be left out), what it is
+    for, what it does."""
 
     name: str
     argument: str
     about: str
     does: Callable[[Served, Any], Said]
+
+    @property
+    def wants(self) -> bool:
+        """Whether it cannot do without its argument."""
+        return bool(self.argument) and not self.argument.startswith("[")
 
 
 def answer_line(served: Served, line: bytes) -> bytes:
@@ -85,7 +114,7 @@ def _done(served: Served, line: bytes) -> Said:
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
         raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(str(name), BY_NAME)}")
-    if row.argument and argument is None:
+    if row.wants and argument is None:
         raise ControlError(f"{row.name} wants {row.argument}")
     return row.does(served, argument)
 
@@ -103,7 +132,8 @@ def status(served: Served, _: object = None) -> Said:
                 "number": number, "model": robot.model.name, "moving": any(robot.moving), "bumpers": robot.bumpers,
                 "x_in": round(robot.actual.x_in, 3), "y_in": round(robot.actual.y_in, 3),
                 "steering_deg": round(math.degrees(robot.actual.steering_rad), 2),
-                "turret_deg": round(math.degrees(robot.actual.turret_rad), 2),
+                "turret_deg": round(math.degrees(robot.actual.turret_rad), 2), "noise": noise_of(robot),
+                "held": None if (hold := emulator.holds.of(number)) is None else hold.told(),
             }
             for number, robot in simulation.robots.items()
         ],
@@ -152,6 +182,27 @@ def _time(served: Served) -> Said:
     return {key: told[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
 
 
+def _stop(served: Served, argument: object) -> Said:
+    served.hold(_robots(served, argument, "stop"), OPERATOR)
+    return {"held": served.emulator.holds.told()}
+
+
+def _release(served: Served, argument: object) -> Said:
+    served.release(_robots(served, argument, "release"))
+    return {"held": served.emulator.holds.told()}
+
+
+def _robots(served: Served, argument: object, command: str) -> list[int]:
+    """The robot of that number; every robot where none was said."""
+    there = list(served.emulator.simulation.robots)
+    if argument is None:
+        return there
+    number = int(argument) if isinstance(argument, str) and argument.isdecimal() else argument
+    if not isinstance(number, int) or number not in there:
+        raise ControlError(f"{command}: no robot {argument}; there are {', '.join(map(str, there))}")
+    return [number]
+
+
 def _save(served: Served, argument: object) -> Said:
     path = Path(_text(argument, "save: the name of a file"))
     snapshot.save(served.emulator, path)
@@ -193,6 +244,43 @@ def _help(_served: Served, _: object) -> Said:
     return {"commands": {row.name: [row.argument, row.about] for row in COMMANDS}}
 
 
+def _noise(served: Served, argument: object) -> Said:
+    wanted = noise_words(argument) if isinstance(argument, str) else argument
+    if not isinstance(wanted, dict):
+        raise ControlError(f"noise: a text or an object, not {argument!r}")
+    said = {"noise": switch_noise(served.emulator, wanted)}
+    served.changed({"noise": wanted})
+    return said
+
+
+def _show_world(served: Served, _: object) -> Said:
+    text = show_world(served.emulator)
+    served.changed({"shown": True})
+    return {"text": text}
+
+
+def _put_world(served: Served, argument: object) -> Said:
+    wanted = "world set: the text of a world file, and its name"
+    if not isinstance(argument, dict):
+        raise ControlError(f'{wanted}: {{"text": ..., "file": ...}}')
+    text, file = _text(argument.get("text"), wanted), _text(argument.get("file", "world.toml"), wanted)
+    world = put_world(served.emulator, text, file)
+    served.changed({"world": {"text": text, "file": file}})
+    return {"world": world.name}
+
+
+def _obstacle(served: Served, argument: object) -> Said:
+    try:
+        wanted = json.loads(argument) if isinstance(argument, str) else argument
+    except (ValueError, RecursionError):
+        wanted = None
+    if not isinstance(wanted, dict):
+        raise ControlError(f"{OBSTACLE_WANTED}, not {argument!r:.200}")
+    world = change_obstacle(served.emulator, wanted)
+    served.changed({"obstacle": wanted})
+    return {"obstacles": len(world.obstacles)}
+
+
 def _number(argument: object, least: float, most: float, wanted: str) -> float:
     try:
         value = float(argument) if isinstance(argument, int | float | str) and argument is not True else math.nan
@@ -216,10 +304,16 @@ COMMANDS: Final = (
     ControlCommand("faults clear", "", "no faults any more", _clear),
     ControlCommand("faults counts", "", "what the plan did so far, by line and rule", _counts),
     ControlCommand("faults reset", "", "the same, and count from 0 again", _reset),
+    ControlCommand("noise", "WORDS", "what errs how: 'sensors=measured motion=ideal robot=1'", _noise),
+    ControlCommand("world show", "", "the world as it stands, as TOML", _show_world),
+    ControlCommand("world set", "FILE", "put another world in its place; robots stay where they are", _put_world),
+    ControlCommand("obstacle", "JSON", "move an obstacle by its corners, or take it away (no by)", _obstacle),
     ControlCommand("pause", "", "let simulated time stand", _pause),
     ControlCommand("resume", "", "let it go on", _resume),
     ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),
     ControlCommand("step", "SECONDS", "let so much simulated time pass at once", _step),
+    ControlCommand("stop", "[ROBOT]", "stop a robot, or all, and let nobody move it until it is released", _stop),
+    ControlCommand("release", "[ROBOT]", "let clients move it again", _release),
     ControlCommand("save", "FILE", "save the simulation", _save),
     ControlCommand("help", "", "the commands there are", _help),
 )

@@ -14,7 +14,7 @@ import contextlib
 import logging
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,26 @@ class Daemon:
     def paced(self) -> None:
         """The emulator's pace was changed by who may, not by a client."""
         self.recorder.paced(self.emulator.pace.factor, self.emulator.pace.paused)
+
+    def hold(self, robot_ids: Iterable[int], by: str) -> None:
+        """Stop these robots, and let nobody move them until they are released (holds.py)."""
+        robot_ids = list(robot_ids)
+        for robot_id in robot_ids:
+            self.host.hold(robot_id, by)
+        log.info("held by %s: robots %s", by, robot_ids)
+        self.changed({"hold": {"robots": robot_ids, "by": by}})
+
+    def release(self, robot_ids: Iterable[int]) -> None:
+        """They may be moved again."""
+        robot_ids = list(robot_ids)
+        for robot_id in robot_ids:
+            self.emulator.holds.release(robot_id)
+        log.info("released: robots %s", robot_ids)
+        self.changed({"release": robot_ids})
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """The simulation was changed by who may, not by a client (switches.py, holds.py)."""
+        self.recorder.changed(what)
 
     async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""

@@ -10,7 +10,9 @@ Numbers are the wire's tenths. A shape in XOR that is drawn again is gone, as on
 
 from __future__ import annotations
 
+from collections import deque
 from enum import StrEnum
+from itertools import takewhile
 from typing import Final, NamedTuple
 
 BLACK: Final = "Black"
@@ -23,6 +25,10 @@ COLOURS: Final = (
 
 MOST_SHAPES: Final = 20_000
 """Shapes kept; the oldest is forgotten for a new one, so that a client that draws for days fills no memory."""
+
+
+MOST_GONE: Final = 1000
+"""Shapes that went of which it is known when; whoever looked last before that looks at all anew."""
 
 
 class Layer(StrEnum):
@@ -63,12 +69,29 @@ class Graphics:
 
     def __init__(self) -> None:
         self.redrawn: dict[Layer, int] = dict.fromkeys(Layer, 0)
-        self._shapes: dict[Shape, None] = {}
+        self._shapes: dict[Shape, int] = {}
+        self._gone: deque[tuple[int, int]] = deque(maxlen=MOST_GONE)
 
     @property
     def shapes(self) -> tuple[Shape, ...]:
         """What stands in the window, in the order in which it was drawn."""
         return tuple(self._shapes)
+
+    @property
+    def numbered(self) -> list[tuple[int, Shape]]:
+        """The same, each with the number of the drawing that put it there."""
+        return [(number, shape) for shape, number in self._shapes.items()]
+
+    def changes(self, drawn: int, until: int) -> tuple[list[int], list[tuple[int, Shape]]] | None:
+        """What changed since `drawn` was so much until it was `until`: the numbers of shapes that went, and the shapes
+        that came, but for those that have gone since. None where that is not known any more.
+        """
+        if len(self._gone) == MOST_GONE and self._gone[0][0] > drawn:
+            return None
+        gone = [n for when, n in takewhile(lambda one: one[0] > drawn, reversed(self._gone)) if when <= until]
+        come = takewhile(lambda one: one[1] > drawn, reversed(self._shapes.items()))
+        come_then = [(number, shape) for shape, number in come if number <= until]
+        return [number for number in gone if number <= drawn], come_then[::-1]
 
     def draw(self, figure: Figure, numbers: tuple[int, ...], mode: int) -> None:
         """Draw a line, an arc or a robot in a mode; modes out of range count as the nearest there is."""
@@ -87,12 +110,15 @@ class Graphics:
     def _put(self, shape: Shape) -> None:
         self.drawn += 1
         if shape in self._shapes:
-            del self._shapes[shape]
+            self._take(shape)
             if shape.xor:
                 return
-        self._shapes[shape] = None
+        self._shapes[shape] = self.drawn
         if len(self._shapes) > MOST_SHAPES:
-            del self._shapes[next(iter(self._shapes))]
+            self._take(next(iter(self._shapes)))
+
+    def _take(self, shape: Shape) -> None:
+        self._gone.append((self.drawn, self._shapes.pop(shape)))
 
 
 def _line_mode(mode: int) -> tuple[str, bool]:

@@ -50,7 +50,7 @@ def add_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
     """Add a polygon of three corners or more that encloses some area and no robot."""
     world = stage.simulation.world
     polygon = _polygon(_corners(args))
-    if not _sound(polygon) or _stands_in_a_robot(stage, polygon):
+    if not sound(polygon) or stands_in_a_robot(stage, polygon):
         return error_reply(BAD_VALUES)
     if len(world.obstacles) >= MOST_OBSTACLES:
         return error_reply(REFUSED)
@@ -78,7 +78,7 @@ def move_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
     if number is None:
         return error_reply(BAD_VALUES)
     moved = obstacles[number].moved(dx / 10, dy / 10)
-    if not _sound(moved) or _stands_in_a_robot(stage, moved):
+    if not sound(moved) or stands_in_a_robot(stage, moved):
         return error_reply(BAD_VALUES)
     obstacles[number] = moved
     stage.simulation.change_world(stage.simulation.world.with_obstacles(obstacles))
@@ -182,7 +182,7 @@ def _polygon(corners: _Corners) -> Polygon:
     return Polygon(tuple((x / 10, y / 10) for x, y in corners))
 
 
-def _sound(polygon: Polygon) -> bool:
+def sound(polygon: Polygon) -> bool:
     """Whether the corners go round some area of the map without crossing their own way."""
     edges = polygon.segments()
     return (
@@ -194,7 +194,8 @@ def _sound(polygon: Polygon) -> bool:
     )
 
 
-def _stands_in_a_robot(stage: Stage, polygon: Polygon) -> bool:
+def stands_in_a_robot(stage: Stage, polygon: Polygon) -> bool:
+    """Whether an obstacle would stand where a robot does."""
     edges = polygon.segments()
     for robot in stage.simulation.robots.values():
         *place, radius_in = robot.disc

@@ -15,7 +15,7 @@ from typing import Any
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.server import ground, hosting, motion, packets, questions, senses, window
-from nserver_emu.server.session import NOT_AVAILABLE, Later, Visit, error_reply
+from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, Later, Visit, error_reply
 from nserver_emu.server.stage import Stage
 
 Handler = Callable[[Stage, Visit, tuple[Any, ...]], "Reply | Later"]
@@ -35,11 +35,15 @@ class Emulator(Stage):
             self.feed(visit)
         if call.name not in QUESTIONS:
             self.look_anew()
-        handler = HANDLERS.get(call.name)
-        answer = handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
+        meant = self.holds.meant(call, visit.robot_id)
+        answer = error_reply(REFUSED) if meant is None else self._done(meant, visit)
         if call.name in SHOWN and isinstance(answer, Reply):
             visit.keep(answer.slots)
         return answer if isinstance(answer, Reply) else self.promise(visit, answer)
+
+    def _done(self, call: Call, visit: Visit) -> Reply | Later:
+        handler = HANDLERS.get(call.name)
+        return handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
 
 
 QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",

@@ -20,6 +20,7 @@ from nserver_emu.server.in_process import SCHEME, InProcess, open_address
 from nserver_emu.server.line_session import LineSession
 from nserver_emu.server.recording import DAEMON, beginning_of
 from nserver_emu.server.session import Conversation, Session
+from nserver_emu.server.switches import change_obstacle, put_world, show_world, switch_noise
 
 _SHOWN = 12
 
@@ -96,6 +97,18 @@ class _DaemonAgain:
         if "pace" in entry.more:
             self._emulator.pace.factor, self._emulator.pace.paused = entry.more["pace"]
             self._emulator.look_anew()
+        if "noise" in entry.more:
+            switch_noise(self._emulator, entry.more["noise"])
+        for robot_id in entry.more.get("hold", {}).get("robots", ()):
+            self._emulator.hold(robot_id, entry.more["hold"]["by"])
+        for robot_id in entry.more.get("release", ()):
+            self._emulator.holds.release(robot_id)
+        if "shown" in entry.more:
+            show_world(self._emulator)
+        if "obstacle" in entry.more:
+            change_obstacle(self._emulator, entry.more["obstacle"])
+        if "world" in entry.more:
+            put_world(self._emulator, **entry.more["world"])
         match entry.kind:
             case "open":
                 self._open(entry)

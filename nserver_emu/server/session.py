@@ -88,6 +88,10 @@ class Host(Protocol):
         """The connection is gone; what it drove stops."""
         ...
 
+    def hold(self, robot_id: int, by: str) -> None:
+        """Stop this robot, and let nobody move it until it is released (holds.py)."""
+        ...
+
 
 class Acquaintance(NamedTuple):
     """What a CONNECT agreed: which robot, whether the client is a 64-bit one, and whether it said nothing since."""

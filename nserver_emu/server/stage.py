@@ -3,7 +3,7 @@
     Stage    simulation | pace | graphics | traces | transcript | arms | who drives which robot | what the setup allows
 
 Rules: handlers change it, the daemon and the viewer read it. Connections come and go; everything else is what a
-snapshot keeps.
+snapshot keeps, but for what people at a window do: waiting clicks, holds.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from nserver_emu.server.arm import Arm
 from nserver_emu.server.clicks import Clicks
 from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
+from nserver_emu.server.holds import Holds
 from nserver_emu.server.layers import layers
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
@@ -29,6 +30,7 @@ from nserver_emu.server.transcript import Transcript
 from nserver_emu.simulation.instants import PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
+from worlds.world import World
 
 PIECE_PS: Final = PS_PER_S // 10
 """The longest time that passes before those who wait for it are asked, a tenth of a second."""
@@ -59,6 +61,9 @@ class Stage:
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
         self.drivers = Drivers()
+        self.holds = Holds()
+        self.shown: dict[str, World] = {}
+        """Worlds whose text was told to somebody, who may want to have them back (switches.py)."""
         self._line_terms: dict[int, Terms] = {}
         self.clicks = Clicks()
         self._looked: dict[int, tuple[float, Look]] = {}
@@ -72,6 +77,13 @@ class Stage:
         self.drivers.leave(visit, self.simulation.robots)
         for robot_id in self.drivers.leave_arms(visit):
             self.stop_arm(robot_id)
+
+    def hold(self, robot_id: int, by: str) -> None:
+        """Stop a robot, and let nobody move it until it is released (holds.py). Raises KeyError for no robot."""
+        self.simulation.robots[robot_id].stop()
+        self.stop_arm(robot_id)
+        self.look_anew()
+        self.holds.put(robot_id, by)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""

@@ -9,6 +9,7 @@ contact, then sensors.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from math import copysign, cos, sin
 from typing import Final, NamedTuple
 
@@ -22,7 +23,7 @@ from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.laser import ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import NO_NOISE, Identity, Purpose
+from nserver_emu.simulation.noise import Identity, Purpose
 from nserver_emu.simulation.poses import Pose, Stamp, Velocities
 from nserver_emu.simulation.reach import STAYS, Reach
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
@@ -79,7 +80,7 @@ class SimulatedRobot:
     ) -> None:
         self.identity = identity
         self.model = model
-        self.setup = setup = setup_of(model, setup)
+        self.setup = self.began_as = setup = setup_of(model, setup)
         self._time_ps = now_ps
         self._timeout_ps = 0
         self._deadline_ps = NEVER_PS
@@ -94,7 +95,7 @@ class SimulatedRobot:
         self._encoders = Encoders(start.x_in, start.y_in)
         self._chassis = Chassis(model.body, Ground(walls), start.x_in, start.y_in)
         self._chance = identity.stream(Purpose.MOTION)
-        self._exact = setup.motion == NO_NOISE and setup.odometry.turns_as_told
+        self._exact = setup.moves_as_told
         self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
         self.infrared: InfraredRing | None = None
         if model.sees:
@@ -326,6 +327,19 @@ class SimulatedRobot:
         self.feed()
         if self.compass is not None:
             self.compass.configure(mode, self._drive.turret_rad)
+
+    def err_as(self, setup: RobotSetup) -> None:
+        """From now on motion strays and sensors err as this setup says; what was sensed before was sensed before.
+
+        Its ramps and its clock are not taken up: axes move, and time is told, as since power-on.
+        """
+        self.setup = replace(setup, ramps=self.setup.ramps, clock_step_s=self.setup.clock_step_s)
+        self._exact = setup.moves_as_told
+        self.sonar.hear_as(setup.sonar)
+        if self.infrared is not None:
+            self.infrared.see_as(setup.infrared)
+        if self.compass is not None:
+            self.compass.noise = setup.compass
 
     def look_with_laser(self, columns: int = 0) -> FloatArray:
         """What the columns of the laser see now (482,), inches from the front of the turret; inf for nothing.

@@ -49,6 +49,11 @@ class RobotSetup:
     compass: CompassNoise = TRUE_NEEDLE
     clock_step_s: float = 0.0
 
+    @property
+    def moves_as_told(self) -> bool:
+        """Whether every motion is as commanded; there may be slip."""
+        return self.motion == NO_NOISE and self.odometry.turns_as_told
+
 
 IDEAL: Final = RobotSetup("ideal", ramps=False, motion=NO_NOISE, sonar=SonarNoise())
 NOISY: Final = RobotSetup(

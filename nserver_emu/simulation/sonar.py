@@ -182,6 +182,14 @@ class SonarRing:
         self._listen()
         self._scene = Scene(walls)
 
+    def hear_as(self, model: EchoModel) -> None:
+        """From now on they hear like this; what was fired before is heard as before, and disturbs nothing new."""
+        self._listen()
+        self._recent = ()
+        self.model = model
+        for sonar in model.dead:
+            self._readings[sonar] = DEAD_IN
+
     def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
         x, y, turret_rad, _, _ = eye
         way_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]

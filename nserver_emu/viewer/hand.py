@@ -3,14 +3,16 @@
     call(name, args, then) ──> bytes ──> Session ──> answer of simulation or real robot ──> bytes ──> then(answer)
 
 Rules: one connection a robot, made when it is first touched; it is on the recording as any client's is, and what it
-drives stops when the page is gone. Who drives by hand says so again and again: silence stops the robot.
+drives stops when the page is gone. Who drives by hand says so again and again: silence stops the robot. Faults on
+purpose are for lines and clients: no plan touches a hand, for what stops a robot must arrive.
 """
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from nclient.errors import REFUSALS, NomadError
 from nclient.faults.language import Language, TcpLanguage
@@ -21,13 +23,19 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
 from nclient.recording.follower import TCP
+from nserver_emu.server.holds import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.server.talker import Talker
+from nserver_emu.viewer.guard import Guard
 from nserver_emu.viewer.protocol import DEAD_MAN_S
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
 
+log = logging.getLogger(__name__)
+
+ALWAYS_MOVE: Final = frozenset({"zr", "lp"})
+"""What moves a robot, or lets it go, without an argument."""
 Answer = dict[str, Any]
 Then = Callable[[Answer], None]
 
@@ -64,7 +72,8 @@ class Hand(Talker):
         self._came(request)
 
     def close(self) -> None:
-        """The page is gone, or the daemon ends: what moves by this hand stops. Twice is fine."""
+        """The page is gone, or the daemon ends: what moves by this hand stops, what was asked is not answered any
+        more. Twice is fine."""
         if self not in self._daemon.connections:
             return
         self._silence()
@@ -72,12 +81,21 @@ class Hand(Talker):
         self._behind.leave(self.session.visit)
         self._tape.close()
         self.session.closing = True
+        while self._waiting:
+            name, then = self._waiting.popleft()
+            then({"ok": False, "error": f"{name}: the connection to the robot broke off"})
 
     def _send(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
-            assert isinstance(frame, TcpFrame)
+            if not isinstance(frame, TcpFrame) or not self._waiting:
+                log.error("%s: hung up: %r answers nothing that was asked", self.session.name, frame)
+                self.close()
+                return
             name, then = self._waiting.popleft()
             then(_answer(name, language.read_tcp_reply(BY_NAME[name], frame, self._terms)))
+
+    def _plug_in_faults(self) -> None:
+        """None here, whatever plan is in force."""
 
     def _language(self) -> Language:
         return TcpLanguage(False)
@@ -101,9 +119,10 @@ def _answer(name: str, reply: Reply) -> Answer:
 class Hands:
     """The hands of one viewer. `now` is real time in seconds, handed in."""
 
-    def __init__(self, daemon: Daemon, name: str) -> None:
+    def __init__(self, daemon: Daemon, name: str, guard: Guard) -> None:
         self._daemon = daemon
-        self._name = name
+        self._guard = guard
+        self.name = name
         self._hands: dict[int, Hand] = {}
         self._driven: dict[int, float] = {}
 
@@ -111,29 +130,49 @@ class Hands:
         """Say a command to a robot."""
         hand = self._hands.get(robot_id)
         if hand is None or hand.session.closing:
-            hand = Hand(self._daemon, f"{self._name} on robot {robot_id}")
+            hand = Hand(self._daemon, f"{self.name} on robot {robot_id}")
             if not hand.connect(robot_id):
                 hand.close()
                 then({"ok": False, "error": f"there is no robot {robot_id}"})
                 return
             self._hands[robot_id] = hand
         self._driven.pop(robot_id, None)
+        hold = self._daemon.emulator.holds.of(robot_id)
+        if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
+            error = f"robot {robot_id} is held by {hold.by}: release it first"
+            then({"ok": False, "held": hold.by, "error": error})
+            return
         hand.call(name, args, then)
 
     def drive(self, robot_id: int, args: list[int], now: float, then: Then) -> None:
         """Drive at these velocities, for as long as it is said again in time."""
         self.call(robot_id, "vm", args, then)
-        if any(args):
+        if any(args) and self._daemon.emulator.holds.of(robot_id) is None:
             self._driven[robot_id] = now + DEAD_MAN_S
+
+    def drives(self, robot_id: int) -> bool:
+        """Whether a robot is driven by hand now."""
+        return robot_id in self._driven
 
     def tick(self, now: float) -> None:
         """Real time has passed: whoever fell silent lets go."""
         for robot_id in [robot_id for robot_id, until in self._driven.items() if now >= until]:
-            self.call(robot_id, "st", [], lambda _: None)
+            with self._guard.over("stopping a robot", self.name):
+                self._let_go(robot_id)
 
     def close(self) -> None:
         """The page is gone."""
-        for hand in self._hands.values():
-            hand.close()
-        self._hands.clear()
         self._driven.clear()
+        while self._hands:
+            _, hand = self._hands.popitem()
+            with self._guard.over("letting a robot go", self.name):
+                hand.close()
+
+    def _let_go(self, robot_id: int) -> None:
+        """Stop a robot: by a word or, where that goes wrong, by hanging up, which stops what this hand moves."""
+        del self._driven[robot_id]
+        try:
+            self.call(robot_id, "st", [], lambda _: None)
+        except Exception:
+            self._hands.pop(robot_id).close()
+            raise

@@ -11,6 +11,7 @@ picture share the text that takes them on. A viewer that is gone is forgotten.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from nserver_emu.viewer.picture import Album
@@ -22,15 +23,18 @@ MOST_NEWS: Final = 1000
 
 
 class Viewer:
-    """One page that is open. `may_act`: whether it may do more than look."""
+    """One page that is open. `may_act`: whether it may do more than look; `ring` is called when there is news."""
 
-    def __init__(self, *, may_act: bool) -> None:
+    def __init__(self, *, may_act: bool, name: str = "viewer") -> None:
         self.may_act = may_act
+        self.name = name
+        self.ring: Callable[[], object] = lambda: None
         self.has = 0
         self.drawn = 0
         self.sent = 0
         self.traffic = False
         self.laser = False
+        self.whose_laser: int | None = None
         self.missed = 0
         self._since_drawn: deque[int] = deque()
         self._news: deque[str] = deque()
@@ -41,6 +45,7 @@ class Viewer:
             self._news.popleft()
             self.missed += 1
         self._news.append(text)
+        self.ring()
 
     def news(self) -> list[str]:
         """What is new and was not told yet."""
@@ -76,10 +81,12 @@ class Hub:
         self.viewers: set[Viewer] = set()
         self._album = album
         self._texts: dict[int, str] = {}
+        self._guests = 0
 
     def join(self, *, may_act: bool) -> Viewer:
         """Somebody opened the page."""
-        viewer = Viewer(may_act=may_act)
+        self._guests += 1
+        viewer = Viewer(may_act=may_act, name=f"viewer {self._guests}")
         self.viewers.add(viewer)
         return viewer
 
@@ -101,15 +108,16 @@ class Hub:
     def take(self) -> None:
         """A new picture for whoever looks."""
         self._texts.clear()
-        self._album.take(laser=any(viewer.laser for viewer in self.viewers))
+        looked_at = {viewer.whose_laser for viewer in self.viewers if viewer.laser}
+        self._album.take(lasers=None if None in looked_at else looked_at)
 
-    def next_for(self, viewer: Viewer) -> list[str]:
-        """What this viewer is to be told now."""
-        told = viewer.news()
+    def next_for(self, viewer: Viewer) -> Iterator[str]:
+        """What this viewer is to be told now, the picture last: what is wrong with it keeps no news back."""
+        yield from viewer.news()
         if viewer.has != self._album.number and not viewer.behind:
-            told.append(self._text_from(viewer.has))
+            text = self._text_from(viewer.has)
             viewer.given(self._album.number)
-        return told
+            yield text
 
     def _text_from(self, number: int) -> str:
         if number not in self._texts:

@@ -14,14 +14,15 @@ Inches and radians. Raises BadMessage for anything else.
 from __future__ import annotations
 
 import json
-import math
 from typing import Any, Final
 
-from nserver_emu.viewer.protocol import MOST_POINTS, BadMessage, Message
+from nserver_emu.viewer.protocol import FARTHEST, MOST_POINTS, BadMessage, Message
+from worlds.bodies import SONARS
 
 REFUSALS: Final = ("none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate")
 MOST_ECHOES: Final = 64
 _POSE, _COV = 3, 9
+_ROUNDING: Final = 1e-9
 
 
 def published(text: str) -> Message:
@@ -29,13 +30,13 @@ def published(text: str) -> Message:
     try:
         said = json.loads(text)
         told = {
-            "robot": int(said["robot"]), "clock_s": _number(said["clock_s"]), "pose": _numbers(said["pose"], _POSE),
-            "turret": _number(said["turret"]), "cov": _numbers([n for row in said["cov"] for n in row], _COV),
+            "robot": _whole(said["robot"]), "clock_s": _number(said["clock_s"]), "pose": _numbers(said["pose"], _POSE),
+            "turret": _number(said["turret"]), "cov": _covariance(said["cov"]),
             "odometry": _numbers(said["odometry"], _POSE),
             "truth": None if said["truth"] is None else _numbers(said["truth"], _POSE),
             "echoes": [_echo(echo) for echo in said["echoes"][:MOST_ECHOES]],
             "waypoints": [_numbers(point, 2) for point in said["waypoints"][:MOST_POINTS]],
-            "passed": int(said["passed"]),
+            "passed": _whole(said["passed"]),
         }  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
         raise BadMessage(f"what is published is robot, clock_s, pose, turret, cov, odometry, truth, echoes, "
@@ -48,9 +49,22 @@ def _echo(said: Any) -> Message:
     if refusal not in REFUSALS:
         raise ValueError(f"no refusal {refusal!r}")
     return {
-        "sonar": int(said["sonar"]), "reading_in": _number(said["reading_in"]), "refusal": refusal,
+        "sonar": _whole(said["sonar"], below=SONARS), "reading_in": _number(said["reading_in"]), "refusal": refusal,
         "innovation_in": _number(said["innovation_in"]), "nis": _number(said["nis"]),
     }  # fmt: skip
+
+
+def _covariance(rows: Any) -> list[float]:
+    cov = _numbers([n for row in rows for n in row], _COV)
+    if min(cov[0], cov[4], cov[8]) < 0.0 or cov[0] * cov[4] < cov[1] * cov[3] * (1 - _ROUNDING):
+        raise ValueError("cov is no covariance")
+    return cov
+
+
+def _whole(value: Any, below: int = 2**31) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < below:
+        raise ValueError(f"no whole number from 0 below {below}: {value!r}")
+    return value
 
 
 def _numbers(values: Any, count: int) -> list[float]:
@@ -62,6 +76,6 @@ def _numbers(values: Any, count: int) -> list[float]:
 
 def _number(value: Any) -> float:
     number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"not a number: {value!r}")
+    if not -FARTHEST <= number <= FARTHEST:
+        raise ValueError(f"no number from -{FARTHEST:g} to {FARTHEST:g}: {value!r}")
     return number

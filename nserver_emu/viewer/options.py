@@ -1,4 +1,7 @@
-"""The option of `nserver` for its page: --viewer [[HOST:]PORT]. aiohttp is the extra `viewer`, asked for only here."""
+"""The options of `nserver` for its page. aiohttp is the extra `viewer`, asked for only here.
+
+    --viewer [[HOST:]PORT]    --viewer-token-file FILE
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,11 @@ import argparse
 import importlib.util
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.errors import NomadError
+from nserver_emu.viewer.entrance import tokens_of
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -25,12 +30,21 @@ class Place(NamedTuple):
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The option of this room."""
+    """The options of this room."""
     group = parser.add_argument_group("page")
     group.add_argument("--viewer", type=_place, nargs="?", const=Place(), metavar="PORT",
                        help=f"show the windows on a page for the browser, at its address with a token on stdout "
                        f"(default port {DEFAULT_PORT}, 0 takes a free one; on loopback unless HOST:PORT says else; "
                        "needs the extra viewer; the world goes before --viewer)")
+    group.add_argument("--viewer-token-file", type=Path, metavar="FILE",
+                       help="keep the page's tokens in a file that only you may read, so that its address stays the "
+                       "same over restarts (made where there is none)")
+
+
+def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Options that do not go together are wrong usage."""
+    if options.viewer_token_file is not None and options.viewer is None:
+        parser.error("--viewer-token-file is for the page: give --viewer too")
 
 
 class ViewerMissing(NomadError, ImportError):
@@ -41,7 +55,7 @@ class ViewerMissing(NomadError, ImportError):
 async def viewed(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[list[str]]:
     """The page as the options say, while it lasts; what to print of it.
 
-    Raises ViewerMissing or ConnectionLost, naming the remedy; the daemon is then closed.
+    Raises ViewerMissing, TokenFileError or ConnectionLost, naming the remedy; the daemon is then closed.
     """
     if options.viewer is None:
         yield []
@@ -51,7 +65,10 @@ async def viewed(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[l
             require_aiohttp()
             from nserver_emu.viewer.web import served
 
-            lines = await open_page.enter_async_context(served(daemon, *options.viewer))
+            kept = options.viewer_token_file
+            tokens = None if kept is None else tokens_of(kept)
+            host, port = options.viewer
+            lines = await open_page.enter_async_context(served(daemon, host, port, tokens))
         except NomadError:
             await daemon.close()
             raise

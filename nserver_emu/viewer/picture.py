@@ -1,33 +1,42 @@
 """What the page shows, as plain data, and what of it changed since a picture that a viewer has. Pure.
 
     always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
-                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same}}
-    if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential"}}
+                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same,
+                          "held": {"by": who stopped it for good, "ignored": how often it was told to move since} or
+                          null}}
+    if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
+                          "noise": {"sensors": name in force, "motion": the same}, "noises": the names there are}}
                 world     {"name", "title", "walls": [[x1, y1, x2, y2] ...], the edges of the rooms first,
                           "rooms", "obstacles": [{"name", "corners"} ...], "starts": [[x, y, steer, turret in
                           degrees] ...], "paths": {name: [[x, y] ...]}}
-                graphics  [[figure, numbers, colour, xor] ...]
-                traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...
+                graphics  [[number, figure, numbers, colour, xor] ...], or what changed of them:
+                drawn     {"gone": [number ...], "come": [[number, figure, numbers, colour, xor] ...]}
+                traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...; null, null
+                          before a point that the robot did not drive to
                 lasers    {id: [x, y, x, y ...]}    in the robot's frame
                 said      [[time_s, id, text] ...]
 
 Inches and radians, rounded to what a screen shows; State is in the wire's tenths. Keys of JSON are texts, so are ids.
-Rules: looking changes nothing in the simulation. Pictures are numbered from 1; who has picture 0 has nothing.
+Rules: looking changes nothing in the simulation. Pictures are numbered from 1; who has picture 0 has nothing. What
+grows is told as far as it was when the picture was taken, however late that is.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from typing import Any, Final, NamedTuple
 
 from nserver_emu.server.graphics import Shape
 from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import Look
+from nserver_emu.server.switches import noise_choices, noise_of
 from nserver_emu.server.traces import Trace
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import RobotSetup
 from worlds.world import Polygon, World
 
 REMEMBERED: Final = 64
@@ -36,6 +45,8 @@ LASER_EVERY: Final = 4
 """The laser is looked through at every so many pictures: its 482 rays cost more than all else."""
 MOST_NEW: Final = 25
 """Points of a track that a picture adds: 12 in of way in a twentieth of a second, faster than any robot."""
+JUMP_IN: Final = 6.0
+"""Points of a track farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
 NOTHING_YET: Final = (0, 0)
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
@@ -45,7 +56,7 @@ Plain = dict[str, Any]
 class Mark(NamedTuple):
     """How far everything that grows or changes was at a picture."""
 
-    bodies: tuple[int, ...]
+    bodies: tuple[tuple[int, RobotSetup], ...]
     world: World
     graphics: int
     lasers: int
@@ -64,15 +75,20 @@ class Album:
         self._now: Plain = {}
         self.number = 0
 
-    def take(self, *, laser: bool = False) -> None:
-        """Take a new picture; `laser`: somebody looks at what the lasers see."""
-        self.number += 1
+    def take(self, *, lasers: Collection[int | None] | None = ()) -> None:
+        """Take a new picture; `lasers`: of which robots somebody looks at what the laser sees; None: of all."""
         robots = self._stage.simulation.robots
-        if laser and self.number % LASER_EVERY == 0:
-            self._lasers = {str(number): _seen(robot) for number, robot in robots.items() if robot.model.sees}
+        if (lasers is None or lasers) and (self.number + 1) % LASER_EVERY == 0:
+            self._lasers = {
+                str(number): _seen(robot)
+                for number, robot in robots.items()
+                if robot.model.sees and (lasers is None or number in lasers)
+            }
             self._lasers_taken += bool(self._lasers)
-        self._now = _now(self._stage)
-        self._marks.append(self._mark())
+        now, mark = _now(self._stage), self._mark()
+        self.number += 1
+        self._now = now
+        self._marks.append(mark)
 
     def since(self, number: int) -> Plain:
         """The newest picture for who has that one: what is always there, and what changed."""
@@ -84,8 +100,7 @@ class Album:
             told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
         if old is None or old.world is not new.world:
             told["world"] = ground(new.world)
-        if old is None or old.graphics != new.graphics:
-            told["graphics"] = [_shape(shape) for shape in self._stage.graphics.shapes]
+        told |= self._drawn(old.graphics if old else None, new.graphics)
         if old is None or old.lasers != new.lasers:
             told["lasers"] = self._lasers
         if old is None or old.said is not new.said:
@@ -94,6 +109,16 @@ class Album:
             told["traces"] = grown
         return told
 
+    def _drawn(self, before: int | None, now: int) -> Plain:
+        graphics = self._stage.graphics
+        if before == now:
+            return {}
+        changes = None if before is None else graphics.changes(before, now)
+        if changes is None:
+            return {"graphics": [_shape(number, shape) for number, shape in graphics.numbered if number <= now]}
+        gone, come = changes
+        return {"drawn": {"gone": gone, "come": [_shape(*numbered) for numbered in come]}}
+
     def _mark(self) -> Mark:
         stage = self._stage
         said = stage.transcript.said
@@ -101,14 +126,17 @@ class Album:
         counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
         simulation = stage.simulation
         return Mark(
-            tuple(simulation.robots), simulation.world, stage.graphics.drawn, self._lasers_taken,
+            tuple((n, robot.setup) for n, robot in simulation.robots.items()),
+            simulation.world, stage.graphics.drawn, self._lasers_taken,
             said[-1] if said else None, counts,
         )  # fmt: skip
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
         ways = self._stage.traces
         return {
-            str(n): {"actual": _newer(ways.actual[n], had[0]), "encoder": _newer(ways.encoder[n], had[1])}
+            str(n): {
+                "actual": _newer(ways.actual[n], had[0], has[0]), "encoder": _newer(ways.encoder[n], had[1], has[1]),
+            }
             for n, has in new.items()
             if (had := old.get(n, NOTHING_YET)) != has
         }
@@ -121,6 +149,7 @@ def body(robot: SimulatedRobot) -> Plain:
         "model": robot.model.name, "family": robot.model.family, "radius_in": shape.radius_in,
         "ring_in": shape.sonar_ring_radius_in, "bumpers": len(shape.bumper_angles_rad),
         "differential": robot.model.track_in is not None, "sees": robot.model.sees,
+        "noise": noise_of(robot), "noises": noise_choices(robot),
     }  # fmt: skip
 
 
@@ -154,6 +183,7 @@ def _now(stage: Stage) -> Plain:
             str(number): {
                 "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder),
+                "held": None if (hold := stage.holds.of(number)) is None else hold.told(),
             }
             for number, robot in stage.simulation.robots.items()
         },
@@ -172,14 +202,24 @@ def _seen(robot: SimulatedRobot) -> list[float]:
     return [round(number, 1) for point in seen.tolist() for number in point]
 
 
-def _shape(shape: Shape) -> list[Any]:
-    return [shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
+def _shape(number: int, shape: Shape) -> list[Any]:
+    return [number, shape.figure.value, list(shape.numbers), shape.colour, shape.xor]
 
 
-def _newer(trace: Trace, had: int) -> Plain:
-    """What a track grew by; a viewer that follows a simulation at a hundred times real time gets every so many."""
-    points = trace.newer(had)
-    pairs = list(zip(points[::2], points[1::2], strict=True))
-    if had and len(pairs) > MOST_NEW:
-        pairs = pairs[:: -(-len(pairs) // MOST_NEW)]
-    return {"gone": trace.gone, "points": [round(number, 2) for pair in pairs for number in pair]}
+def _newer(trace: Trace, had: int, has: int) -> Plain:
+    """What a track grew by from so many points to so many, whatever it grew by since; a viewer that follows a
+    simulation at a hundred times real time gets every so many of them."""
+    flat = iter(trace.newer(max(had - 1, 0)))
+    pairs = list(zip(flat, flat, strict=True))
+    before = pairs.pop(0) if had and len(pairs) > trace.gone - had else None
+    del pairs[max(len(pairs) - (trace.gone - has), 0) :]
+    every = -(-len(pairs) // MOST_NEW) if had and len(pairs) > MOST_NEW else 1
+    told: list[float | None] = []
+    for k, point in enumerate(pairs):
+        jumped = before is not None and math.dist(before, point) > JUMP_IN
+        before = point
+        if jumped:
+            told += (None, None)
+        if jumped or k % every == 0:
+            told += (round(number, 2) for number in point)
+    return {"gone": has, "points": told}

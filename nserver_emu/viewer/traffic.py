@@ -1,7 +1,7 @@
 """What clients say and are answered, for who watches: a recorder that listens in before it hands on to the real one.
 
     row     {"time_s": simulated, "who": connection, "to": "robot" | "host", "what": C name or kind of reply,
-             "text": in words, "hex": the bytes it came in, "size": how many}
+             "of": C name of what is asked or answered, "text": in words, "hex": the bytes it came in, "size": how many}
 
 Rules: while nobody watches, nothing is decoded. A connection is taken up between two requests, on the terms that its
 session has come to by then. No more than MOST_ROWS are told a picture: what is beyond is counted, and the
@@ -10,9 +10,11 @@ connection taken up anew with the next.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from nclient.protocol.commands import BY_NAME
 from nclient.protocol.models import Model
 from nclient.protocol.terms import Terms
 from nclient.recording.follower import HELLO_FIRST, SERIAL, Decoded, Follower
@@ -20,6 +22,10 @@ from nclient.recording.readable import told
 from nclient.recording.recorder import AnyRecorder, Tape
 
 MOST_ROWS: Final = 40
+MOST_ASKED: Final = 64
+"""Requests of a connection that are remembered until they are answered."""
+GREETING: Final = "hello"
+"""The reply that nobody asked for, when a robot's own line begins."""
 MOST_HEX: Final = 512
 """Bytes of a row that are shown."""
 TermsOf = Callable[[str], Terms | None]
@@ -55,6 +61,10 @@ class Listening:
         """Handed on."""
         self.inner.paced(factor, paused)
 
+    def changed(self, what: Mapping[str, Any]) -> None:
+        """Handed on."""
+        self.inner.changed(what)
+
     def close(self) -> None:
         """Handed on."""
         self.inner.close()
@@ -64,14 +74,23 @@ class Listening:
         """Whether no more rows are told until somebody has fetched those there are."""
         return len(self._rows) >= MOST_ROWS
 
-    def note(self, who: str, to: str, data: bytes, found: list[Decoded]) -> None:
-        """These frames went by."""
+    def note(self, who: str, to: str, data: bytes, found: list[Decoded], asked: deque[str]) -> None:
+        """These frames went by; `asked`: what is not answered yet."""
         for frame in found:
             self._rows.append({
                 "time_s": round(self._time_s(), 3), "who": who, "to": to,
-                "what": frame.get("call") or frame.get("reply") or "error", "text": told(frame),
+                "what": frame.get("call") or frame.get("reply") or "error", "of": _of(frame, asked),
+                "text": told(frame),
                 "hex": data[:MOST_HEX].hex(" "), "size": len(data),
             })  # fmt: skip
+
+
+def _of(frame: Decoded, asked: deque[str]) -> str:
+    """The command that a frame is, or that it answers: answers come in the order of what was asked."""
+    name: str = frame.get("call", "")
+    if name and BY_NAME[name].has_tcp_reply:
+        asked.append(name)
+    return name or (asked.popleft() if "reply" in frame and frame["reply"] != GREETING and asked else "")
 
 
 class _Ear:
@@ -81,6 +100,7 @@ class _Ear:
         self._listening, self._inner = listening, inner
         self._name, self._line, self._model = name, line, model
         self._follower: Follower | None = Follower(line, model)
+        self._asked: deque[str] = deque(maxlen=MOST_ASKED)
 
     def to_robot(self, data: bytes) -> None:
         self._inner.to_robot(data)
@@ -88,12 +108,12 @@ class _Ear:
             if self._follower is None:
                 self._take_up()
             if self._follower is not None:
-                self._listening.note(self._name, "robot", data, self._follower.to_robot(data))
+                self._listening.note(self._name, "robot", data, self._follower.to_robot(data), self._asked)
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
         self._inner.to_host(data, by_time)
         if self._hears() and self._follower is not None:
-            self._listening.note(self._name, "host", data, self._follower.to_host(data))
+            self._listening.note(self._name, "host", data, self._follower.to_host(data), self._asked)
 
     def close(self) -> None:
         self._inner.close()
@@ -103,6 +123,7 @@ class _Ear:
             return True
         self._listening.missed += self._listening.watched
         self._follower = None
+        self._asked.clear()
         return False
 
     def _take_up(self) -> None:

@@ -3,31 +3,39 @@
     GET /?token=T      the page              GET /page/NAME     its files (no secret in them)
     GET /ws?token=T    the websocket         POST /publish?token=T    what a localizer thinks (localization.py)
 
-Rules: nothing without the token, of which there are two, to act and to look only. A websocket is opened by a page
-that came from here: its Origin must be the Host asked, and that a number or a name of loopback, so that no other
-site's page gets in, whatever its name resolves to. Nothing is loaded from elsewhere, by Content-Security-Policy too.
+Rules: nothing without the token, of which there are two, to act and to look only (entrance.py). A websocket is opened
+by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere, by
+Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
-import ipaddress
+import errno
 import logging
-import secrets
 from collections.abc import AsyncIterator
+from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
-from urllib.parse import urlsplit
 
-from aiohttp import WSMsgType, web
+from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.errors import ConnectionLost
 from nserver_emu.viewer.desk import Desk
+from nserver_emu.viewer.entrance import (
+    LOOPBACK_NAME,
+    REFUSED,
+    Tokens,
+    address,
+    from_here,
+    is_loopback,
+    known_host,
+    new_tokens,
+)
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.picture import Album
-from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage
+from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -37,7 +45,15 @@ log = logging.getLogger(__name__)
 PAGE: Final = Path(__file__).with_name("page")
 PERIOD_S: Final = 0.05
 """Twenty pictures a second."""
-LOOPBACK_NAME: Final = "localhost"
+HEARTBEAT_S: Final = 6.0
+"""How often a page is asked whether it is there; half as long it may take to answer."""
+STALLED_S: Final = 8.0
+"""How long a page that says something, but takes nothing, is put up with."""
+FORGOTTEN_S: Final = 10.0
+"""Both of them, and the clock's coarseness."""
+CLOSING_S: Final = 0.5
+"""How long a page that is told to go may take to say goodbye."""
+REMEDIES: Final = {errno.EADDRINUSE: "--viewer 0 takes a free port", errno.EACCES: "take a port above 1023"}
 POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -51,20 +67,24 @@ _HEADERS: Final = {
 class Viewing:
     """The page of one daemon. `token` lets act, `watch_token` look."""
 
-    def __init__(self, daemon: Daemon, token: str = "", watch_token: str = "") -> None:
-        self.token = token or secrets.token_urlsafe(24)
-        self.watch_token = watch_token or secrets.token_urlsafe(24)
+    def __init__(self, daemon: Daemon, tokens: Tokens | None = None) -> None:
+        self._tokens = tokens or new_tokens()
+        self.token, self.watch_token = self._tokens
         self.hub = Hub(Album(daemon.emulator))
         self.desk = Desk(daemon, self.hub)
         self._bells: dict[Viewer, asyncio.Event] = {}
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._known = LOOPBACK_NAME
         self._runner: web.AppRunner | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Serve; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
+        self._known = host.lower()
         app = web.Application(client_max_size=MOST_TEXT)
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
+        app.router.add_get("/favicon.ico", _no_icon)
         app.router.add_get("/ws", self._socket)
         app.router.add_post("/publish", self._publish)
         app.router.add_static("/page/", PAGE)
@@ -74,8 +94,9 @@ class Viewing:
             await web.TCPSite(self._runner, host, port).start()
         except OSError as error:
             await self._runner.cleanup()
+            remedy = REMEDIES.get(error.errno or 0, "take an address of this machine")
             raise ConnectionLost(
-                f"cannot serve the page on {host}:{port}: {error.strerror or error}; --viewer 0 takes a free port"
+                f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         self._clock = asyncio.create_task(self._run_clock())
         return int(self._runner.addresses[0][1])
@@ -87,33 +108,42 @@ class Viewing:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._clock
             self._clock = None
+        going = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
+        await asyncio.gather(*going, return_exceptions=True)
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None
         self.desk.close()
 
     async def _run_clock(self) -> None:
-        loop = asyncio.get_running_loop()
+        due = _now()
         while True:
-            await asyncio.sleep(PERIOD_S)
+            due = next_due(due, _now())
+            await asyncio.sleep(due - _now())
             if self.hub.viewers:
-                self.desk.tick(loop.time())
-                self.hub.take()
-                for bell in self._bells.values():
-                    bell.set()
+                self._beat()
+
+    def _beat(self) -> None:
+        """A twentieth of a second has passed, for everybody, whatever goes wrong with one."""
+        with self.desk.guard.over("the clock"):
+            self.desk.tick(_now())
+        with self.desk.guard.over("the picture"):
+            self.hub.take()
+        for bell in self._bells.values():
+            bell.set()
 
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
-        if not known_host(request.host):
-            raise web.HTTPForbidden(text=f"this page is not known as {request.host}: ask by its number\n")
-        token = request.query.get("token", "")
-        if hmac.compare_digest(token.encode(), self.token.encode()):
-            return True
-        if hmac.compare_digest(token.encode(), self.watch_token.encode()):
-            return False
-        raise web.HTTPForbidden(text="the token is wrong: take the whole address that nserver printed\n")
+        if not known_host(request.host, self._known):
+            raise web.HTTPForbidden(text=f"this page is not known as {request.host!a}: ask by its number\n")
+        may_act = self._tokens.may_act(request.query.get("token", ""))
+        if may_act is None:
+            raise web.HTTPForbidden(text="the token is wrong: take the whole address that nserver printed\n")
+        return may_act
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
+        if known_host(request.host, self._known) and self._tokens.may_act(request.query.get("token", "")) is None:
+            raise web.HTTPForbidden(text=REFUSED, content_type="text/html")
         self._may(request)
         return web.FileResponse(PAGE / "index.html")
 
@@ -121,50 +151,78 @@ class Viewing:
         if not self._may(request):
             raise web.HTTPForbidden(text="this token only looks\n")
         try:
-            return web.json_response(self.desk.publish(await request.text()))
-        except BadMessage as error:
+            return web.json_response(self.desk.publish((await request.read()).decode(), _now()))
+        except (BadMessage, UnicodeDecodeError) as error:
             raise web.HTTPBadRequest(text=f"{error}\n") from None
 
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         may_act = self._may(request)
         origin = request.headers.get("Origin", "")
-        if urlsplit(origin).netloc != request.host:
-            raise web.HTTPForbidden(text=f"a page from {origin or 'nowhere'} is none of ours\n")
-        socket = web.WebSocketResponse(compress=False, heartbeat=20.0, max_msg_size=MOST_TEXT)
+        if not from_here(origin, request.scheme, request.host):
+            raise web.HTTPForbidden(text=f"a page from {ascii(origin) if origin else 'nowhere'} is none of ours\n")
+        socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MOST_TEXT)
         await socket.prepare(request)
-        viewer = self.desk.arrive(may_act=may_act, watch_token=self.watch_token)
-        self._bells[viewer] = asyncio.Event()
-        teller = asyncio.create_task(self._tell(viewer, socket))
+        self._sockets.add(socket)
+        viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
+        self._bells[viewer] = bell = asyncio.Event()
+        viewer.ring = bell.set
+        bell.set()
+        teller = asyncio.create_task(self._tell(viewer, socket, request))
         try:
             async for message in socket:
                 if message.type == WSMsgType.TEXT:
-                    self.desk.hear(viewer, message.data, asyncio.get_running_loop().time())
+                    self.desk.hear(viewer, message.data, _now())
+                elif message.type == WSMsgType.BINARY:
+                    viewer.tell(to_page("answer", id=None, ok=False, error="a message is text, not bytes"))
+                await asyncio.sleep(0)  # it is the others' turn, however much this one has to say
         finally:
+            self._sockets.discard(socket)
             teller.cancel()
             del self._bells[viewer]
             self.desk.leave(viewer)
+            if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
+                _hang_up(request)
         return socket
 
-    async def _tell(self, viewer: Viewer, socket: web.WebSocketResponse) -> None:
+    async def _tell(self, viewer: Viewer, socket: web.WebSocketResponse, request: web.Request) -> None:
         bell = self._bells[viewer]
         with contextlib.suppress(ConnectionError):
             while True:
                 await bell.wait()
                 bell.clear()
-                for text in self.hub.next_for(viewer):
-                    await socket.send_str(text)
+                told: list[str] = []
+                with self.desk.guard.over("the news and the picture", viewer.name):
+                    for text in self.hub.next_for(viewer):
+                        told.append(text)  # what came before a fault is told all the same
+                for text in told:
+                    try:
+                        async with asyncio.timeout(STALLED_S):
+                            await socket.send_str(text)
+                    except TimeoutError:
+                        log.info("%s takes nothing: hung up", viewer.name)
+                        _hang_up(request)
+                        return
 
 
-def known_host(host: str) -> bool:
-    """Whether a page asked for under this Host can be ours: a number, or the name of loopback."""
-    name = urlsplit(f"//{host}").hostname or ""
-    if name == LOOPBACK_NAME:
-        return True
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
+def next_due(due_s: float, now_s: float) -> float:
+    """When the picture after the one that was due then is due: a period later, however late that one was, so that they
+    are twenty a second on the whole; what a whole period was not enough for is not made up for."""
+    return max(due_s + PERIOD_S, now_s)
+
+
+def _now() -> float:
+    """Real time, seconds, as the loop has it."""
+    return asyncio.get_running_loop().time()
+
+
+def _hang_up(request: web.Request) -> None:
+    """Let go of a page that is gone; closing would wait until it has taken all that was said."""
+    if request.transport is not None:
+        request.transport.abort()
+
+
+async def _no_icon(_request: web.Request) -> web.StreamResponse:
+    return web.Response(status=HTTPStatus.NO_CONTENT)
 
 
 async def _add_headers(_request: web.Request, response: web.StreamResponse) -> None:
@@ -172,12 +230,14 @@ async def _add_headers(_request: web.Request, response: web.StreamResponse) -> N
 
 
 @contextlib.asynccontextmanager
-async def served(daemon: Daemon, host: str, port: int) -> AsyncIterator[list[str]]:
+async def served(daemon: Daemon, host: str, port: int, tokens: Tokens | None = None) -> AsyncIterator[list[str]]:
     """The page, while it lasts; the line to print."""
-    viewing = Viewing(daemon)
+    viewing = Viewing(daemon, tokens)
     port = await viewing.open(host, port)
-    name = f"[{host}]" if ":" in host else host
+    if not is_loopback(host):
+        log.warning("the page is open to the network, unencrypted: whoever sees its address may drive the robots; "
+                    "ssh -L %d:127.0.0.1:%d brings a page on loopback elsewhere", port, port)
     try:
-        yield [f"listening viewer http://{name}:{port}/?token={viewing.token}"]
+        yield [f"listening viewer {address(host, port)}/?token={viewing.token}"]
     finally:
         await viewing.close()

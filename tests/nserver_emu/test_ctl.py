@@ -55,7 +55,11 @@ def run(path: Path, *words: str, said: object = None, error: str = "") -> tuple[
     [
         (["status"], {"command": "status", "argument": None}),
         (["speed", "10"], {"command": "speed", "argument": "10"}),
+        (["stop"], {"command": "stop", "argument": None}),
+        (["stop", "2"], {"command": "stop", "argument": "2"}),
+        (["release", "2"], {"command": "release", "argument": "2"}),
         (["faults", "clear"], {"command": "faults clear", "argument": None}),
+        (["noise", "sensors=noisy", "robot=2"], {"command": "noise", "argument": "sensors=noisy robot=2"}),
     ],
 )
 def test_words_become_a_request(path: Path, words: list[str], sent: dict[str, Any]) -> None:
@@ -67,12 +71,17 @@ def test_files_are_read_here_and_named_whole(path: Path, tmp_path: Path, monkeyp
     Path("p.toml").write_text("seed = 3")
     code, request = run(path, "faults", "set", "p.toml", said={"rules": 0})
     assert (code, request["argument"]) == (0, {"file": "p.toml", "text": "seed = 3"})
+    Path("w.toml").write_text("# a world")
+    world = run(path.with_name("w"), "world", "set", "w.toml")[1]
+    assert world == {"command": "world set", "argument": {"file": "w.toml", "text": "# a world"}}
     assert run(path.with_name("t"), "save", "x.json")[1]["argument"] == str(tmp_path / "x.json")
 
 
 def test_a_file_that_is_not_there_is_told_without_asking(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["ctl", "--control", "/nowhere", "faults", "set", str(tmp_path / "x.toml")]) == 1
     assert "x.toml: cannot be read" in capsys.readouterr().err
+    assert cli.main(["ctl", "--control", "/nowhere", "world", "set", str(tmp_path / "w.toml")]) == 1
+    assert "w.toml: cannot be read" in capsys.readouterr().err
 
 
 STATUS = {
@@ -80,9 +89,10 @@ STATUS = {
     "lockstep_s": None,
     "robots": [
         {"number": 1, "model": "n150", "moving": True, "bumpers": 0, "x_in": 1.25, "y_in": -3.0, "steering_deg": 90.0,
-         "turret_deg": 0.0},
+         "turret_deg": 0.0, "noise": {"sensors": "ideal", "motion": "worn"}, "held": None},
         {"number": 2, "model": "scout", "moving": False, "bumpers": 5, "x_in": 0.0, "y_in": 0.0, "steering_deg": 0.0,
-         "turret_deg": 0.0},
+         "turret_deg": 0.0, "noise": {"sensors": "measured", "motion": "noisy"},
+         "held": {"by": "viewer 1", "ignored": 4}},
     ],
     "lines": {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/nomad"},
     "connections": [
@@ -98,8 +108,9 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().out.splitlines() == [
         "nserver 0.1.0, thesis_room, seed 1",
         "time 12.500 s, 2 x real time",
-        "robot 1: n150 at 1.2, -3.0 in, 90.0 deg, moving",
-        "robot 2: scout at 0.0, 0.0 in, 0.0 deg, standing, bumpers 0x5",
+        "robot 1: n150 at 1.2, -3.0 in, 90.0 deg, moving, sensors ideal, motion worn",
+        "robot 2: scout at 0.0, 0.0 in, 0.0 deg, standing, bumpers 0x5, sensors measured, motion noisy, "
+        "held by viewer 1, told to move 4 times since",
         "line nserver: 127.0.0.1:7019",
         "line serial:1: /tmp/nomad",
         "client 127.0.0.1:5: robot 1, 2 refused, waiting",
@@ -120,6 +131,10 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
         ({"time_s": 1, "paused": False, "lockstep_s": 0.1, "speed": 1}, "time 1.000 s, lockstep, 0.1 s a request"),
         ({"time_s": 1, "paused": False, "lockstep_s": None, "speed": "max"}, "time 1.000 s, as fast as it can"),
         ({"saved": "/x"}, "saved: /x"),
+        ({"held": {}}, "no robot is held"),
+        ({"held": {"2": {"by": "page", "ignored": 0}}}, "robot 2, held by page, told to move 0 times since"),
+        ({"text": 'name = "w"\n'}, 'name = "w"'),
+        ({"noise": {"2": {"sensors": "ideal", "motion": "worn"}}}, "robot 2: sensors ideal, motion worn"),
     ],
 )
 def test_answers_are_shown_for_people(said: dict[str, Any], shown: str) -> None:

@@ -10,8 +10,37 @@ export const CLIENT_COLOURS = {
 const NAMES = ['paper', 'panel', 'ink', 'quiet', 'edge', 'accent', 'grid', 'wall', 'obstacle', 'actual', 'encoder',
   'actual-trace', 'encoder-trace', 'sonar', 'infrared', 'laser', 'hit', 'estimate', 'good'];
 
-// Black is the ink of the page, so that it is seen on a dark one too.
-export function clientColour(name, theme) { return CLIENT_COLOURS[name] ?? theme.ink; }
+const LEAST_CONTRAST = 3, STEPS = 20;
+
+// A colour as clients name it, on this page: black is its ink, and one that would not be seen on its paper is mixed with
+// ink until it is (contrast 3 to 1, as WCAG 2.2 asks of what is drawn).
+const seen = new Map();
+export function clientColour(name, theme) {
+  const key = `${name} ${theme.paper} ${theme.ink}`;
+  if (!seen.has(key)) seen.set(key, name in CLIENT_COLOURS ? onPaper(CLIENT_COLOURS[name], theme) : theme.ink);
+  return seen.get(key);
+}
+
+function onPaper(colour, { paper, ink }) {
+  const [one, other] = [parts(colour), parts(ink)];
+  for (let step = 0; step <= STEPS; step += 1) {
+    const mixed = one.map((part, k) => Math.round(part + (other[k] - part) * step / STEPS));
+    const text = `#${mixed.map((part) => part.toString(16).padStart(2, '0')).join('')}`;
+    if (contrast(text, paper) >= LEAST_CONTRAST) return text;
+  }
+  return ink;
+}
+
+function parts(colour) { return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16)); }
+
+// As WCAG 2.2 defines it, of colours #rrggbb.
+export function contrast(one, other) {
+  const light = (colour) => parts(colour).map((part) => part / 255)
+    .map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, part, k) => sum + part * [0.2126, 0.7152, 0.0722][k], 0);
+  const [darker, lighter] = [light(one), light(other)].sort((a, b) => a - b);
+  return (lighter + 0.05) / (darker + 0.05);
+}
 
 export function readTheme() {
   const style = getComputedStyle(document.documentElement);

@@ -21,13 +21,14 @@ export function drawScene(pen, scene, view, options) {
   if (!scene.world) return;
   drawWorld(pen, scene.world, view, options);
   if (shown.graphics) options.graphics?.(pen, scene, view, options);
+  const many = Object.keys(scene.robots).length > 1;
   for (const [id, robot] of Object.entries(scene.robots)) {
     const body = scene.bodies[id];
     if (!body) continue;
     if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
     if (id === options.robot) drawSensors(pen, robot, body, scene.lasers[id], view, options);
     if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
-    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id });
+    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && many });
     if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
   }
   if (shown.estimate) options.estimate?.(pen, scene, view, options);
@@ -94,8 +95,10 @@ function drawTraces(pen, traces, view, theme) {
     pen.strokeStyle = colour;
     pen.lineWidth = 1.5;
     pen.beginPath();
-    for (let k = 0; k + 1 < points.length; k += 2) {
-      (k ? pen.lineTo : pen.moveTo).call(pen, ...toScreen(view, points[k], points[k + 1]));
+    for (let k = 0, pass = pen.moveTo; k + 1 < points.length; k += 2) {
+      if (points[k] === null) { pass = pen.moveTo; continue; }
+      pass.call(pen, ...toScreen(view, points[k], points[k + 1]));
+      pass = pen.lineTo;
     }
     pen.stroke();
   }
@@ -145,13 +148,13 @@ function ray(pen, view, x, y, direction, from, to) {
   line(pen, view, x + from * c, y + from * s, x + to * c, y + to * s);
 }
 
-export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, name }) {
+export function drawRobot(pen, [x, y, steer, turret], body, view, { colour, dashed, name, chosen }) {
   pen.strokeStyle = colour;
   pen.fillStyle = colour;
   pen.lineWidth = 2;
   pen.setLineDash(dashed ? [5, 4] : []);
   circle(pen, view, x, y, body.radius_in);
-  if (!dashed) { pen.globalAlpha = 0.18; pen.fill(); pen.globalAlpha = 1; }
+  if (!dashed) { pen.globalAlpha = chosen ? 0.4 : 0.18; pen.fill(); pen.globalAlpha = 1; }
   pen.stroke();
   pen.setLineDash([]);
   arrow(pen, view, x, y, steer, body.radius_in);
@@ -205,17 +208,18 @@ function drawScale(pen, view, { theme, metric }) {
 
 // What clients drew, on a sheet of its own: there two shapes in XOR cancel where they meet, as on the old screens.
 export function drawGraphics(pen, scene, view, { theme }) {
-  for (const [figure, numbers, colour, xor] of scene.graphics) {
-    pen.globalCompositeOperation = xor ? 'xor' : 'source-over';
-    pen.strokeStyle = clientColour(colour, theme);
-    pen.fillStyle = pen.strokeStyle;
-    pen.lineWidth = 2;
-    drawShape(pen, figure, numbers.map((n) => n / 10), view);
+  for (const shape of scene.graphics) {
+    pen.globalCompositeOperation = shape[4] ? 'xor' : 'source-over';
+    drawShape(pen, shape, view, clientColour(shape[3], theme));
   }
   pen.globalCompositeOperation = 'source-over';
 }
 
-function drawShape(pen, figure, n, view) {
+// One of them; [number, figure, its numbers in tenths, colour, whether in XOR].
+export function drawShape(pen, [, figure, tenths], view, colour) {
+  const n = tenths.map((tenth) => tenth / 10);
+  pen.strokeStyle = pen.fillStyle = colour;
+  pen.lineWidth = 2;
   const radians = (degrees) => degrees * Math.PI / 180;
   if (figure === 'line') line(pen, view, n[0], n[1], n[2], n[3]);
   else if (figure === 'arc') drawArc(pen, n, view);

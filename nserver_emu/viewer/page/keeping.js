@@ -1,28 +1,42 @@
 // Pictures to keep: the map as PNG and SVG, and the run as one HTML file that replays without a server.
 //
-// The run is what came over the link since the page was opened, the last MOST_KEPT messages of it; what was before
-// them is folded into one whole picture that it begins with. The file holds this page's own modules, style and run.
+// The run is what came over the link since the page was opened, the last MOST_KEPT messages of it and the last MOST_SIZE
+// characters; what was before them is folded into one whole picture that it begins with. Where the link was lost there is
+// a gap in it, and then a whole picture. The file holds this page's own modules, style and run.
 
 import { download } from './parts.js';
-import { drawScene, drawGraphics } from './draw.js';
+import { drawScene } from './draw.js';
 import { SvgPen } from './svg.js';
+import { drawnOn } from './scene.js';
+import { graphicsToSvg } from './svg_graphics.js';
 
-const MOST_KEPT = 12000, MOST_TRACE_NUMBERS = 8000, MODULE = /(from|import) '\.\/([\w]+\.js)'/g;
+const KEPT = ['picture', 'localization', 'waypoints'];
+const MOST_KEPT = 24000, MOST_SIZE = 60e6, MOST_TRACE_NUMBERS = 8000, MODULE = /(from|import) '\.\/([\w]+\.js)'/g;
 
-export function newRun() { return { base: null, messages: [] }; }
+export function newRun() { return { base: null, messages: [], sizes: [], size: 0 }; }
 
-export function keepMessage(run, message) {
-  if (message.type === 'picture' && message.since === 0) { run.base = message; run.messages = []; return; }
-  if (!run.base || !['picture', 'localization'].includes(message.type)) return;
+export function keepMessage(run, message, size = 0, most = { kept: MOST_KEPT, size: MOST_SIZE }) {
+  if (!KEPT.includes(message.type)) return;
+  if (!run.base) { if (message.since === 0) run.base = message; return; }
   run.messages.push(message);
-  if (run.messages.length > MOST_KEPT) {
+  run.sizes.push(size);
+  run.size += size;
+  while (run.messages.length > most.kept || (run.size > most.size && run.messages.length > 1)) {
     const oldest = run.messages.shift();
+    run.size -= run.sizes.shift();
     if (oldest.type === 'picture') run.base = folded(run.base, oldest);
   }
 }
 
+// How much simulated time a run holds, in words.
+export function runLength(run) {
+  const last = run.messages.findLast((message) => message.type === 'picture');
+  return `${run.base && last ? Math.max(last.time_s - run.base.time_s, 0).toFixed(0) : 0} s of it`;
+}
+
 // The whole picture that a whole one and the next make.
 export function folded(base, picture) {
+  if (picture.since === 0) return picture;
   const traces = { ...base.traces };
   for (const [id, both] of Object.entries(picture.traces ?? {})) {
     traces[id] = Object.fromEntries(['actual', 'encoder'].map((name) => {
@@ -30,7 +44,9 @@ export function folded(base, picture) {
       return [name, { gone: both[name].gone, points: points.slice(-MOST_TRACE_NUMBERS) }];
     }));
   }
-  return { ...base, ...picture, since: 0, traces };
+  const { drawn, ...rest } = picture;
+  const graphics = drawn ? drawnOn(base.graphics, drawn) : rest.graphics ?? base.graphics;
+  return { ...base, ...rest, since: 0, traces, graphics };
 }
 
 export function savePng(app) {
@@ -40,7 +56,7 @@ export function savePng(app) {
 
 export function svgOf(app) {
   const { view } = app.map, pen = new SvgPen(view.width, view.height);
-  drawScene(pen, app.scene, view, { ...app.map.options(), tool: undefined, graphics: drawGraphics });
+  drawScene(pen, app.scene, view, { ...app.map.options(), tool: undefined, graphics: graphicsToSvg });
   return pen.toString();
 }
 
@@ -63,7 +79,7 @@ export async function saveRun(app) {
   const page = await text(`/${location.search}`), style = await text('/page/style.css');
   const whole = page
     .replace(/<link rel="stylesheet"[^>]*>/, () => `<style>${style}</style>`)
-    .replace(/<script type="module"[^>]*><\/script>/, () => `<script>window.nserverRun = ${safe(app.run)};</script>
+    .replace(/<script type="module"[^>]*><\/script>/, () => `<script>window.nserverRun = ${safe({ base: app.run.base, messages: app.run.messages })};</script>
 <script type="importmap">${safe({ imports })}</script>
 <script type="module">import 'nserver/main.js';</script>`);
   download('run.html', 'text/html', whole);

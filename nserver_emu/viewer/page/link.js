@@ -4,24 +4,34 @@
 export const ACKNOWLEDGE_EVERY = 5;
 
 export function openLink(token, { hear, state }) {
-  let socket = null, wait_ms = 250, asked = 0, pictures = 0;
+  let socket = null, refused = false, wait_ms = 250, asked = 0, pictures = 0;
   const answers = new Map();
 
   function open() {
     const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
     socket = new WebSocket(`${scheme}://${location.host}/ws?token=${encodeURIComponent(token)}`);
-    socket.onopen = () => { wait_ms = 250; state('live'); };
-    socket.onmessage = (event) => take(JSON.parse(event.data));
+    let opened = false;
+    socket.onopen = () => { opened = true; wait_ms = 250; state('live'); };
+    socket.onmessage = (event) => take(JSON.parse(event.data), event.data.length);
     socket.onclose = () => {
       state('lost');
+      if (!opened) lookWhy();
       for (const then of answers.values()) then({ ok: false, error: 'the connection was lost' });
       answers.clear();
-      setTimeout(open, wait_ms);
+      setTimeout(() => { if (!refused) open(); }, wait_ms);
       wait_ms = Math.min(wait_ms * 2, 5000);
     };
   }
 
-  function take(message) {
+  // A daemon that was started anew has another token: the page would knock for ever.
+  async function lookWhy() {
+    try {
+      const answer = await fetch(`/?token=${encodeURIComponent(token)}`);
+      if (answer.status === 403) { refused = true; state('refused'); }
+    } catch { /* nobody there: it is tried again */ }
+  }
+
+  function take(message, size) {
     if (message.type === 'picture') {
       pictures += 1;
       if (pictures % ACKNOWLEDGE_EVERY === 0) send({ do: 'seen', frame: message.frame });
@@ -30,7 +40,7 @@ export function openLink(token, { hear, state }) {
       const then = answers.get(message.id);
       answers.delete(message.id);
       then(message);
-    } else hear(message);
+    } else hear(message, size);
   }
 
   function send(message) { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); }

@@ -1,86 +1,167 @@
-// The window Localization, and the estimate on the map: what `nomad localize --publish` says. Where it is thought to be
-// with its 3-sigma ellipse, the beams taken and refused with the reason, innovation, NIS and error over time.
+// The window Localization, and the estimate on the map: what `nomad localize --publish` says of the robot that is chosen.
+// Where it is thought to be with its 3-sigma ellipse, the beams taken and refused with the reason, innovation, NIS and
+// error over time, way-points. Rules: what has not been heard of for a while says so, and then fades.
 
 import { toScreen } from './view.js';
 import { circle, arrow } from './draw.js';
-import { drawWaypoints } from './tools.js';
-import { cell, table, sizedPen, element, button } from './parts.js';
-import { lengthText, degreesText } from './units.js';
+import { drawWaypoints, pointsNow, tenthed } from './tools.js';
+import { chart, legend } from './charts.js';
+import { cell, table, element, button, form, lengthField } from './parts.js';
+import { lengthText, degreesText, unitIn, unitName } from './units.js';
 
-const KEPT_S = 120, BEAMS_KEPT = 16, GATE_99_9 = 10.828;
+const KEPT_S = 120, BEAM_S = 1, GATE_99_9 = 10.828, STALE_S = 5, GONE_S = 60;
 export const REASONS = { none: 'used', limit: 'a limit', no_wall: 'no wall there', ambiguous_wall: 'which wall?',
   grazing: 'grazing', gate: 'beyond the gate' };
+const CHARTS = {
+  innovation: ['Innovation', [['estimate', 'used'], ['hit', 'refused']]],
+  nis: ['NIS', [['estimate', 'used'], ['hit', 'refused, and the bound that one in a thousand passes']]],
+  error: ['Error of the place', [['hit', 'error'], ['quiet', '3 sigma, the long axis']]],
+  heading: ['Error of the heading, °', [['hit', 'error'], ['quiet', '3 sigma']]],
+};
+const DEGREES = 180 / Math.PI;
+
+function newHistory() { return { latest: null, heard_ms: 0, moments: [], beams: new Map(), counts: {} }; }
 
 export const localizationWindow = {
-  id: 'localization', title: 'Localization', latest: null, moments: [], beams: new Map(), counts: {},
+  id: 'localization', title: 'Localization', of: {},
   build(box, app) {
-    this.note = element('p', { className: 'quiet' }, 'Nobody publishes an estimate: nomad localize ... --publish with this page\'s address.');
-    box.append(this.note);
+    this.note = element('p', { className: 'quiet' });
     this.rows = table(box, 'Estimate');
-    this.charts = ['Innovation, in', 'NIS', 'Error and 3 sigma, in'].map((title) => {
-      const canvas = element('canvas', { role: 'img' });
-      canvas.setAttribute('aria-label', `${title} over time`);
-      box.append(element('div', { className: 'quiet' }, title), canvas);
-      return canvas;
-    });
-    box.append(element('div', { className: 'row acts' },
-      button('Waypoints by pointer', () => app.choose('waypoint')),
-      button('Clear waypoints', () => { app.waypoints = []; app.waypointsChanged(); }, { id: 'clear-waypoints' })));
+    this.charts = Object.fromEntries(Object.entries(CHARTS).map(([name, [title, entries]]) => {
+      const canvas = element('canvas', { role: 'img' }), heading = element('div');
+      canvas.setAttribute('aria-label', `${title} over the last ${KEPT_S} seconds`);
+      return [name, { canvas, heading, title, whole: element('div', {}, heading, canvas, legend(...entries)) }];
+    }));
+    this.plots = element('div', {}, ...Object.values(this.charts).map(({ whole }) => whole));
+    box.prepend(this.note);
+    box.append(this.plots, this.waypoints(app));
   },
+  waypoints(app) {
+    this.point = [lengthField(app, 'x', 0, { id: 'waypoint-x' }), lengthField(app, 'y', 0, { id: 'waypoint-y' })];
+    this.list = element('div', { id: 'waypoint-list' });
+    return element('div', { className: 'acts' },
+      form(() => app.setWaypoints([...pointsNow(app), tenthed(this.point.map((one) => one.inches))]),
+        element('div', { className: 'row' }, ...this.point.map((one) => one.label), element('button', { id: 'add-waypoint' }, 'Add waypoint'))),
+      element('div', { className: 'row' }, button('By pointer', () => app.choose('waypoint'), { ariaLabel: 'Waypoints by pointer' }),
+        button('Clear waypoints', () => app.setWaypoints([]), { id: 'clear-waypoints' })),
+      this.list);
+  },
+  reset() { this.of = {}; },
   hear(message, app) {
     if (message.type !== 'localization') return;
-    const last = this.latest;
-    if (last && message.clock_s < last.clock_s) { this.moments = []; this.counts = {}; this.beams.clear(); }
-    this.latest = message;
+    const old = this.of[message.robot];
+    const mine = this.of[message.robot] = old && message.clock_s >= old.latest.clock_s ? old : newHistory();
+    mine.latest = message;
+    mine.heard_ms = performance.now() - 1000 * (message.age_s ?? 0);
     for (const echo of message.echoes) {
-      this.counts[echo.refusal] = (this.counts[echo.refusal] ?? 0) + 1;
-      this.beams.delete(echo.sonar);
-      this.beams.set(echo.sonar, { ...echo, pose: message.pose, turret: message.turret });
+      mine.counts[echo.refusal] = (mine.counts[echo.refusal] ?? 0) + 1;
+      mine.beams.delete(echo.sonar);
+      mine.beams.set(echo.sonar, { ...echo, pose: message.pose, turret: message.turret, clock_s: message.clock_s });
     }
-    while (this.beams.size > BEAMS_KEPT) this.beams.delete(this.beams.keys().next().value);
-    this.moments.push({ time_s: message.clock_s, echoes: message.echoes, error: errorOf(message), sigma: sigmaOf(message) });
-    while (this.moments[0].time_s < message.clock_s - KEPT_S) this.moments.shift();
+    for (const [sonar, beam] of mine.beams) if (beam.clock_s < message.clock_s - BEAM_S) mine.beams.delete(sonar);
+    mine.moments.push({ time_s: message.clock_s, echoes: message.echoes, ...errorsOf(message) });
+    while (mine.moments[0].time_s < message.clock_s - KEPT_S) mine.moments.shift();
     app.map.keepDrawing();
     app.changed();
   },
-  update(app) {
-    const now = this.latest;
-    this.note.hidden = Boolean(now);
-    if (!now) return;
-    const [x, y, heading] = now.pose, error = errorOf(now);
-    cell(this.rows, 'estimate', `${lengthText(x, app.metric, 2)}, ${lengthText(y, app.metric, 2)}, ${degreesText(heading)}`);
-    cell(this.rows, '3 sigma', `${lengthText(sigmaOf(now), app.metric, 2)}, ${(3 * Math.sqrt(now.cov[8]) * 180 / Math.PI).toFixed(2)}°`);
-    cell(this.rows, 'error', error === null ? 'truth unknown' : lengthText(error, app.metric, 2));
-    cell(this.rows, 'echoes', Object.entries(REASONS).map(([name, text]) => `${this.counts[name] ?? 0} ${text}`).join(', '));
-    cell(this.rows, 'waypoints', `${now.passed} of ${now.waypoints.length} reached`);
-    const points = (pick) => this.moments.flatMap((moment) => moment.echoes.filter((echo) => echo.refusal === 'none')
-      .map((echo) => [moment.time_s, pick(echo)]));
-    const end = now.clock_s, theme = app.theme;
-    chart(this.charts[0], theme, end, [{ points: points((echo) => echo.innovation_in), colour: theme.estimate, dots: true }]);
-    chart(this.charts[1], theme, end, [{ points: points((echo) => echo.nis), colour: theme.estimate, dots: true }], GATE_99_9);
-    chart(this.charts[2], theme, end, [
-      { points: this.moments.filter((moment) => moment.error !== null).map((moment) => [moment.time_s, moment.error]), colour: theme.hit },
-      { points: this.moments.map((moment) => [moment.time_s, moment.sigma]), colour: theme.quiet }]);
+  // The latest message of a robot's localizer, unless it has been silent; in a replay nothing grows old.
+  alive(id) {
+    const mine = this.of[id];
+    return mine && ageOf(mine) < STALE_S ? mine.latest : null;
   },
-  draw(pen, scene, view, { theme }) {
-    const now = this.latest;
-    if (!now) return;
-    const body = scene.bodies[String(now.robot)];
-    for (const beam of this.beams.values()) drawBeam(pen, view, beam, body?.ring_in ?? 9, theme);
+  update(app) {
+    const mine = this.of[app.robot], age_s = mine && ageOf(mine);
+    this.listWaypoints(app);
+    this.plots.hidden = this.rows.parentElement.hidden = !mine;
+    this.note.hidden = Boolean(mine) && age_s < STALE_S;
+    if (!mine) { this.tellHow(app); return; }
+    if (!this.note.hidden) this.note.textContent = `Nothing heard of the localizer for ${Math.round(age_s)} s: what is shown is old.`;
+    if (age_s > STALE_S) app.map.keepDrawing();
+    this.words(mine, app);
+    this.draws(mine, app);
+  },
+  tellHow(app) {
+    const line = howToPublish(app), key = line ?? 'none';
+    if (this.told === key && this.note.firstChild) return;
+    this.told = key;
+    this.note.replaceChildren(`Nobody publishes an estimate of robot ${app.robot}. `, ...(line ? ['In a terminal: ', element('code', {}, line)] : []));
+  },
+  words({ latest: now, counts }, app) {
+    this.told = null;
+    const [x, y, heading] = now.pose, { error, sigma, turn, turnSigma } = errorsOf(now);
+    cell(this.rows, 'estimate', `${lengthText(x, app.metric, 2)}, ${lengthText(y, app.metric, 2)}, ${degreesText(heading)}`);
+    cell(this.rows, '3 sigma', `${lengthText(sigma, app.metric, 2)}, ${turnSigma.toFixed(2)}°`);
+    cell(this.rows, 'error', error === null ? 'truth unknown' : `${lengthText(error, app.metric, 2)}, ${turn.toFixed(2)}°`);
+    cell(this.rows, 'echoes', Object.entries(REASONS).map(([name, text]) => `${counts[name] ?? 0} ${text}`).join(', '));
+    cell(this.rows, 'waypoints', `${now.passed} of ${now.waypoints.length} reached`);
+  },
+  draws({ latest, moments }, app) {
+    const { theme } = app, one = unitIn(app.metric), unit = unitName(app.metric);
+    const dots = (used, pick) => ({ dots: true, colour: used ? theme.estimate : theme.hit, points: moments.flatMap((moment) => moment.echoes
+      .filter((echo) => (echo.refusal === 'none') === used && (used || echo.nis > 0)).map((echo) => [moment.time_s, pick(echo)])) });
+    const line = (colour, pick) => ({ colour, points: moments.filter((moment) => pick(moment) !== null).map((moment) => [moment.time_s, pick(moment)]) });
+    const lines = {
+      innovation: [dots(false, (echo) => echo.innovation_in / one), dots(true, (echo) => echo.innovation_in / one)],
+      nis: [dots(false, (echo) => Math.min(echo.nis, 2 * GATE_99_9)), dots(true, (echo) => echo.nis)],
+      error: [line(theme.quiet, (moment) => moment.sigma / one), line(theme.hit, (moment) => moment.error && moment.error / one)],
+      heading: [line(theme.quiet, (moment) => moment.turnSigma), line(theme.hit, (moment) => moment.turn && Math.abs(moment.turn))],
+    };
+    for (const [name, { canvas, heading, title }] of Object.entries(this.charts)) {
+      const text = ['innovation', 'error'].includes(name) ? `${title}, ${unit}` : title;
+      if (heading.textContent !== text) heading.textContent = text;
+      chart(canvas, theme, { end_s: latest.clock_s, span_s: KEPT_S, lines: lines[name], bound: name === 'nis' ? GATE_99_9 : undefined });
+    }
+  },
+  listWaypoints(app) {
+    const points = pointsNow(app), key = JSON.stringify([points, app.metric]);
+    if (this.listed === key) return;
+    this.listed = key;
+    const focused = document.activeElement?.dataset?.waypoint;
+    this.list.replaceChildren(...points.map(([x, y], k) => {
+      const gone = button('Delete', () => app.setWaypoints(pointsNow(app).filter((_, j) => j !== k)), { ariaLabel: `Delete waypoint ${k + 1}` });
+      gone.dataset.waypoint = k;
+      return element('div', { className: 'row' }, element('span', {}, `${k + 1}: ${lengthText(x, app.metric)}, ${lengthText(y, app.metric)}`), gone);
+    }));
+    if (focused) this.list.querySelector(`[data-waypoint="${focused}"]`)?.focus();
+  },
+  draw(pen, scene, view, { theme }, app) {
+    const mine = this.of[app.robot];
+    const points = pointsNow(app);
+    if (points.length && !(app.toolName === 'waypoint' && app.map.dragged === 'tool')) drawWaypoints(pen, points, view, theme);
+    if (!mine || ageOf(mine) > GONE_S) return;
+    const now = mine.latest, ring = scene.bodies[String(now.robot)]?.ring_in ?? 9, old = ageOf(mine) > STALE_S;
+    pen.globalAlpha = old ? 0.35 : 1;
+    if (!old) for (const beam of mine.beams.values()) drawBeam(pen, view, beam, ring, theme);
     drawEllipse(pen, view, now, theme);
+    pen.setLineDash([2, 3]);
+    pen.strokeStyle = theme.encoder;
+    pen.lineWidth = 1.5;
+    circle(pen, view, now.odometry[0], now.odometry[1], 3 / view.scale);
+    pen.stroke();
+    pen.setLineDash(old ? [4, 4] : []);
     pen.strokeStyle = pen.fillStyle = theme.estimate;
     pen.lineWidth = 2;
-    arrow(pen, view, ...now.pose, body?.radius_in ?? 9);
-    if (now.waypoints.length) drawWaypoints(pen, now.waypoints, view, theme);
+    arrow(pen, view, ...now.pose, ring);
+    pen.setLineDash([]);
+    pen.globalAlpha = 1;
   },
 };
 
-function errorOf(message) {
-  return message.truth && Math.hypot(message.pose[0] - message.truth[0], message.pose[1] - message.truth[1]);
+function ageOf(mine) { return window.nserverRun ? 0 : (performance.now() - mine.heard_ms) / 1000; }
+
+// The command that publishes here, for who may act; null for who may not know the token.
+export function howToPublish(app) {
+  if (!app.mayAct || window.nserverRun) return null;
+  const place = app.lines.nserver ?? 'localhost:7019';
+  return `nomad localize nserver://${place}/${app.robot} --map ${app.scene.world?.name ?? 'WORLD'} --publish '${location.href}'`;
 }
 
-// Three sigma along the longest axis of the ellipse.
-function sigmaOf(message) { return 3 * ellipse(message.cov)[0]; }
+// Error against truth (null where that is unknown) and 3 sigma, of the place in inches, of the heading in degrees.
+export function errorsOf({ pose, truth, cov }) {
+  const turn = truth && (((pose[2] - truth[2]) * DEGREES + 540) % 360 + 360) % 360 - 180;
+  return { error: truth && Math.hypot(pose[0] - truth[0], pose[1] - truth[1]), turn, sigma: 3 * ellipse(cov)[0],
+    turnSigma: 3 * Math.sqrt(cov[8]) * DEGREES };
+}
 
 // Half axes (standard deviations) and direction of the ellipse of a covariance, row by row of 3 x 3.
 export function ellipse([xx, xy, , , yy]) {
@@ -94,6 +175,9 @@ function drawEllipse(pen, view, { pose, cov }, theme) {
   pen.lineWidth = 1.5;
   pen.beginPath();
   pen.ellipse(px, py, Math.max(3 * long * view.scale, 1), Math.max(3 * short * view.scale, 1), -turn, 0, 2 * Math.PI);
+  pen.fillStyle = theme.estimate;
+  const alpha = pen.globalAlpha;
+  pen.globalAlpha = 0.25 * alpha; pen.fill(); pen.globalAlpha = alpha;
   pen.stroke();
 }
 
@@ -109,33 +193,7 @@ function drawBeam(pen, view, beam, ring, theme) {
   pen.stroke();
   pen.setLineDash([]);
   if (used) { circle(pen, view, x + far * c, y + far * s, 3 / view.scale); pen.fill(); return; }
-  pen.font = '10px system-ui, sans-serif';
+  pen.font = '11px system-ui, sans-serif';
   const near = ring + Math.min(beam.reading_in, 24);
   pen.fillText(REASONS[beam.refusal], ...toScreen(view, x + near * c, y + near * s));
-}
-
-function chart(canvas, theme, end_s, lines, bound) {
-  const pen = sizedPen(canvas, 0.3);
-  if (!pen) return;
-  const values = lines.flatMap(({ points }) => points.map(([, value]) => value)).concat(bound ?? []);
-  const low = Math.min(0, ...values), high = Math.max(1e-3, ...values), left = 34, wide = pen.width - left - 4;
-  const at = (time_s, value) => [left + wide * (1 - (end_s - time_s) / KEPT_S),
-    pen.height - 8 - (value - low) / (high - low) * (pen.height - 16)];
-  pen.strokeStyle = theme.edge;
-  pen.fillStyle = theme.quiet;
-  pen.font = '10px system-ui, sans-serif';
-  for (const value of [low, high, 0, ...(bound ? [bound] : [])]) {
-    const [, py] = at(end_s, value);
-    pen.beginPath(); pen.moveTo(left, py); pen.lineTo(pen.width, py); pen.stroke();
-    pen.fillText(value.toFixed(1), 2, py + 3);
-  }
-  for (const { points, colour, dots } of lines) {
-    pen.strokeStyle = pen.fillStyle = colour;
-    pen.beginPath();
-    points.forEach(([time_s, value], k) => {
-      const [px, py] = at(time_s, value);
-      if (dots) pen.fillRect(px - 1, py - 1, 2, 2); else (k ? pen.lineTo : pen.moveTo).call(pen, px, py);
-    });
-    pen.stroke();
-  }
 }

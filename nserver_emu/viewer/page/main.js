@@ -4,103 +4,127 @@ import { emptyScene, applyPicture } from './scene.js';
 import { readTheme } from './colours.js';
 import { openLink } from './link.js';
 import { openReplay } from './replay.js';
-import { newRun, keepMessage, savePng, saveSvg, saveRun } from './keeping.js';
+import { newRun, keepMessage, savePng, saveSvg, saveRun, runLength } from './keeping.js';
 import { mapWindow } from './map_window.js';
 import { robotWindow, shortWindow, longWindow } from './robot_windows.js';
-import { driveWindow, timeWindow, worldWindow } from './doing_windows.js';
+import { driveWindow } from './drive_window.js';
+import { timeWindow } from './time_window.js';
+import { worldWindow } from './world_window.js';
 import { trafficWindow } from './traffic_window.js';
 import { localizationWindow } from './localization_window.js';
-import { setUpTools, drawWaypoints } from './tools.js';
+import { setUpTools } from './tools.js';
 import { setUpMenus } from './menus.js';
+import { setUpSharing } from './share.js';
+import { setUpStopping, stopAll } from './stopping.js';
+import { newUndo } from './undo.js';
 import { tenthsOf, angleTenths } from './units.js';
+import { isFree } from './ground.js';
 import { element } from './parts.js';
+import { remember, remembered } from './remembering.js';
 
 const WINDOWS = [driveWindow, robotWindow, shortWindow, longWindow, localizationWindow, timeWindow, worldWindow, trafficWindow];
-const MOST_UNDO = 200;
-const WINDOWS_EVERY_MS = 100;
+const WINDOWS_EVERY_MS = 100, JUST_SET_MS = 2000;
+const part = (id) => document.getElementById(id);
 
+const unitsListeners = [], setAt = {};
 const app = {
-  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, watchToken: null,
+  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, watchToken: null, lines: {},
   chosen() { return { id: app.robot, robot: app.scene.robots[app.robot], body: app.scene.bodies[app.robot], scene: app.scene }; },
+  onUnits(listener) { unitsListeners.push(listener); },
   switchUnits() {
     app.metric = !app.metric;
-    document.getElementById('units').textContent = app.metric ? 'centimetres' : 'inches';
+    part('units').textContent = app.metric ? 'centimetres' : 'inches';
+    part('units').ariaLabel = `Units: ${app.metric ? 'centimetres' : 'inches'}`;
+    remember('metric', app.metric);
+    for (const listener of unitsListeners) listener();
     app.map.keepDrawing();
     refresh = true;
   },
-  undo: { steps: [], push(step) { this.steps.push(step); if (this.steps.length > MOST_UNDO) this.steps.shift(); }, pop() { return this.steps.pop(); } },
-  run: newRun(), waypoints: [],
-  waypointsChanged() { app.link.send({ do: 'waypoints', points: app.waypoints }); app.map.keepDrawing(); },
+  run: newRun(), waypoints: {},
+  estimateOf(id) { return localizationWindow.alive(id); },
+  justSet(id) { return performance.now() - (setAt[id] ?? -Infinity) < JUST_SET_MS; },
+  setWaypoints(points) {
+    app.waypoints[app.robot] = points;
+    setAt[app.robot] = performance.now();
+    app.link.send({ do: 'waypoints', robot: Number(app.robot), points });
+    app.map.keepDrawing();
+    refresh = true;
+  },
   selectRobot(id) {
     if (app.robot !== id) driveWindow.release();
     app.robot = id;
-    document.getElementById('robot-choice').value = id;
+    part('robot-choice').value = id;
     app.map.keepDrawing();
     refresh = true;
   },
   givePose([x, y, steer, turret]) {
+    if (!isFree(app.scene.world, x, y)) app.notice('That pose stands in a wall, in an obstacle or outside; it was given as it is.');
     app.link.send({ do: 'click', robot: Number(app.robot), pose: [tenthsOf(x), tenthsOf(y), angleTenths(steer), angleTenths(turret)] });
   },
-  stopAll() {
+  async stopAll() {
     driveWindow.release();
-    for (const id of Object.keys(app.scene.robots)) app.link.ask({ do: 'call', robot: Number(id), call: 'st', args: [] });
+    app.notice(await stopAll(app.link, Object.keys(app.scene.robots)));
   },
   changed() { refresh = true; },
-  drawEstimate(pen, scene, view, options) {
-    if (app.waypoints.length && !localizationWindow.latest) drawWaypoints(pen, app.waypoints, view, options.theme);
-    localizationWindow.draw(pen, scene, view, options);
-  },
-  layersChanged() { watch(); },
-  watch() { watch(); },
+  drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
+  layersChanged() { app.watch(); },
+  watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser }); },
   notice(text) {
-    const place = document.getElementById('notice');
-    place.textContent = text;
+    const place = part('notice');
+    place.firstElementChild.textContent = text;
     place.hidden = !text;
   },
 };
-let refresh = true, windowsDrawn = 0;
+app.undo = newUndo(app, () => { refresh = true; });
+let refresh = true, windowsDrawn = 0, asked = [];
 
-function hear(message) {
-  if (!window.nserverRun) keepMessage(app.run, message);
+function hear(message, size) {
+  if (!window.nserverRun) keepMessage(app.run, message, size);
   if (message.type === 'picture') takePicture(message);
   else if (message.type === 'hello') greet(message);
   else if (message.type === 'asked') showAsked(message.robots);
-  else if (message.type === 'waypoints') { app.waypoints = message.points; app.map.keepDrawing(); }
+  else if (message.type === 'waypoints') { app.waypoints[message.robot] = message.points; setAt[message.robot] = performance.now(); app.map.keepDrawing(); refresh = true; }
   else if (message.type === 'answer' && !message.ok) app.notice(message.error);
   for (const window of WINDOWS) window.hear?.(message, app);
 }
 
 function greet(message) {
   app.mayAct = message.may_act;
+  greeted = true;
+  tellState();
   app.watchToken = message.watch_token;
+  app.lines = message.lines;
+  app.waypoints = message.waypoints;
   document.body.classList.toggle('only-looks', !message.may_act);
-  app.scene = emptyScene();
-  watch();
+  app.watch();
 }
 
-// A client waits for a pose: say so, choose its robot and the tool that gives one; back to the map when it is given.
+// A client waits for a pose: said for as long as it waits; its robot is chosen, and the tool that gives one.
 function showAsked(robots) {
-  const ids = Object.keys(robots);
-  app.asked = ids;
-  if (ids.length && app.mayAct) {
-    app.notice(`A program asks for a pose of robot ${ids[0]}: press on the map and drag to where it heads.`);
-    if (app.scene.robots[ids[0]]) app.selectRobot(ids[0]);
+  const ids = Object.keys(robots), fresh = ids.filter((id) => !asked.includes(id));
+  const place = part('asked');
+  asked = ids;
+  place.hidden = !ids.length || !app.mayAct;
+  place.firstElementChild.textContent = ids.length > 1
+    ? `Programs ask for poses of robots ${ids.join(', ')}: press on the map and drag to where the one that is chosen heads.`
+    : `A program asks for a pose of robot ${ids[0]}: press on the map and drag to where it heads.`;
+  if (fresh.length && app.mayAct) {
+    if (app.scene.robots[fresh[0]]) app.selectRobot(fresh[0]);
     app.choose('pose');
-  } else if (app.toolName === 'pose') { app.notice(''); app.choose('pan'); }
+  } else if (!ids.length && app.toolName === 'pose') app.choose('pan');
+  else if (ids.length && !ids.includes(app.robot) && app.scene.robots[ids[0]]) app.selectRobot(ids[0]);
 }
-
-function watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser }); }
 
 function takePicture(picture) {
   applyPicture(app.scene, picture);
-  if ('world' in picture) document.getElementById('world-name').textContent = picture.world.title || picture.world.name;
+  if ('world' in picture) part('world-name').textContent = picture.world.title || picture.world.name;
   if ('bodies' in picture) offerRobots();
   app.map.keepDrawing();
   refresh = true;
 }
 
 function offerRobots() {
-  const choice = document.getElementById('robot-choice'), ids = Object.keys(app.scene.bodies);
+  const choice = part('robot-choice'), ids = Object.keys(app.scene.bodies);
   choice.replaceChildren(...ids.map((id) => element('option', { value: id }, `${id} (${app.scene.bodies[id].model})`)));
   if (!ids.includes(app.robot)) app.robot = ids[0];
   choice.value = app.robot;
@@ -116,7 +140,7 @@ function frame(now) {
   if (refresh && now - windowsDrawn >= WINDOWS_EVERY_MS) {
     refresh = false;
     windowsDrawn = now;
-    document.getElementById('clock').textContent = clockText(app.scene);
+    part('clock').textContent = clockText(app.scene);
     for (const window of WINDOWS) if (window.box.parentElement.open) window.update(app);
   }
   requestAnimationFrame(frame);
@@ -125,44 +149,68 @@ function frame(now) {
 function buildWindows() {
   for (const window of WINDOWS) {
     window.box = element('div');
-    const whole = element('details', { className: `window${window.acts ? ' acts' : ''}`, open: !window.closed, id: `window-${window.id}` },
+    const whole = element('details', { className: `window${window.acts ? ' acts' : ''}`, open: remembered(`window ${window.id}`, !window.closed), id: `window-${window.id}` },
       element('summary', {}, window.title), window.box);
-    whole.addEventListener('toggle', () => { refresh = true; window.toggled?.(whole.open, app); });
-    document.getElementById('windows').append(whole);
+    whole.addEventListener('toggle', () => { remember(`window ${window.id}`, whole.open); refresh = true; window.toggled?.(whole.open, app); });
+    part('windows').append(whole);
     window.build(window.box, app);
   }
+}
+
+function undoByKey(event) {
+  const key = event.key.toLowerCase();
+  if (!(event.ctrlKey || event.metaKey) || event.target.closest?.('input, textarea') || !['z', 'y'].includes(key)) return;
+  event.preventDefault();
+  if (key === 'y' || event.shiftKey) app.undo.redo(); else app.undo.undo();
 }
 
 buildWindows();
 app.map = mapWindow(app);
 setUpTools(app);
+if (remembered('metric', false)) app.switchUnits();
 setUpMenus();
-document.getElementById('robot-choice').addEventListener('change', (event) => app.selectRobot(event.target.value));
-document.getElementById('stop').addEventListener('click', () => app.stopAll());
-document.addEventListener('keydown', (event) => {
-  if (event.key !== ' ' || event.target.closest('button, input, textarea, select, summary')) return;
-  event.preventDefault();
-  app.stopAll();
-});
+setUpSharing(app);
+part('robot-choice').addEventListener('change', (event) => app.selectRobot(event.target.value));
+part('stop').addEventListener('click', () => app.stopAll());
+part('notice-close').addEventListener('click', () => app.notice(''));
+part('asked-here').addEventListener('click', () => { if (app.scene.robots[app.robot]) app.givePose(app.scene.robots[app.robot].actual); });
+part('keep').addEventListener('beforetoggle', () => { part('save-run').textContent = `Run (HTML), ${runLength(app.run)}`; });
+part('clear-traces').addEventListener('click', () => { app.scene.traces = {}; app.map.keepDrawing(); });
 for (const query of ['(prefers-color-scheme: dark)', '(prefers-contrast: more)']) {
   matchMedia(query).addEventListener('change', () => { app.theme = readTheme(); app.map.keepDrawing(); refresh = true; });
 }
-for (const [id, keep] of [['save-png', savePng], ['save-svg', saveSvg], ['save-run', saveRun]]) {
-  document.getElementById(id).addEventListener('click', () => keep(app));
+for (const [id, keep] of [['save-png', savePng], ['save-svg', saveSvg], ['save-run', saveRun]]) part(id).addEventListener('click', () => keep(app));
+setInterval(() => { refresh = true; tellState(); }, 1000);  // what grows old is shown so though nothing comes
+
+const STATES = { live: 'live', lost: 'connection lost: trying again',
+  refused: 'nserver was started anew: open the address that it printed now', replay: 'a run that was kept' };
+let state = '', lostAt = 0, greeted = false;
+function showState(name) {
+  if (name === 'lost' && state === 'live') lostAt = performance.now();
+  state = name;
+  document.body.classList.toggle('lost', name === 'lost' || name === 'refused');
+  tellState();
 }
 
-const STATES = { live: 'live', lost: 'connection lost: trying again', replay: 'a run that was kept' };
-function showState(name) {
-  const place = document.getElementById('link-state');
-  place.textContent = STATES[name];
-  place.classList.toggle('lost', name === 'lost');
+function tellState() {
+  const ago = state === 'lost' && lostAt ? `, last heard ${Math.round((performance.now() - lostAt) / 1000)} s ago` : '';
+  part('link-state').textContent = `${STATES[state] ?? ''}${state === 'live' && greeted && !app.mayAct ? ', only looking' : ''}${ago}`;
+}
+
+function beginAnew() {
+  app.scene = emptyScene();
+  app.waypoints = {};
+  for (const window of WINDOWS) window.reset?.();
 }
 
 if (window.nserverRun) {
   document.body.classList.add('only-looks', 'replays');
+  document.title = 'Nserver: a run that was kept';
   app.run = window.nserverRun;
-  app.link = openReplay(window.nserverRun, { hear, state: showState, reset() { app.scene = emptyScene(); } });
+  app.link = openReplay(window.nserverRun, { hear, state: showState, reset: beginAnew });
 } else {
+  setUpStopping(() => { if (app.mayAct) app.stopAll(); });
+  document.addEventListener('keydown', undoByKey);
   app.link = openLink(new URLSearchParams(location.search).get('token') ?? '', { hear, state: showState });
 }
 requestAnimationFrame(frame);

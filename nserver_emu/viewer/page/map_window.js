@@ -6,6 +6,7 @@ import { worldBounds } from './scene.js';
 import { drawScene, drawGraphics, LAYERS } from './draw.js';
 import { sizedPen, element } from './parts.js';
 import { lengthText } from './units.js';
+import { remember, remembered } from './remembering.js';
 
 const ZOOM = 1.25, KEY_PAN_PX = 40;
 
@@ -13,10 +14,10 @@ export function mapWindow(app) {
   const canvas = document.getElementById('map');
   const sheet = document.createElement('canvas');
   const view = newView();
-  const shown = Object.fromEntries(Object.keys(LAYERS).map((name) => [name, true]));
+  const shown = Object.fromEntries(Object.keys(LAYERS).map((name) => [name, remembered(`layer ${name}`, true)]));
   const map = { canvas, view, shown, following: false, fitted: false, tool: null, draw, keepDrawing, fit, options };
   const pointers = new Map();
-  let pinch = 0, dirty = true;
+  let pinch = 0, dirty = true, pressed = null;
 
   function options() {
     return { theme: app.theme, metric: app.metric, shown, robot: app.robot, graphics: stampGraphics,
@@ -49,6 +50,8 @@ export function mapWindow(app) {
 
   function fit() { fitTo(view, worldBounds(app.scene)); keepDrawing(); }
 
+  function fitAll() { if (map.following) follow(false); fit(); }
+
   function follow(on) {
     map.following = on;
     document.getElementById('follow').setAttribute('aria-pressed', String(on));
@@ -72,6 +75,7 @@ export function mapWindow(app) {
     canvas.focus({ preventScroll: true });
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, place(event));
+    pressed = pointers.size === 1 ? [event.clientX, event.clientY] : null;
     if (pointers.size === 1) map.dragged = map.tool?.down?.(toWorld(view, ...place(event)), event) ? 'tool' : 'map';
     else { if (map.dragged === 'tool') map.tool.cancel?.(); map.dragged = 'map'; pinch = spread(); }
     keepDrawing();
@@ -102,39 +106,43 @@ export function mapWindow(app) {
     if (map.dragged === 'tool') {
       if (event.type === 'pointerup') map.tool.up?.(toWorld(view, ...place(event)), event);
       else map.tool.cancel?.();
+    } else if (event.type === 'pointerup' && pressed && Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) < 4) {
+      map.tool?.tap?.(toWorld(view, ...place(event)));
     }
+    pressed = null;
     map.dragged = null;
     keepDrawing();
   }
   canvas.addEventListener('pointerup', release);
   canvas.addEventListener('pointercancel', release);
 
+  const move = (dx, dy) => () => { if (map.following) follow(false); pan(view, dx, dy); };
   const keys = {
-    '+': () => zoom(ZOOM), '=': () => zoom(ZOOM), '-': () => zoom(1 / ZOOM), 0: fit, f: () => follow(!map.following),
+    '+': () => zoom(ZOOM), '=': () => zoom(ZOOM), '-': () => zoom(1 / ZOOM), 0: fitAll, f: () => follow(!map.following),
     u: () => app.switchUnits(),
-    ArrowLeft: () => pan(view, KEY_PAN_PX, 0), ArrowRight: () => pan(view, -KEY_PAN_PX, 0),
-    ArrowUp: () => pan(view, 0, KEY_PAN_PX), ArrowDown: () => pan(view, 0, -KEY_PAN_PX),
-    Escape: () => map.tool?.cancel?.(),
+    arrowleft: move(KEY_PAN_PX, 0), arrowright: move(-KEY_PAN_PX, 0), arrowup: move(0, KEY_PAN_PX), arrowdown: move(0, -KEY_PAN_PX),
+    escape: () => map.tool?.cancel?.(),
   };
   canvas.addEventListener('keydown', (event) => {
-    const act = keys[event.key];
+    const act = keys[event.key.toLowerCase()];
     if (!act || event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     act();
     event.preventDefault();
     keepDrawing();
   });
 
-  for (const [id, press] of [['zoom-in', () => zoom(ZOOM)], ['zoom-out', () => zoom(1 / ZOOM)], ['fit', fit],
+  for (const [id, press] of [['zoom-in', () => zoom(ZOOM)], ['zoom-out', () => zoom(1 / ZOOM)], ['fit', fitAll],
     ['follow', () => follow(!map.following)], ['units', () => app.switchUnits()]]) {
     document.getElementById(id).addEventListener('click', press);
   }
   for (const [name, title] of Object.entries(LAYERS)) {
-    const box = element('input', { type: 'checkbox', checked: true, id: `layer-${name}`, onchange: () => {
+    const box = element('input', { type: 'checkbox', checked: shown[name], id: `layer-${name}`, onchange: () => {
       shown[name] = box.checked;
+      remember(`layer ${name}`, box.checked);
       app.layersChanged();
       keepDrawing();
     } });
-    document.getElementById('layers').append(element('label', {}, box, ` ${title}`));
+    document.getElementById('clear-traces').before(element('label', {}, box, ` ${title}`));
   }
   new ResizeObserver(keepDrawing).observe(canvas);
 

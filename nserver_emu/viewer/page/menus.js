@@ -1,5 +1,6 @@
 // Menus that open over the page, in the browser's top layer: under their button, whole inside the window. Escape, a
-// press elsewhere, on the button or on one of theirs closes them; closed, they take no room. All of that but the place is the browser's.
+// press elsewhere, on the button or on one of theirs closes them; closed, they take no room. All but the place is the
+// browser's.
 
 const APART = 4, MARGIN = 8;
 
@@ -25,7 +26,7 @@ export function setUpMenus() {
       place();
       menu.classList.remove('unplaced');
     });
-    menu.addEventListener('click', (event) => { if (event.target.closest('button')) menu.hidePopover(); });
+    menu.addEventListener('click', (event) => { if (event.target.closest('button:not([data-stays])')) menu.hidePopover(); });
     window.addEventListener('resize', () => { if (menu.matches(':popover-open')) menu.hidePopover(); });
   }
 }

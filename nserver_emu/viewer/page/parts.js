@@ -1,5 +1,7 @@
 // Small parts the windows are made of: tables of names and texts, canvases that are crisp, labelled buttons and fields.
 
+import { unitIn, unitName } from './units.js';
+
 export function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
@@ -56,6 +58,42 @@ export function button(text, press, attributes = {}) {
 export function field(text, attributes = {}) {
   const input = element('input', attributes);
   return { input, label: element('label', {}, text, input) };
+}
+
+// A field for a length, shown in the page's unit; `inches` is read and set in inches whatever that is.
+export function lengthField(app, text, inches, attributes = {}, per = '') {
+  const name = document.createTextNode(''), input = element('input', { type: 'number', step: 'any', ...attributes });
+  const made = {
+    input, label: element('label', {}, name, input),
+    get inches() { return Number(input.value) * unitIn(app.metric); },
+    set inches(value) { input.value = String(Math.round(value / unitIn(app.metric) * 100) / 100); },
+  };
+  let metric = app.metric;
+  const relabel = () => { name.data = `${text}, ${unitName(app.metric)}${per}`; };
+  app.onUnits(() => {
+    const now = Number(input.value) * unitIn(metric);
+    metric = app.metric;
+    made.inches = now;
+    relabel();
+  });
+  made.inches = inches;
+  relabel();
+  return made;
+}
+
+// A form whose Enter does the same as its button.
+export function form(submit, ...children) {
+  return element('form', { onsubmit: (event) => { event.preventDefault(); submit(); } }, ...children);
+}
+
+export function choice(text, attributes, change) {
+  const select = element('select', { ...attributes, onchange: () => change(select.value) });
+  const offer = (names, now) => {
+    if (select.dataset.names !== names.join()) select.replaceChildren(...names.map((name) => element('option', { value: name }, name)));
+    select.dataset.names = names.join();
+    if (document.activeElement !== select) select.value = now;
+  };
+  return { select, label: element('label', {}, text, select), offer };
 }
 
 export function download(name, type, content) {

@@ -11,12 +11,18 @@ export function openReplay(run, { hear, reset, state }) {
 
   const slider = element('input', { type: 'range', min: first, max: last, step: 'any', value: first, id: 'replay-time' });
   slider.setAttribute('aria-label', 'Time of the run, seconds');
-  const play = button('Play', () => go(!playing), { id: 'replay-play' });
+  const play = button('Play', () => go(!playing), { id: 'replay-play', title: 'Play or pause (space bar)' });
+  const shown = element('span', { id: 'replay-now' });
   const rate = element('select', { id: 'replay-rate' }, ...[0.5, 1, 2, 5, 10].map((factor) => element('option', { value: factor }, `${factor} x`)));
   rate.value = '1';
   rate.setAttribute('aria-label', 'Speed');
-  document.querySelector('header').append(play, slider, rate);
+  document.querySelector('header').append(play, slider, shown, rate);
   slider.addEventListener('input', () => seek(Number(slider.value)));
+  document.addEventListener('keydown', (event) => {
+    if (event.key !== ' ' || event.target.closest?.('button, select, summary')) return;
+    event.preventDefault();
+    go(!playing);
+  });
 
   function go(on) {
     if (on && now_s >= last) seek(first);
@@ -29,6 +35,9 @@ export function openReplay(run, { hear, reset, state }) {
     if (time_s < now_s) { next = 0; reset(); }
     now_s = time_s;
     while (next < messages.length && times[next] <= now_s) { hear(messages[next]); next += 1; }
+    const text = `${(now_s - first).toFixed(1)} of ${(last - first).toFixed(1)} s`;
+    if (shown.textContent !== text) shown.textContent = text;
+    slider.setAttribute('aria-valuetext', text);
   }
 
   function frame(now_ms) {
@@ -42,8 +51,8 @@ export function openReplay(run, { hear, reset, state }) {
   }
 
   reset();
-  seek(first);
   state('replay');
+  queueMicrotask(() => seek(first));
   requestAnimationFrame(frame);
   return { send() {}, ask: async () => ({ ok: false, error: 'this is a run that was kept' }), seek, last };
 }

@@ -2,8 +2,10 @@
 // sixteen sonars over time. Rules: read the scene, change nothing of it.
 
 import { HISTORY_S } from './scene.js';
-import { lengthText, degreesText } from './units.js';
+import { lengthText, degreesText, unitIn, unitName } from './units.js';
 import { cell, table, sizedPen } from './parts.js';
+import { bodyFrame } from './draw.js';
+import { timeAxis } from './charts.js';
 
 const MODES = { n150: 'steering', n200: 'steering', scout: 'wheels' };
 
@@ -13,12 +15,12 @@ export const robotWindow = {
   update(app) {
     const { robot, body, scene } = app.chosen();
     if (!robot) return;
-    for (const [name, text] of stateInWords(robot, body, scene, app.metric)) cell(this.rows, name, text);
+    for (const [name, text] of stateInWords(robot, body, scene, app.metric, app.robot)) cell(this.rows, name, text);
   },
 };
 
 // State[0..44] as a person says it; [what, text] each.
-export function stateInWords(robot, body, scene, metric) {
+export function stateInWords(robot, body, scene, metric, who) {
   const s = robot.state, tenth = (slot) => lengthText(s[slot] / 10, metric);
   const angle = (slot) => degreesText(s[slot] * Math.PI / 1800);
   const speed = (slot) => `${lengthText(s[slot] / 10, metric)}/s`, turn = (slot) => `${(s[slot] / 10).toFixed(1)}°/s`;
@@ -40,6 +42,7 @@ export function stateInWords(robot, body, scene, metric) {
     ['compass', angle(43)],
     ['laser mode', String(s[42])],
     ['State[0] (speed)', s[0] === 9999 ? 'as fast as it can' : s[0] === 0 ? 'time stands' : `${s[0] / 10} x real time`],
+    ['said last', scene.said.findLast(([, id]) => String(id) === String(who))?.[2] ?? 'nothing'],
     ['numbers', s.join(' ')],
   ];
 }
@@ -52,7 +55,8 @@ export const shortWindow = {
     if (!robot) return;
     const readings = robot.state.slice(1, 17);
     polar(this.canvas, app.theme, { values: readings, most: 15, colour: app.theme.infrared, off: !body.sees,
-      turn: robot.actual[3], steer: robot.actual[2], bumpers: body.bumpers, touched: robot.state[33] });
+      turn: robot.actual[3], steer: robot.actual[2], bumpers: body.bumpers, touched: robot.state[33],
+      frame: bodyFrame(robot, body), metric: app.metric });
     cell(this.rows, 'infrared', body.sees ? readings.join(' ') : 'this robot has none');
     cell(this.rows, 'bumper bits', `0x${(robot.state[33] >>> 0).toString(16)}`);
   },
@@ -72,10 +76,11 @@ export const longWindow = {
     const { robot, scene, id } = app.chosen();
     if (!robot) return;
     const readings = robot.state.slice(17, 33);
-    polar(this.canvas, app.theme, { values: readings, most: 255, colour: app.theme.sonar, turn: robot.actual[3],
-      steer: robot.actual[2] });
-    drawStrips(this.strips, app.theme, scene.history[id] ?? [], scene.time_s);
-    cell(this.rows, 'sonars, in', readings.join(' '));
+    polar(this.canvas, app.theme, { values: readings, most: polarReach(readings), nothing: 255, colour: app.theme.sonar,
+      turn: robot.actual[3], steer: robot.actual[2], numbered: true, metric: app.metric });
+    drawStrips(this.strips, app.theme, scene.history[id] ?? [], scene.time_s, app.metric);
+    cell(this.rows, 'sonars 0 to 15', readings.map((reading) => Math.round(reading / unitIn(app.metric))).join(' '));
+    cell(this.rows, 'in', app.metric ? 'centimetres, 648 for nothing heard' : 'inches, 255 for nothing heard');
   },
 };
 
@@ -87,11 +92,17 @@ function polarCanvas(box, label) {
   return canvas;
 }
 
+// How far the view of a ring goes, so that a small room fills it: 30, 60, 120 or all 255 inches.
+export function polarReach(readings) {
+  const farthest = Math.max(0, ...readings.filter((reading) => reading < 255));
+  return [30, 60, 120].find((reach) => farthest <= reach) ?? 255;
+}
+
 // A ring of sixteen from above, as the robot is turned in the world; rings of the plot at a third each.
-function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers = 0, touched = 0 }) {
+function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers = 0, touched = 0, frame = 0, numbered, metric }) {
   const pen = sizedPen(canvas, 0.62);
   if (!pen) return;
-  const cx = pen.width / 2, cy = pen.height / 2, inner = 16, outer = Math.min(cx, cy) - 12;
+  const cx = pen.width / 2, cy = pen.height / 2, inner = 16, outer = Math.min(cx, cy) - 18;
   const at = (angle, r) => [cx + r * Math.cos(angle), cy - r * Math.sin(angle)];
   pen.strokeStyle = theme.edge;
   pen.fillStyle = theme.quiet;
@@ -100,7 +111,13 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
     pen.beginPath();
     pen.arc(cx, cy, inner + share * (outer - inner), 0, 2 * Math.PI);
     pen.stroke();
-    pen.fillText(String(Math.round(share * most)), cx + 2, cy - inner - share * (outer - inner) - 2);
+    const far = Math.round(share * most / unitIn(metric));
+    pen.fillText(share === 1 ? `${far} ${unitName(metric)}` : String(far), cx + 3, cy - inner - share * (outer - inner) + 11);
+  }
+  if (numbered) {
+    pen.textAlign = 'center';
+    for (let k = 0; k < 16; k += 1) { const [x, y] = at(turn + k * Math.PI / 8, outer + 10); pen.fillText(String(k), x, y + 4); }
+    pen.textAlign = 'left';
   }
   if (!off) {
     const reach = values.map((value) => inner + Math.min(value, most) / most * (outer - inner));
@@ -123,19 +140,23 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
   pen.lineWidth = 4;
   for (let k = 0; k < bumpers; k += 1) {
     if (!(touched >> k & 1)) continue;
-    const middle = k * 2 * Math.PI / bumpers, half = Math.PI / bumpers;
+    const middle = frame + k * 2 * Math.PI / bumpers, half = Math.PI / bumpers;
     pen.beginPath();
     pen.arc(cx, cy, inner, -middle - half, -middle + half);
     pen.stroke();
   }
 }
 
-// Sixteen strips, one a sonar, the latest at the right; the height of a strip is 255 inches.
-function drawStrips(canvas, theme, samples, now_s) {
-  const pen = sizedPen(canvas, 0.95);
+// Sixteen strips, one a sonar, the latest at the right; as high as what was heard of late is far.
+function drawStrips(canvas, theme, samples, now_s, metric) {
+  const pen = sizedPen(canvas, 1);
   if (!pen) return;
-  const left = 22, high = pen.height / 16, wide = pen.width - left - 4;
-  pen.font = '10px system-ui, sans-serif';
+  const reach = polarReach(samples.flatMap((sample) => sample.sonars)), left = 22, high = (pen.height - 30) / 16, wide = pen.width - left - 4;
+  pen.font = '11px system-ui, sans-serif';
+  pen.fillStyle = theme.quiet;
+  pen.fillText(`a strip is ${Math.round(reach / unitIn(metric))} ${unitName(metric)} high`, left, 10);
+  timeAxis(pen, theme, { left, right: pen.width - 4, y: pen.height - 3, span_s: HISTORY_S });
+  pen.translate(0, 14);
   for (let k = 0; k < 16; k += 1) {
     const bottom = (k + 1) * high - 2;
     pen.fillStyle = theme.quiet;
@@ -146,7 +167,7 @@ function drawStrips(canvas, theme, samples, now_s) {
     pen.beginPath();
     samples.forEach((sample, n) => {
       const x = left + wide * (1 - (now_s - sample.time_s) / HISTORY_S);
-      const y = bottom - sample.sonars[k] / 255 * (high - 4);
+      const y = bottom - Math.min(sample.sonars[k] / reach, 1) * (high - 4);
       (n ? pen.lineTo : pen.moveTo).call(pen, x, y);
     });
     pen.stroke();

@@ -8,21 +8,30 @@ const MOST_SAMPLES = 1500;
 export function emptyScene() {
   return {
     frame: 0, time_s: 0, speed: 1, paused: false, lockstep_s: null, robots: {}, bodies: {}, world: null,
-    graphics: [], graphicsDrawn: 0, traces: {}, lasers: {}, said: [], history: {},
+    graphics: [], traces: {}, lasers: {}, said: [], history: {},
   };
 }
 
 export function applyPicture(scene, picture) {
-  if (picture.since === 0) { scene.traces = {}; scene.history = {}; }
+  if (picture.since === 0) {
+    scene.traces = {};
+    if (picture.time_s < scene.time_s) scene.history = {};
+  }
   for (const key of ['frame', 'time_s', 'speed', 'paused', 'lockstep_s', 'robots']) scene[key] = picture[key];
   for (const key of ['bodies', 'world', 'graphics', 'lasers', 'said']) if (key in picture) scene[key] = picture[key];
-  if ('graphics' in picture) scene.graphicsDrawn += 1;
+  if ('drawn' in picture) scene.graphics = drawnOn(scene.graphics, picture.drawn);
   for (const [id, both] of Object.entries(picture.traces ?? {})) {
     const mine = scene.traces[id] ??= { actual: newTrace(), encoder: newTrace() };
     growTrace(mine.actual, both.actual);
     growTrace(mine.encoder, both.encoder);
   }
   for (const [id, robot] of Object.entries(scene.robots)) remember(scene, id, robot);
+}
+
+// What clients drew, with what went since and what came.
+export function drawnOn(shapes, { gone, come }) {
+  const went = new Set(gone);
+  return [...(went.size ? shapes.filter(([number]) => !went.has(number)) : shapes), ...come];
 }
 
 function newTrace() { return { gone: 0, points: [] }; }

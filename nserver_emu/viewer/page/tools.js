@@ -1,18 +1,19 @@
 // What a pointer does on the map besides moving it: one tool at a time. A tool answers down(world) with true when it
-// takes the pointer; move, up and cancel follow. Every tool has a way by keyboard in the window World or Robot.
+// takes the pointer; move, up and cancel follow. Every tool has a way by keyboard in Drive, World or Localization.
 // Rules: nothing moves on the map by itself; the daemon is asked, and what it says is shown.
 
 import { drawRobot, polygonPath, circle, arrow } from './draw.js';
 import { tenthsOf, angleTenths } from './units.js';
 import { element } from './parts.js';
+import { cornersWrong, inside, isFree } from './ground.js';
 
 const TOOLS = { pan: 'Move map', place: 'Robot', turn: 'Turn', add: 'Add obstacle', shift: 'Move obstacle',
   remove: 'Delete obstacle', pose: 'Give pose', waypoint: 'Waypoints' };
-const LEAST_IN = 0.5;
+const LEAST_IN = 0.5, LEAST_PX = 4;
 
 export function setUpTools(app) {
   const bar = document.getElementById('tools'), buttons = {};
-  const makers = { pan: () => null, place: placeTool, turn: turnTool, add: addTool, shift: shiftTool, remove: removeTool,
+  const makers = { pan: chooseTool, place: placeTool, turn: turnTool, add: addTool, shift: shiftTool, remove: removeTool,
     pose: poseTool, waypoint: waypointTool };
   app.choose = (name) => {
     app.map.tool?.cancel?.();
@@ -22,6 +23,7 @@ export function setUpTools(app) {
       made.setAttribute('aria-checked', String(other === name));
       made.tabIndex = other === name ? 0 : -1;
     }
+    app.map.canvas.ariaDescription = `What the pointer does: ${TOOLS[name]}`;
     app.map.canvas.style.cursor = name === 'pan' ? 'grab' : 'crosshair';
     app.map.keepDrawing();
   };
@@ -41,14 +43,23 @@ export function setUpTools(app) {
   app.choose('pan');
 }
 
+const NOT_POSSIBLE = { add_obstacle: 'An obstacle is not possible there: a robot stands in its way, or it reaches off the map.',
+  move_obstacle: 'The obstacle cannot go there: a robot stands in its way, or somebody else changed it.',
+  delete_obstacle: 'That obstacle is not there any more.', place_robot: 'The robot does not fit there: a wall, an obstacle or a robot is in its way.' };
+
+// Has a robot do or answer something; what was refused stands in the notice, in plain words where there are some.
 export async function tell(app, call, args, robot = Number(app.robot)) {
   const answer = await app.link.ask({ do: 'call', robot, call, args });
-  app.notice(answer.ok ? '' : answer.error);
-  return answer;
+  const error = answer.ok ? '' : (answer.code !== undefined && NOT_POSSIBLE[call]) || answer.error;
+  app.notice(error);
+  return answer.ok ? answer : { ...answer, error };
 }
 
-export function placeRobot(app, id, [x, y, steer, turret]) {
-  return tell(app, 'place_robot', [tenthsOf(x), tenthsOf(y), angleTenths(steer), angleTenths(turret)], Number(id));
+export function placeRobot(app, id, pose) {
+  const args = ([x, y, steer, turret]) => [tenthsOf(x), tenthsOf(y), angleTenths(steer), angleTenths(turret)];
+  const before = [...app.scene.robots[id].actual];
+  return app.undo.run({ title: `place robot ${id}`, forth: () => tell(app, 'place_robot', args(pose), Number(id)),
+    back: () => tell(app, 'place_robot', args(before), Number(id)) });
 }
 
 function robotAt(app, [x, y]) {
@@ -64,17 +75,15 @@ function obstacleAt(app, [x, y]) {
   return null;
 }
 
-export function inside(corners, x, y) {
-  let within = false;
-  for (let i = 0, j = corners.length - 1; i < corners.length; j = i, i += 1) {
-    const [xi, yi] = corners[i], [xj, yj] = corners[j];
-    if (yi > y !== yj > y && x < (xj - xi) * (y - yi) / (yj - yi) + xi) within = !within;
-  }
-  return within;
+// Moves the map; a press on a robot without moving chooses it.
+function chooseTool(app) {
+  return {
+    tap(world) { const id = robotAt(app, world); if (id) app.selectRobot(id); },
+  };
 }
 
 function ghostTool(app, changed) {
-  let id = null, grip = null, ghost = null;
+  let id = null, grip = null, ghost = null, from = null, dragged = false;
   return {
     down(world) {
       id = robotAt(app, world) ?? null;
@@ -82,15 +91,35 @@ function ghostTool(app, changed) {
       app.selectRobot(id);
       ghost = [...app.scene.robots[id].actual];
       grip = [world[0] - ghost[0], world[1] - ghost[1]];
+      from = world;
+      dragged = false;
       return true;
     },
-    move(world, event) { changed(ghost, world, grip, event); },
-    up() { placeRobot(app, id, ghost); id = null; },
+    move(world, event) {
+      dragged ||= app.map.pixels(from, world) > LEAST_PX;
+      if (dragged) changed(ghost, world, grip, event);
+    },
+    up() { if (dragged) placeRobot(app, id, ghost); id = null; },
     cancel() { id = null; },
     draw(pen, scene, view, { theme }) {
-      if (id !== null) drawRobot(pen, ghost, app.scene.bodies[id], view, { colour: theme.accent, dashed: true });
+      if (id !== null) drawRobot(pen, ghost, app.scene.bodies[id], view, { dashed: true,
+        colour: fits(app, ghost, id) ? theme.accent : theme.hit });
     },
   };
+}
+
+// Whether a robot seems to fit there; the daemon knows better.
+function fits(app, [x, y], id) {
+  const { scene } = app, radius = scene.bodies[id].radius_in;
+  const apart = ([x1, y1], [x2, y2]) => {
+    const [dx, dy] = [x2 - x1, y2 - y1], t = Math.max(0, Math.min(1, ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)));
+    return Math.hypot(x - x1 - t * dx, y - y1 - t * dy);
+  };
+  const sides = scene.world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]));
+  return isFree(scene.world, x, y)
+    && [...scene.world.walls.map(([a, b, c, d]) => [[a, b], [c, d]]), ...sides].every((side) => apart(...side) > radius)
+    && Object.keys(scene.robots).every((other) => other === id
+      || Math.hypot(x - scene.robots[other].actual[0], y - scene.robots[other].actual[1]) > radius + scene.bodies[other].radius_in);
 }
 
 function placeTool(app) {
@@ -109,24 +138,28 @@ function turnTool(app) {
 function flat(corners) { return [corners.length, ...corners.flat().map(tenthsOf)]; }
 
 export async function addObstacle(app, corners) {
-  const answer = await tell(app, 'add_obstacle', flat(corners));
-  if (answer.ok) app.undo.push({ title: 'add obstacle', back: () => tell(app, 'delete_obstacle', flat(corners)) });
-  return answer;
+  const wrong = cornersWrong(corners);
+  if (wrong) { app.notice(`Not possible: ${wrong}.`); return { ok: false, error: wrong }; }
+  return app.undo.run({ title: 'add obstacle', forth: () => tell(app, 'add_obstacle', flat(corners)),
+    back: () => tell(app, 'delete_obstacle', flat(corners)) });
 }
 
-export async function deleteObstacle(app, corners) {
-  const answer = await tell(app, 'delete_obstacle', flat(corners));
-  if (answer.ok) app.undo.push({ title: 'delete obstacle', back: () => tell(app, 'add_obstacle', flat(corners)) });
-  return answer;
+export function deleteObstacle(app, { corners, name }) {
+  const wrong = cornersWrong(corners);
+  if (wrong) { app.notice(`Clients cannot name it: ${wrong}. Change it in the world's file.`); return null; }
+  const exact = name || corners.flat().some((number) => Math.abs(number * 10 - Math.round(number * 10)) > 1e-6);
+  if (exact) return app.replaceWorld('delete obstacle', () => tell(app, 'delete_obstacle', flat(corners)));
+  return app.undo.run({ title: 'delete obstacle', forth: () => tell(app, 'delete_obstacle', flat(corners)),
+    back: () => tell(app, 'add_obstacle', flat(corners)) });
 }
 
-export async function moveObstacle(app, corners, dx, dy) {
-  const answer = await tell(app, 'move_obstacle', [...flat(corners), tenthsOf(dx), tenthsOf(dy)]);
-  const moved = corners.map(([x, y]) => [x + tenthsOf(dx) / 10, y + tenthsOf(dy) / 10]);
-  if (answer.ok) {
-    app.undo.push({ title: 'move obstacle', back: () => tell(app, 'move_obstacle', [...flat(moved), tenthsOf(-dx), tenthsOf(-dy)]) });
-  }
-  return answer;
+export function moveObstacle(app, corners, dx_in, dy_in) {
+  const wrong = cornersWrong(corners);
+  if (wrong) { app.notice(`Clients cannot name it: ${wrong}. Change it in the world's file.`); return null; }
+  const [dx, dy] = [tenthsOf(dx_in), tenthsOf(dy_in)];
+  const moved = corners.map(([x, y]) => [x + dx / 10, y + dy / 10]);
+  return app.undo.run({ title: 'move obstacle', forth: () => tell(app, 'move_obstacle', [...flat(corners), dx, dy]),
+    back: () => tell(app, 'move_obstacle', [...flat(moved), -dx, -dy]) });
 }
 
 export function rectangle([x1, y1], [x2, y2]) {
@@ -183,7 +216,7 @@ function removeTool(app) {
   let thing = null;
   return {
     down(world) { thing = obstacleAt(app, world); return Boolean(thing); },
-    up(world) { if (obstacleAt(app, world) === thing) deleteObstacle(app, thing.corners); thing = null; },
+    up(world) { if (obstacleAt(app, world) === thing) deleteObstacle(app, thing); thing = null; },
     cancel() { thing = null; },
   };
 }
@@ -212,12 +245,37 @@ function poseTool(app) {
   };
 }
 
+// A press sets a way-point behind the last; one that is there is dragged elsewhere, or taken away by a press on it.
 function waypointTool(app) {
+  let held = -1, from = null, here = null;
   return {
-    down: () => true,
-    up(world) { app.waypoints.push(world.map((number) => Math.round(number * 10) / 10)); app.waypointsChanged(); },
-    draw(pen, scene, view, { theme }) { drawWaypoints(pen, app.waypoints, view, theme); },
+    down(world) {
+      held = pointsNow(app).findIndex((point) => app.map.pixels(point, world) < 12);
+      from = here = world;
+      return true;
+    },
+    move(world) { here = world; },
+    up(world) {
+      const points = pointsNow(app).map((point) => [...point]);
+      if (held < 0) points.push(tenthed(world));
+      else if (app.map.pixels(from, world) < 6) points.splice(held, 1);
+      else points[held] = tenthed(world);
+      held = -1;
+      app.setWaypoints(points);
+    },
+    cancel() { held = -1; },
+    draw(pen, scene, view, { theme }) {
+      if (held >= 0) drawWaypoints(pen, pointsNow(app).map((point, k) => (k === held ? here : point)), view, theme);
+    },
   };
+}
+
+export function tenthed(point) { return point.map((number) => Math.round(number * 10) / 10); }
+
+// Where the chosen robot has still to go: as its localizer says, else as set at a page.
+export function pointsNow(app) {
+  const estimate = app.estimateOf(app.robot), set = app.waypoints[app.robot];
+  return estimate && !(set && app.justSet(app.robot)) ? estimate.waypoints.slice(estimate.passed) : set ?? [];
 }
 
 export function drawWaypoints(pen, points, view, theme) {

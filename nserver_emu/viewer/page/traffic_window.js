@@ -15,7 +15,7 @@ export const trafficWindow = {
       this.hold.setAttribute('aria-pressed', String(this.held));
       if (!this.held) this.refill();
     }, { id: 'traffic-hold' });
-    this.count = element('span', { className: 'quiet', role: 'status' });
+    this.count = element('span', { className: 'quiet' });
     this.log = element('div', { className: 'log', tabIndex: 0 });
     this.log.setAttribute('role', 'log');
     this.log.setAttribute('aria-live', 'off');
@@ -45,9 +45,10 @@ export const trafficWindow = {
   refill() { this.log.replaceChildren(); this.add(this.rows); },
 };
 
-// Words of a filter: any of them in what was said or who said it; with a minus before it, none of them.
+// Words of a filter: any of them in what was said, in the command it answers or who said it; with a minus before it, none
+// of them.
 export function passes(row, filter) {
-  const words = filter.trim().split(/\s+/).filter(Boolean), text = `${row.what} ${row.who}`;
+  const words = filter.trim().split(/\s+/).filter(Boolean), text = `${row.what} ${row.of} ${row.who}`;
   const wanted = words.filter((word) => !word.startsWith('-'));
   const unwanted = words.filter((word) => word.length > 1 && word.startsWith('-')).map((word) => word.slice(1));
   return (!wanted.length || wanted.some((word) => text.includes(word))) && !unwanted.some((word) => text.includes(word));

@@ -4,6 +4,8 @@ export const CM_PER_IN = 2.54;
 
 export function unitIn(metric) { return metric ? 1 / CM_PER_IN : 1; }
 
+export function unitName(metric) { return metric ? 'cm' : 'in'; }
+
 export function lengthText(inches, metric, digits = 1) {
   const value = metric ? inches * CM_PER_IN : inches;
   return `${value.toFixed(digits)} ${metric ? 'cm' : 'in'}`;

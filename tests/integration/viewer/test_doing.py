@@ -121,9 +121,14 @@ def test_the_knob_drives_and_a_page_that_dies_lets_go(browser: Browser) -> None:
 def test_get_robot_conf_is_answered_by_a_click(browser: Browser, by_keyboard: bool) -> None:
     with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
         found: list[Any] = []
-        asking = threading.Thread(target=lambda: found.append(robot.ask_pose()))
+        asking = threading.Thread(target=lambda: found.append(robot.ask_pose()), daemon=True)
         asking.start()
-        page.wait("document.querySelector('#notice').innerText.includes('asks for a pose')")
+        page.wait("document.querySelector('#asked').innerText.includes('asks for a pose')")
+        if by_keyboard:  # it is said for as long as the program waits, whatever is done meanwhile
+            page.page.click("#tool-pan")
+            page.page.click("#stop")
+            page.page.wait_for_timeout(200)
+            assert page.page.is_visible("#asked")
         if by_keyboard:
             page.page.fill("#window-drive input[step='any'] >> nth=0", "50")
             page.page.fill("#window-drive input[step='any'] >> nth=1", "20")
@@ -135,7 +140,7 @@ def test_get_robot_conf_is_answered_by_a_click(browser: Browser, by_keyboard: bo
         (pose,) = found
         assert (pose.x_in, pose.y_in) == pytest.approx((50, 20), abs=0.5)
         assert pose.steering_rad == pytest.approx(0 if by_keyboard else math.pi / 2, abs=0.02)
-        page.wait("document.querySelector('#notice').hidden && nserver.toolName === 'pan'")
+        page.wait("document.querySelector('#asked').hidden && nserver.toolName === 'pan'")
 
 
 def test_time_is_paused_stepped_and_made_faster_and_faults_are_switched(browser: Browser) -> None:

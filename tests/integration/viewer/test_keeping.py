@@ -67,7 +67,7 @@ def test_a_run_replays_from_its_file_without_a_server(browser: Browser, tmp_path
         page.wait("nserver.scene.robots['1'].state[34] === 400")
         trace = page.value("nserver.scene.traces['1'].actual.points")
         assert trace[:2] == [20, 30]
-        page.page.select_option("#replay-rate", "10")
+        page.page.select_option("#replay-rate", "2")
         page.page.click("#replay-play")
         page.wait("nserver.scene.robots['1'].state[34] < 400")
         page.wait("document.querySelector('#replay-play').innerText === 'Play'")

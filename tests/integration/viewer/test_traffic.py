@@ -21,7 +21,9 @@ def test_requests_and_replies_are_shown_filtered_and_opened(browser: Browser) ->
         page.page.click("text=> vm 50 0 0")
         page.wait(f"{LOG}.innerText.includes('16 bytes: 00 0c 00 03 00 00 00 32')")
         page.page.fill("#traffic-filter", "vm -gs")
-        page.wait(f"{LOG}.childElementCount === 1")
+        page.wait(f"{LOG}.childElementCount === 2")
+        shown = page.value(f"[...{LOG}.querySelectorAll('summary')].map((one) => one.innerText)")
+        assert [text.split()[2:4] for text in shown] == [[">", "vm"], ["<", "state"]]
         page.page.fill("#traffic-filter", "")
         page.page.click("#traffic-hold")
         count = page.value(f"{LOG}.childElementCount")

@@ -476,3 +476,34 @@ def test_a_shadow_begins_with_the_robot_what_takes_long_and_is_not_waited_for() 
     assert not shadow.zeroing
     assert house.side.follower is not None
     assert house.side.follower.shadow.quantities["steering_deg"].last == 0.0
+
+
+def test_a_hold_stops_the_real_robot_and_lets_nobody_move_it() -> None:
+    house, line = on_line("n200")
+    real = line.emulator.simulation.robots[1]
+    guest = house.guest()
+    guest.ask("vm", 100, 0, 0)
+    assert not real.still((0,))
+    house.gateway.hold(1, "viewer 1")
+    house.work()
+    assert real.still((0,))
+    for name, args in (("vm", (100, 0, 0)), ("pr", (100, 0, 0)), ("zr", ()), ("mv", (1, 50, 0, 0, 0, 0))):
+        assert guest.ask(name, *args).slots[38] == 0
+        assert real.still((0, 1, 2))
+    assert refusal(guest.ask("arm_mv", 2, 10, 2, 10)) == (5,)
+    assert house.emulator.holds.told() == {"1": {"by": "viewer 1", "ignored": 5}}
+    house.emulator.holds.release(1)
+    assert guest.ask("vm", 100, 0, 0).slots[38] == 100
+
+
+def test_a_hold_of_a_robot_that_is_simulated_at_present_says_nothing_to_the_real_one() -> None:
+    house, line = on_line()
+    guest = house.guest()
+    guest.ask("simulated_robot")
+    guest.ask("vm", 100, 0, 0)
+    house.work()
+    before = line.emulator.simulation.time_s
+    house.gateway.hold(1, "viewer 1")
+    house.work()
+    assert house.emulator.simulation.robots[1].still((0,))
+    assert line.emulator.simulation.time_s == before

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from nclient.protocol.commands import COMMANDS, Call
-from nserver_emu.gateway.ownership import Ownership, changes, moves
+from nserver_emu.gateway.ownership import Ownership, changes
+from nserver_emu.server.holds import moves
 from nserver_emu.server.session import Visit
 
 VM = Call("vm", (100, 0, 0))

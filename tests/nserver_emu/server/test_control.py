@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from nserver_emu.server.control import BY_NAME, answer_line
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import Pace
+from worlds.files import parse_world
 
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
@@ -29,6 +30,7 @@ class House:
     def __init__(self, pace: Pace | None = None) -> None:
         self.emulator = Emulator(simulation(seed=5), pace=pace)
         self.faults = FaultDesk(lambda: 0.0)
+        self.changes: list[dict[str, Any]] = []
         self.paces: list[tuple[float | None, bool]] = []
 
     def step(self, dt_s: float) -> None:
@@ -36,6 +38,17 @@ class House:
 
     def paced(self) -> None:
         self.paces.append((self.emulator.pace.factor, self.emulator.pace.paused))
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        self.changes.append(dict(what))
+
+    def hold(self, robot_ids: Iterable[int], by: str) -> None:
+        for robot_id in robot_ids:
+            self.emulator.hold(robot_id, by)
+
+    def release(self, robot_ids: Iterable[int]) -> None:
+        for robot_id in robot_ids:
+            self.emulator.holds.release(robot_id)
 
     def lines(self) -> Mapping[str, str]:
         return {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
@@ -111,6 +124,30 @@ def test_a_plan_comes_into_force_counts_and_goes() -> None:
     assert house.said("faults counts") == {"counts": {}}
 
 
+def test_noise_is_switched_told_and_noted() -> None:
+    house = House()
+    assert house.said("noise", "sensors=measured") == {"noise": {"1": {"sensors": "measured", "motion": "ideal"}}}
+    assert house.said("noise", {"motion": "noisy", "robot": 1})["noise"]["1"]["motion"] == "noisy"
+    assert house.said("status")["robots"][0]["noise"] == {"sensors": "measured", "motion": "noisy"}
+    for wrong in (7, "loud", {"sensors": "loud"}):
+        assert "noise: " in house.told({"command": "noise", "argument": wrong})["error"]
+    assert house.changes == [{"noise": {"sensors": "measured"}}, {"noise": {"motion": "noisy", "robot": 1}}]
+
+
+def test_the_world_is_shown_and_another_put_in_its_place() -> None:
+    house = House()
+    text = house.said("world show")["text"]
+    assert parse_world(text, "", "").name == "thesis_room"
+    changed = {"text": text.replace("thesis_room", "mine"), "file": "x.toml"}
+    assert house.said("world set", changed) == {"world": "mine"}
+    assert house.said("status")["world"] == "mine"
+    for wrong in ("name", {"file": "x"}, {"text": text, "file": 3}):
+        assert "world set: the text of a world file" in house.told({"command": "world set", "argument": wrong})["error"]
+    broken = {"command": "world set", "argument": {"text": "]", "file": "x.toml"}}
+    assert "x.toml: is no TOML" in house.told(broken)["error"]
+    assert house.changes == [{"shown": True}, {"world": changed}]
+
+
 def test_the_simulation_is_saved(tmp_path: Path) -> None:
     house = House()
     house.step(2.0)
@@ -159,3 +196,40 @@ def test_what_is_asked_wrongly_changes_nothing_and_says_what_is_right(request_: 
     for part in words.split(".*"):
         assert part in answer["error"]
     assert house.said("status") == before
+
+
+def test_robots_are_stopped_for_good_and_released() -> None:
+    house = House()
+    house.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
+    assert house.said("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
+    assert house.emulator.simulation.robots[1].still((0, 1, 2))
+    assert house.said("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
+    assert house.said("release", "1") == {"held": {}}
+    assert house.said("stop", 1)["held"]
+    assert house.said("release")["held"] == {}
+    assert house.said("status")["robots"][0]["held"] is None
+    for wrong in ("7", "all", 1.0, [1]):
+        error = house.told({"command": "stop", "argument": wrong})["error"]
+        assert error == f"stop: no robot {wrong}; there are 1"
+    assert house.said("status")["robots"][0]["held"] is None
+
+
+def test_an_obstacle_is_moved_by_its_corners() -> None:
+    house = House()
+    house.emulator.simulation.change_world(parse_world(WITH_OBSTACLE, "w", "w"))
+    wanted = {"corners": [[60, 60], [70, 60], [70, 70]], "by": [1, 2]}
+    assert house.said("obstacle", wanted) == {"obstacles": 1}
+    assert house.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
+    assert house.said("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}') == {"obstacles": 0}
+    assert len(house.changes) == 2
+    for wrong in (3, "{", [1]):
+        assert "obstacle: such as" in house.told({"command": "obstacle", "argument": wrong})["error"]
+    assert len(house.changes) == 2
+
+
+WITH_OBSTACLE = """
+[[room]]
+corners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]
+[[obstacle]]
+corners_in = [[60, 60], [70, 60], [70, 70]]
+"""

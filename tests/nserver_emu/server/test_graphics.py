@@ -72,6 +72,28 @@ def test_the_oldest_shape_makes_room(monkeypatch: pytest.MonkeyPatch, window: Gr
     assert [shape.numbers[0] for shape in window.shapes] == [2, 3, 4]
 
 
+def test_what_changed_since_is_what_went_and_what_came(monkeypatch: pytest.MonkeyPatch, window: Graphics) -> None:
+    monkeypatch.setattr(graphics, "MOST_SHAPES", 3)
+    had: list[tuple[int, list[tuple[int, Shape]]]] = []
+    for number in range(30):
+        had.append((window.drawn, window.numbered))
+        window.draw(Figure.LINE, (number * number % 7, 0, 0, 0), 1 + number % 3)
+    for drawn, shapes in had:
+        changes = window.changes(drawn, window.drawn)
+        assert changes is not None
+        gone, come = changes
+        assert [shape for shape in shapes if shape[0] not in gone] + come == window.numbered
+
+
+def test_what_changed_too_long_ago_is_not_known(window: Graphics) -> None:
+    for number in range(2 * graphics.MOST_GONE):
+        window.draw(Figure.LINE, LINE, 2)
+        if number == 100:
+            assert window.changes(0, window.drawn) == ([], window.numbered)
+    assert window.changes(0, window.drawn) is None
+    assert window.changes(window.drawn - 1, window.drawn) == ([window.drawn - 1], [])
+
+
 def test_layers_count_how_often_they_were_to_be_redrawn(window: Graphics) -> None:
     window.redraw(Layer.SONAR, Layer.LASER)
     window.redraw(Layer.SONAR)

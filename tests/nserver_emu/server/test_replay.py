@@ -8,6 +8,7 @@ import dataclasses
 import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from lockstep_run import request
@@ -36,6 +37,8 @@ from nserver_emu.server.replay import replay
 from nserver_emu.server.setting import Setting, pose_from_text
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
+from worlds.files import load_world
+from worlds.writing import world_text
 
 LOCKSTEP = Beginning(Setting(noisy=True, seed=5), Pace(lockstep_s=0.1), Allowed())
 THREE = Setting(
@@ -190,6 +193,75 @@ def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path:
     recording = recorded(tmp_path / "run.log", Beginning(Setting(noisy=True), Pace(), Allowed()), visit)
     assert not any(entry.kind == "in" and entry.data[1:2] == b"\x5b" for entry in recording.entries)
     assert (replay(recording).answers, replay(recording).difference) == (8, "")
+
+
+def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        other = world_text(load_world("several_walls"))
+        for command, argument in (
+            ("noise", "sensors=measured motion=noisy robot=1"), ("world set", {"text": other, "file": "w.toml"}),
+            ("noise", {"sensors": "noisy"}),
+        ):  # fmt: skip
+            await client.ask("pr", 50, 300, 0)
+            line = json.dumps({"command": command, "argument": argument}).encode()
+            assert json.loads(answer_line(house.daemon, line))["ok"]
+            house.daemon.step(1.5)
+            await client.ask("gs")
+
+    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    outcome = replay(recording)
+    assert (outcome.answers, outcome.difference) == (7, "")
+    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
+    assert replay(tape).difference
+
+
+def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        def told(command: str, argument: object = None) -> dict[str, Any]:
+            line = json.dumps({"command": command, "argument": argument}).encode()
+            answer = json.loads(answer_line(house.daemon, line))
+            assert answer["ok"]
+            said: dict[str, Any] = answer["said"]
+            return said
+
+        client = await house.call()
+        await client.ask("add_obstacle", 3, 200, -100, 260, -100, 260, 100)
+        told("obstacle", {"corners": [[20, -10], [26, -10], [26, 10]], "by": [-2.345, 0]})
+        house.daemon.step(1.5)
+        await client.ask("gs")
+        before = told("world show")["text"]
+        await client.ask("new_world")
+        told("world set", {"text": before, "file": "before"})
+        house.daemon.step(1.5)
+        await client.ask("gs")
+        told("obstacle", {"corners": [[17.655, -10], [23.655, -10], [23.655, 10]]})
+        house.daemon.step(1.5)
+        await client.ask("gs")
+
+    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    assert (replay(recording).answers, replay(recording).difference) == (6, "")
+    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
+    assert replay(tape).difference
+
+
+def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        await client.ask("vm", 100, 0, 0)
+        house.daemon.step(0.5)
+        house.daemon.hold([1], "viewer 1")
+        for _ in range(3):
+            assert (await client.ask("vm", 100, 0, 0)).slots[38] == 0
+            house.daemon.step(0.5)
+        house.daemon.release([1])
+        assert (await client.ask("vm", 100, 0, 0)).slots[38] == 100
+
+    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    outcome = replay(recording)
+    assert (outcome.answers, outcome.difference) == (6, "")
+    tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "hold" not in e.more))
+    assert replay(tape).difference
 
 
 def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import pytest
 from wire_client import simulation
 
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.setting import Setting
+from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.viewer.hub import AHEAD, MOST_NEWS, Hub, Viewer
-from nserver_emu.viewer.picture import Album
+from nserver_emu.viewer.picture import LASER_EVERY, Album
+from worlds.world import StartPose
 
 
 def a_hub() -> Hub:
@@ -86,3 +90,37 @@ def test_who_is_gone_is_forgotten() -> None:
     hub.tell("{}")
     assert not hub.viewers
     assert viewer.news() == []
+
+
+def test_lasers_are_looked_through_for_the_robots_that_somebody_looks_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    emulator = Emulator(Setting(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200").simulation())
+    hub = Hub(Album(emulator))
+    looked: list[SimulatedRobot] = []
+    honest = SimulatedRobot.look_with_laser
+
+    def look(robot: SimulatedRobot) -> Any:
+        looked.append(robot)
+        return honest(robot)
+
+    def seen() -> set[int]:
+        looked.clear()
+        for _ in range(LASER_EVERY):
+            hub.take()
+        return {number for number, robot in emulator.simulation.robots.items() if robot in looked}
+
+    monkeypatch.setattr(SimulatedRobot, "look_with_laser", look)
+    first, second = hub.join(may_act=False), hub.join(may_act=False)
+    assert seen() == set()
+    first.laser, first.whose_laser = True, 2
+    assert seen() == {2}
+    second.whose_laser = 3
+    assert seen() == {2}
+    second.laser = True
+    assert seen() == {2, 3}
+    told(hub, first)
+    second.whose_laser = None
+    assert seen() == {1, 2, 3}
+    hub.leave(second)
+    assert seen() == {2}
+    (picture,) = told(hub, first)
+    assert list(picture["lasers"]) == ["2"]

@@ -11,8 +11,12 @@ from viewed_daemon import served
 from wire_client import simulation
 
 from localization.observation import Refusal
+from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.viewer.desk import STALE_S, Desk
+from nserver_emu.viewer.hub import Hub
 from nserver_emu.viewer.localization import REFUSALS, published
+from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import BadMessage
 
 GOOD: dict[str, Any] = {
@@ -35,7 +39,10 @@ def test_what_is_right_comes_through() -> None:
 @pytest.mark.parametrize(
     "change",
     [{"pose": [1, 2]}, {"pose": None}, {"clock_s": "x"}, {"clock_s": float("nan")}, {"cov": [1, 2, 3]}, {"robot": None},
-     {"echoes": [{"sonar": 1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": "whim"}]}, {"waypoints": [[1, 2, 3]]}],
+     {"echoes": [{"sonar": 1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": "whim"}]}, {"waypoints": [[1, 2, 3]]},
+     {"pose": [1e308, 0, 0]}, {"cov": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 2, 0], [2, 1, 0], [0, 0, 1]]},
+     {"echoes": [GOOD["echoes"][0] | {"sonar": 16}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
+     {"robot": 1e30}, {"passed": -1}, {"passed": True}],
 )  # fmt: skip
 def test_anything_else_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BadMessage, match="what is published is robot"):
@@ -48,6 +55,18 @@ def test_no_text_is_more_than_a_refusal(text: str) -> None:
         published(text)
 
 
+def test_an_estimate_grows_old_and_is_no_news_to_who_comes_late() -> None:
+    desk = Desk(Daemon(Emulator(simulation())), Hub(Album(Emulator(simulation()))))
+    desk.publish(json.dumps(GOOD), 100.0)
+
+    def heard(now: float) -> list[Any]:
+        told = [json.loads(text) for text in desk.arrive(now, may_act=False).news()]
+        return [message["age_s"] for message in told if message["type"] == "localization"]
+
+    assert heard(112.3) == [12.3]
+    assert heard(100.0 + STALE_S) == []
+
+
 def test_it_is_posted_with_the_token_and_seen_by_who_looks_then_or_later() -> None:
     async def scenario() -> None:
         async with served(Emulator(simulation())) as here, here.page(here.viewing.watch_token) as page:
@@ -58,7 +77,7 @@ def test_it_is_posted_with_the_token_and_seen_by_who_looks_then_or_later() -> No
             assert shown["pose"] == GOOD["pose"]
             async with here.page() as late:
                 await late.until(lambda message: message["type"] == "localization")
-                await late.say(do="waypoints", points=[[7, 8]])
+                await late.say(do="waypoints", robot=1, points=[[7, 8]])
                 await late.until(lambda message: message["type"] == "waypoints")
             async with here.web.post(address, params={"token": here.viewing.token}, json=GOOD) as answer:
                 assert await answer.json() == {"waypoints": [[7, 8]], "set": 1}
@@ -67,5 +86,8 @@ def test_it_is_posted_with_the_token_and_seen_by_who_looks_then_or_later() -> No
             ):  # fmt: skip
                 async with here.web.post(address, params={"token": token}, json=body) as answer:
                     assert answer.status == status
+            for strange in (json.dumps(GOOD | {"robot": 9}).encode(), b"\xff"):
+                async with here.web.post(address, params={"token": here.viewing.token}, data=strange) as answer:
+                    assert answer.status == 400
 
     asyncio.run(scenario())

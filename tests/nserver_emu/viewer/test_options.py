@@ -47,7 +47,7 @@ def test_what_is_no_port_is_wrong_usage(text: str, capsys: pytest.CaptureFixture
 def test_one_line_says_where_and_the_token(host: str, name: str) -> None:
     async def scenario() -> list[str]:
         daemon = Daemon(Emulator(simulation()))
-        async with viewed(daemon, argparse.Namespace(viewer=Place(host, 0))) as lines:
+        async with viewed(daemon, argparse.Namespace(viewer=Place(host, 0), viewer_token_file=None)) as lines:
             return lines
 
     (line,) = asyncio.run(scenario())

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from wire_client import meet, simulation
 
 from nclient.protocol import language
 from nclient.protocol.commands import Call
+from nserver_emu.server.graphics import MOST_GONE, Figure
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.switches import switch_noise
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.picture import LASER_EVERY, MOST_NEW, REMEMBERED, Album
@@ -18,7 +21,8 @@ from worlds.files import load_world
 from worlds.world import StartPose
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"
-CHANGING = {"bodies", "world", "graphics", "traces", "lasers", "said"}
+CHANGING = {"bodies", "world", "traces", "lasers", "said"}
+DRAWN = {"graphics", "drawn"}
 
 
 def a_stage() -> Emulator:
@@ -55,7 +59,7 @@ def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
     album = Album(emulator)
     album.take()
     album.take()
-    assert not CHANGING & set(album.since(1))
+    assert not (CHANGING | DRAWN) & set(album.since(1))
     client.send("tk", language.tcp_request(Call("tk", ("hi",))))
     client.ask("new_world")
     client.ask("draw_line", 0, 0, 100, 200, 3)
@@ -67,7 +71,8 @@ def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
     assert CHANGING - {"lasers"} <= set(told)
     assert (told["frame"], told["since"]) == (3, 2)
     assert told["world"]["obstacles"] == []
-    assert told["graphics"] == []
+    assert told["drawn"] == {"gone": [1], "come": []}
+    assert "graphics" not in told
     assert told["said"] == [[0.5, 1, "hi"]]
     assert set(told["bodies"]) == {"1", "2"}
 
@@ -110,7 +115,90 @@ def test_who_has_none_that_is_remembered_is_told_everything(number: int) -> None
         album.take()
     told = album.since(number)
     assert told["since"] == 0
-    assert set(told) >= CHANGING
+    assert set(told) >= CHANGING | {"graphics"}
+    assert "drawn" not in told
+
+
+def test_drawings_are_told_on_from_where_a_viewer_has_them() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    shapes: list[Any] = []
+    for number in range(40):
+        client.ask("draw_line", 0, 0, number % 17, 0, 3 + number % 2)
+        client.ask("draw_line", number, 1, 1, 1, 1)
+        if number % 3:
+            continue
+        album.take()
+        change = album.since(album.number - 1)["drawn"]
+        shapes = [shape for shape in shapes if shape[0] not in change["gone"]] + change["come"]
+        assert shapes == album.since(0)["graphics"]
+        assert len(change["come"]) <= 6
+
+
+def test_what_came_and_went_after_a_picture_was_taken_is_told_with_the_next_and_once() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    shapes: list[Any] = []
+    points: list[Any] = album.since(0)["traces"]["1"]["actual"]["points"]
+    client.ask("vm", 100, 100, 0)
+    for number in range(30):
+        client.ask("draw_line", 0, 0, number % 5, 0, 3 + number % 3)
+        album.take()
+        emulator.pass_time(0.2)
+        client.ask("draw_line", 0, 0, number % 4, 0, 3 + number % 3)
+        told = album.since(album.number - 1)
+        shapes = [shape for shape in shapes if shape[0] not in told["drawn"]["gone"]] + told["drawn"]["come"]
+        points += told.get("traces", {"1": {"actual": {"points": []}}})["1"]["actual"]["points"]
+    album.take()
+    told = album.since(album.number - 1)
+    shapes = [shape for shape in shapes if shape[0] not in told["drawn"]["gone"]] + told["drawn"]["come"]
+    whole = album.since(0)
+    assert shapes == whole["graphics"]
+    assert points + told["traces"]["1"]["actual"]["points"] == whole["traces"]["1"]["actual"]["points"]
+
+
+def test_who_missed_more_than_is_remembered_of_the_drawings_looks_at_them_anew() -> None:
+    emulator = Emulator(simulation())
+    album = Album(emulator)
+    album.take()
+    for _ in range(2 * MOST_GONE + 2):
+        emulator.graphics.draw(Figure.LINE, (0, 0, 9, 9), 4)
+    album.take()
+    assert album.since(1)["graphics"] == []
+
+
+def test_where_a_robot_was_put_down_its_track_begins_anew() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    client.ask("place_robot", 500, 500, 0, 0)
+    emulator.pass_time(0.05)
+    album.take()
+    assert album.since(1)["traces"]["1"]["actual"]["points"] == [None, None, 50.0, 50.0]
+    client.ask("dp", 0, 0)
+    client.ask("vm", 100, 0, 0)
+    emulator.pass_time(30.0)
+    album.take()
+    more = album.since(2)["traces"]["1"]
+    assert None not in more["actual"]["points"]
+    assert more["encoder"]["points"][:3] == [None, None, pytest.approx(0.0, abs=1.1)]
+    assert album.since(0)["traces"]["1"]["actual"]["points"][:5] == [0.0, 0.0, None, None, 50.0]
+
+
+def test_noise_that_is_switched_is_told() -> None:
+    emulator = Emulator(simulation())
+    album = Album(emulator)
+    album.take()
+    switch_noise(emulator, {"sensors": "measured"})
+    album.take()
+    body = album.since(1)["bodies"]["1"]
+    assert body["noise"] == {"sensors": "measured", "motion": "ideal"}
+    assert body["noises"]["sensors"] == ["ideal", "noisy", "measured"]
 
 
 def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> None:
@@ -122,7 +210,7 @@ def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> N
         album.take()
     assert album.since(0)["lasers"] == {}
     for _ in range(LASER_EVERY):
-        album.take(laser=True)
+        album.take(lasers=None)
     seen = album.since(0)["lasers"]["1"]
     assert "lasers" in album.since(LASER_EVERY)
     wire = meet(emulator)[0].ask("get_ls").laser
@@ -139,7 +227,7 @@ def test_looking_changes_nothing_that_comes_later() -> None:
     for _ in range(20):
         for emulator in (looked, alone):
             emulator.pass_time(0.13)
-        album.take(laser=True)
+        album.take(lasers=None)
         album.since(0)
     first, second = (client.ask("gs") for client in clients)
     assert first == second

@@ -20,13 +20,17 @@ from nserver_emu.viewer.protocol import (
 GOOD: list[dict[str, Any]] = [
     {"do": "seen", "frame": 3},
     {"do": "watch", "traffic": True, "laser": False},
+    {"do": "watch", "traffic": False, "laser": True, "robot": 2},
     {"do": "call", "id": 1, "robot": 1, "call": "place_robot", "args": [1, -2, 3, 4]},
     {"do": "drive", "id": 2, "robot": 1, "args": [100, 0, 0]},
+    {"do": "stop", "id": 3},
+    {"do": "stop", "id": 3, "robot": 2},
+    {"do": "release", "id": 4},
     {"do": "control", "id": 3, "command": "pause"},
     {"do": "control", "id": 3, "command": "speed", "argument": 2.5},
     {"do": "control", "id": 3, "command": "faults set", "argument": {"text": "", "file": "x"}},
     {"do": "click", "robot": 1, "pose": [1, 2, 3, 4]},
-    {"do": "waypoints", "points": [[1, 2.5], [3, 4]]},
+    {"do": "waypoints", "robot": 1, "points": [[1, 2.5], [3, 4]]},
 ]
 BAD: list[tuple[Any, str]] = [
     ([], "do is one of"),
@@ -41,12 +45,15 @@ BAD: list[tuple[Any, str]] = [
     ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [1.5]}, "args is a list"),
     ({"do": "call", "id": 1, "robot": 1, "call": "vm", "args": [0] * (MOST_ARGS + 1)}, "args is a list"),
     ({"do": "drive", "id": 1, "robot": 1, "args": [1, 2]}, "three whole numbers"),
+    ({"do": "stop", "id": 1, "robot": "all"}, "the number of a robot, or left out"),
     ({"do": "control", "id": 1, "command": "save", "argument": "/etc/passwd"}, "command is one of faults"),
     ({"do": "control", "id": 1, "command": "speed", "argument": [1]}, "argument is nothing"),
     ({"do": "click", "robot": 1, "pose": [1, 2, 3]}, "pose is x, y"),
-    ({"do": "waypoints", "points": [[1, 2, 3]]}, "points is a list"),
-    ({"do": "waypoints", "points": [[0, 0]] * (MOST_POINTS + 1)}, "points is a list"),
-    ({"do": "waypoints", "points": [[0, float("inf")]]}, "points is a list"),
+    ({"do": "waypoints", "robot": 1, "points": [[1, 2, 3]]}, "points is a list"),
+    ({"do": "waypoints", "robot": 1, "points": [[0, 0]] * (MOST_POINTS + 1)}, "points is a list"),
+    ({"do": "waypoints", "robot": 1, "points": [[0, float("inf")]]}, "points is a list"),
+    ({"do": "waypoints", "robot": 1, "points": [[10**400, 0]]}, "points is a list"),
+    ({"do": "control", "id": 1, "command": "speed", "argument": 10**400}, "argument is nothing, a number"),
 ]
 
 
@@ -63,6 +70,17 @@ def test_every_message_has_an_example() -> None:
 def test_what_is_wrong_is_told_with_what_would_be_right(message: object, words: str) -> None:
     with pytest.raises(BadMessage, match=words):
         from_page(json.dumps(message))
+
+
+def test_a_wrong_message_is_answered_under_its_own_number_and_not_repeated_whole() -> None:
+    with pytest.raises(BadMessage) as refusal:
+        from_page(json.dumps({"do": "call", "id": 7, "robot": 1, "call": "vm", "args": list(range(5000))}))
+    assert refusal.value.number == 7
+    assert len(str(refusal.value)) < 200
+    for number in (None, -1, "7", 10**400):
+        with pytest.raises(BadMessage) as refusal:
+            from_page(json.dumps({"do": "dance", "id": number}))
+        assert refusal.value.number is None
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "x" * (MOST_TEXT + 1)])

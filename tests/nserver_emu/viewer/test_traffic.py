@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -37,6 +38,9 @@ class Inner:
     def stepped(self, dt_s: float) -> None:
         self.told.append(("stepped", dt_s))
 
+    def changed(self, what: Mapping[str, Any]) -> None:
+        self.told.append(("changed", dict(what)))
+
     def paced(self, factor: float | None, paused: bool) -> None:
         self.told.append(("paced", factor, paused))
 
@@ -71,6 +75,7 @@ def test_requests_and_replies_are_told_in_words_with_their_bytes() -> None:
     assert [(row["to"], row["what"]) for row in rows] == [
         ("robot", "connect_robot"), ("host", "simple"), ("robot", "vm"), ("host", "state"),
     ]  # fmt: skip
+    assert [row["of"] for row in rows] == ["connect_robot", "connect_robot", "vm", "vm"]
     assert rows[2]["text"] == "vm 100 -50 0"
     assert rows[2]["hex"].startswith("00 0c 00 03 00 00 00 64 ff ff ff ce")
     assert (rows[2]["size"], rows[2]["who"]) == (16, "client")
@@ -138,8 +143,9 @@ def test_everything_is_handed_on_to_the_real_recorder() -> None:
     tape.close()
     listening.stepped(0.1)
     listening.paced(2.0, False)
+    listening.changed({"noise": {}})
     listening.close()
     assert inner.told == [
         ("open", "client", TCP, "n150", None), ("to_robot", 3), ("to_host", 2, True), "close", ("stepped", 0.1),
-        ("paced", 2.0, False), "close",
+        ("paced", 2.0, False), ("changed", {"noise": {}}), "close",
     ]  # fmt: skip

@@ -13,8 +13,9 @@ from wire_client import simulation
 from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.viewer.entrance import from_here, known_host
 from nserver_emu.viewer.protocol import DEAD_MAN_S
-from nserver_emu.viewer.web import Viewing, known_host
+from nserver_emu.viewer.web import PERIOD_S, Viewing, next_due
 
 
 def an_emulator() -> Emulator:
@@ -43,7 +44,7 @@ def test_the_page_wants_its_token_and_loads_nothing_from_elsewhere() -> None:
     asyncio.run(scenario())
 
 
-@pytest.mark.parametrize("origin", ["", "http://evil.example", "http://127.0.0.1:1", "null"])
+@pytest.mark.parametrize("origin", ["", "http://evil.example", "http://127.0.0.1:1", "null", "http://["])
 def test_a_page_from_elsewhere_gets_no_websocket(origin: str) -> None:
     async def scenario() -> None:
         async with served(an_emulator()) as here:
@@ -197,13 +198,123 @@ def test_the_owner_controls_time() -> None:
     asyncio.run(scenario())
 
 
+def test_what_is_no_message_is_answered_and_costs_nothing() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page(here.viewing.watch_token) as page:
+            for text in ('{"do":"waypoints","robot":1,"points":[[1' + "0" * 400 + ',0]]}', "{"):
+                await page.socket.send_str(text)
+                assert not (await page.until(lambda message: message["type"] == "answer"))["ok"]
+            await page.socket.send_bytes(b"\xff\x00")
+            assert "text, not bytes" in (await page.until(lambda message: message["type"] == "answer"))["error"]
+            await page.socket.send_str('{"do": "drive", "id": 5, "robot": 1, "args": [1.5, 0, 0]}')
+            assert "three whole numbers" in (await page.answer(5))["error"]
+
+    asyncio.run(scenario())
+
+
+def test_whoever_comes_is_told_where_robots_were_sent() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            await page.say(do="waypoints", robot=1, points=[[10, 20]])
+            await page.until(lambda message: message["type"] == "waypoints")
+            async with here.page() as late:
+                hello = await late.until(lambda message: message["type"] == "hello")
+                assert hello["waypoints"] == {"1": [[10, 20]]}
+
+    asyncio.run(scenario())
+
+
+def test_who_drives_is_told_that_another_does_as_well() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as one, here.page() as other:
+            await one.say(do="drive", id=1, robot=1, args=[10, 0, 0])
+            assert (await one.answer(1))["others"] == []
+            await other.say(do="drive", id=1, robot=1, args=[-10, 0, 0])
+            assert (await other.answer(1))["others"] == ["viewer 1"]
+            await one.say(do="call", id=2, robot=1, call="st", args=[])
+            await one.answer(2)
+            await other.say(do="drive", id=2, robot=1, args=[-10, 0, 0])
+            assert (await other.answer(2))["others"] == []
+
+    asyncio.run(scenario())
+
+
+def test_an_answer_does_not_wait_for_the_next_picture_and_an_open_page_delays_no_end() -> None:
+    async def scenario() -> None:
+        loop = asyncio.get_running_loop()
+        async with served(an_emulator()) as here, here.page() as page:
+            await page.say(do="call", id=0, robot=1, call="st", args=[])
+            await page.answer(0)
+            begin = loop.time()
+            for number in range(1, 41):
+                await page.say(do="call", id=number, robot=1, call="st", args=[])
+                await page.answer(number)
+            assert loop.time() - begin < 20 * PERIOD_S
+            begin = loop.time()
+            await here.viewing.close()
+            assert loop.time() - begin < 1.5
+            assert not here.viewing.hub.viewers
+
+    asyncio.run(scenario())
+
+
+def test_the_name_that_the_page_is_served_on_is_known() -> None:
+    assert known_host("robots.example:7080", "robots.example")
+    assert not known_host("evil.example:7080", "robots.example")
+
+
+@pytest.mark.parametrize(("host", "remedy"), [("192.0.2.1", "take an address of this machine")])
+def test_where_it_cannot_be_served_the_remedy_fits(host: str, remedy: str) -> None:
+    async def scenario() -> None:
+        with pytest.raises(ConnectionLost, match=remedy):
+            await Viewing(Daemon(an_emulator())).open(host, 0)
+
+    asyncio.run(scenario())
+
+
+def test_a_host_that_is_none_is_refused() -> None:
+    assert not known_host("[")
+    assert not known_host("")
+    assert from_here("http://LOCALHOST:7080", "http", "localhost:7080")
+    assert not from_here("https://localhost:7080", "http", "localhost:7080")
+
+
+def test_noise_is_switched_and_a_world_put_by_a_page_that_may() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here, here.page() as page:
+            wanted = {"robot": 1, "sensors": "measured", "motion": "noisy"}
+            await page.say(do="control", id=1, command="noise", argument=wanted)
+            assert (await page.answer(1))["said"] == {"noise": {"1": {"sensors": "measured", "motion": "noisy"}}}
+            await page.say(do="control", id=2, command="world show")
+            text = (await page.answer(2))["said"]["text"]
+            await page.say(do="control", id=3, command="world set", argument={"text": text, "file": "it.toml"})
+            assert (await page.answer(3))["said"] == {"world": "thesis_room"}
+            async with here.page(here.viewing.watch_token) as looking:
+                await looking.say(do="control", id=4, command="noise", argument=wanted)
+                assert (await looking.answer(4))["error"] == "this link only looks"
+
+    asyncio.run(scenario())
+
+
 def test_a_click_is_taken_where_a_client_waits_for_it() -> None:
     async def scenario() -> None:
         async with served(an_emulator()) as here, here.page() as page:
             await page.say(do="click", robot=1, pose=[1, 2, 3, 4])
             assert "nobody asks" in (await page.until(lambda message: message["type"] == "answer"))["error"]
-            await page.say(do="waypoints", points=[[10, 20]])
+            await page.say(do="waypoints", robot=1, points=[[10, 20]])
             assert (await page.until(lambda message: message["type"] == "waypoints"))["points"] == [[10, 20]]
-            assert here.viewing.desk.waypoints == [[10, 20]]
+            assert here.viewing.desk.waypoints == {1: [[10, 20]]}
 
     asyncio.run(scenario())
+
+
+def test_pictures_are_twenty_a_second_on_the_whole_and_come_in_no_bursts() -> None:
+    due = now = 100.0
+    for _ in range(200):
+        due = next_due(due, now)
+        now = max(now, due) + 0.012  # the loop wakes late, and the picture takes its time
+    assert (now - 100.0) / 200 == pytest.approx(PERIOD_S, rel=0.01)
+    now += 3.0
+    due = next_due(due, now)
+    assert due == now
+    assert next_due(due, now) == now + PERIOD_S

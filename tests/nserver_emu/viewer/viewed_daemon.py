@@ -74,8 +74,10 @@ async def served(emulator: Emulator) -> AsyncIterator[Served]:
     port = await viewing.open(HOST, 0)
     stop = asyncio.Event()
     running = asyncio.create_task(daemon.serve(stop))
-    async with aiohttp.ClientSession() as web:
-        yield Served(daemon, viewing, port, web)
-    await viewing.close()
-    stop.set()
-    await running
+    try:
+        async with aiohttp.ClientSession() as web:
+            yield Served(daemon, viewing, port, web)
+    finally:
+        await viewing.close()
+        stop.set()
+        await running

@@ -1,0 +1,75 @@
+"""Robots that somebody stopped for good: held, they stand until they are released, whatever a client says. Pure.
+
+    what moves a robot    is taken for st: the answer is the state, as ever, and the velocities are 0
+    what moves its arm    ERROR 5, as is a user packet, which may move anything
+    all else              as ever: questions, settings, place_robot
+
+Rules: as with the emergency button on a robot's head, it makes no difference who pressed it: he is held as well. It
+belongs to the people who watch, not to the simulation: no snapshot has it. A recording does, for it changes answers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from nclient.protocol.commands import Call
+
+ARM_MOTIONS: Final = frozenset({"arm_zr", "arm_mv"})
+MOTIONS: Final = frozenset({"vm", "pr", "pa", "mv", "zr"}) | ARM_MOTIONS
+STOP: Final = Call("st", ())
+_STOPPED: Final = (MOTIONS - ARM_MOTIONS) | {"lp"}
+_REFUSED: Final = ARM_MOTIONS | {"special_request"}
+_MV_MOTIONS: Final = (1, 2, 3)
+
+
+def moves(call: Call) -> bool:
+    """Whether this call moves the robot; an mv does where one of its modes moves an axis or lets it go."""
+    if call.name == "mv":
+        return any(mode in _MV_MOTIONS for mode in call.args[::2])
+    return call.name in MOTIONS
+
+
+@dataclass(slots=True)
+class Hold:
+    """One robot is held. `by`: who stopped it; `ignored`: how often it was told to move since."""
+
+    by: str
+    ignored: int = 0
+
+    def told(self) -> dict[str, Any]:
+        """The same as plain data."""
+        return {"by": self.by, "ignored": self.ignored}
+
+
+class Holds:
+    """See the head of this file."""
+
+    def __init__(self) -> None:
+        self._holds: dict[int, Hold] = {}
+
+    def put(self, robot_id: int, by: str) -> None:
+        """A robot is held from now on; who stopped it first is told of."""
+        self._holds.setdefault(robot_id, Hold(by))
+
+    def release(self, robot_id: int) -> None:
+        """It is held no more, if it was."""
+        self._holds.pop(robot_id, None)
+
+    def of(self, robot_id: int | None) -> Hold | None:
+        """How a robot is held; None where it is not."""
+        return None if robot_id is None else self._holds.get(robot_id)
+
+    def told(self) -> dict[str, dict[str, Any]]:
+        """Every robot that is held, as plain data."""
+        return {str(robot_id): hold.told() for robot_id, hold in self._holds.items()}
+
+    def meant(self, call: Call, robot_id: int | None) -> Call | None:
+        """What is done in place of a call to this robot: the call itself, st, or None for a refusal."""
+        hold = self.of(robot_id)
+        if hold is None or call.name not in _STOPPED | _REFUSED:
+            return call
+        if call.name == "mv" and not moves(call):
+            return call
+        hold.ignored += any(call.args) or not call.args
+        return STOP if call.name in _STOPPED else None

@@ -1,0 +1,132 @@
+"""Who gets in to the page, and by which address: the two tokens, the hosts it is known by, where pages may come from.
+
+    token file   the token to act in the first line, the one to look only in the second; only the owner may read it;
+                 made with new tokens where there is none
+
+Rules: nothing here knows HTTP. A Host is a number, localhost, or the very name that --viewer was given, so that no
+other name leads another site's page in, whatever it resolves to.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import re
+import secrets
+import socket
+import stat
+from pathlib import Path
+from typing import Final, NamedTuple
+from urllib.parse import urlsplit
+
+from nclient.errors import NomadError
+
+LOOPBACK_NAME: Final = "localhost"
+_WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
+"""Addresses that mean all: somewhere out there to find the way out (RFC 5737, 3849: nobody), and the one way in."""
+_TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,200}")
+_OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
+_ANY_PORT: Final = 9
+
+REFUSED: Final = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Nserver: no way in</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark"></head>
+<body><h1>No way in by this address</h1>
+<p>The token in it is wrong, missing, or of an nserver that has ended since: take the whole address that nserver printed
+when it was started, such as <code>http://127.0.0.1:7080/?token=...</code></p>
+<p>An address stays the same over restarts with <code>nserver --viewer --viewer-token-file FILE</code>.</p>
+</body></html>
+"""
+
+
+class TokenFileError(NomadError, ValueError):
+    """A file of tokens that cannot be used; the message names the file and the remedy."""
+
+
+class Tokens(NamedTuple):
+    """`act` lets do all, `watch` look only."""
+
+    act: str
+    watch: str
+
+    def may_act(self, token: str) -> bool | None:
+        """Whether who has this token may act; None: it is none of ours. Takes as long whatever is wrong."""
+        act, watch = (hmac.compare_digest(token.encode(errors="replace"), ours.encode()) for ours in self)
+        return True if act else False if watch else None
+
+
+def new_tokens() -> Tokens:
+    """Two that nobody can guess."""
+    return Tokens(secrets.token_urlsafe(24), secrets.token_urlsafe(24))
+
+
+def tokens_of(path: Path) -> Tokens:
+    """The tokens in a file, made if there is none. Raises TokenFileError."""
+    try:
+        if not path.exists():
+            return _made(path)
+        text, state = path.read_text(), path.stat()
+    except (OSError, UnicodeDecodeError) as error:
+        raise TokenFileError(f"{path}: cannot be used for tokens: {error}") from error
+    if state.st_mode & _OTHERS:
+        raise TokenFileError(f"{path}: others than its owner may read the tokens: chmod 600 {path}")
+    words = text.split()
+    if len(words) != 2 or words[0] == words[1] or not all(map(_TOKEN.fullmatch, words)):
+        raise TokenFileError(f"{path}: two different tokens are wanted, a line each, of 16 to 200 letters, digits, - "
+                             "and _; where there is no file it is made")
+    return Tokens(*words)
+
+
+def _made(path: Path) -> Tokens:
+    tokens = new_tokens()
+    path.touch(0o600, exist_ok=False)
+    path.write_text("\n".join(tokens) + "\n")
+    return tokens
+
+
+def from_here(origin: str, scheme: str, host: str) -> bool:
+    """Whether a page of this Origin is the one that is served under this Host."""
+    return origin.lower() == f"{scheme}://{host}".lower()
+
+
+def known_host(host: str, served: str = LOOPBACK_NAME) -> bool:
+    """Whether a page asked for under this Host can be ours: a number, loopback's name, or the one it is served on."""
+    try:
+        parts = urlsplit(f"//{host}")
+        name = parts.hostname or ""
+        _ = parts.port  # raises where it is none
+        if name in (LOOPBACK_NAME, served):
+            return True
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def is_loopback(host: str) -> bool:
+    """Whether nobody from another machine comes in where this is listened on."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == LOOPBACK_NAME
+
+
+def address(host: str, port: int) -> str:
+    """Where a page that is served on this host and port can be asked for, as `http://HOST:PORT`.
+
+    For all addresses it is the one by which this machine reaches others, or loopback where it reaches none.
+    """
+    name = _way_in(*_WILDCARDS[host]) if host in _WILDCARDS else host
+    return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
+
+
+def _way_in(somewhere: str, loopback: str) -> str:
+    """The address that packets to somewhere would have; none is sent."""
+    family = socket.AF_INET6 if ":" in somewhere else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((somewhere, _ANY_PORT))
+            return str(probe.getsockname()[0])
+    except OSError:
+        return loopback

@@ -1,0 +1,54 @@
+// Small charts over time: the latest at the right, seconds below, values at the left; a legend as text beside them.
+
+import { sizedPen, element } from './parts.js';
+
+const LEFT = 40, BOTTOM = 16;
+
+// lines: [{points: [[time_s, value] ...], colour, dots}]; bound: a value with a line of its own.
+export function chart(canvas, theme, { end_s, span_s, lines, bound }) {
+  const pen = sizedPen(canvas, 0.34);
+  if (!pen) return;
+  const values = lines.flatMap(({ points }) => points.map(([, value]) => value)).concat(bound ?? []);
+  const low = Math.min(0, ...values), high = Math.max(1e-3, ...values), wide = pen.width - LEFT - 6, tall = pen.height - BOTTOM - 8;
+  const at = (time_s, value) => [LEFT + wide * (1 - (end_s - time_s) / span_s), 6 + tall - (value - low) / (high - low) * tall];
+  pen.font = '11px system-ui, sans-serif';
+  let lastAt = Infinity;
+  for (const value of [...new Set([low, 0, ...(bound ? [bound] : []), high])].sort((a, b) => a - b)) {
+    const [, py] = at(end_s, value);
+    pen.strokeStyle = value === bound ? theme.hit : theme.edge;
+    pen.setLineDash(value === bound ? [4, 3] : []);
+    pen.beginPath(); pen.moveTo(LEFT, py); pen.lineTo(pen.width - 6, py); pen.stroke();
+    pen.fillStyle = theme.quiet;
+    if (lastAt - py > 11) { pen.fillText(value.toFixed(1), 2, py + 4); lastAt = py; }
+  }
+  pen.setLineDash([]);
+  timeAxis(pen, theme, { left: LEFT, right: pen.width - 6, y: pen.height - 3, span_s });
+  for (const { points, colour, dots } of lines) {
+    pen.strokeStyle = pen.fillStyle = colour;
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    points.forEach(([time_s, value], k) => {
+      const [px, py] = at(time_s, value);
+      if (dots) pen.fillRect(px - 1.5, py - 1.5, 3, 3); else (k ? pen.lineTo : pen.moveTo).call(pen, px, py);
+    });
+    pen.stroke();
+  }
+}
+
+// How long ago, written under a chart.
+export function timeAxis(pen, theme, { left, right, y, span_s }) {
+  pen.fillStyle = theme.quiet;
+  pen.textAlign = 'center';
+  for (const share of [0.25, 0.5, 0.75]) pen.fillText(`−${Math.round(span_s * (1 - share))} s`, left + share * (right - left), y);
+  pen.textAlign = 'left';
+  pen.fillText(`−${span_s} s`, left, y);
+  pen.textAlign = 'right';
+  pen.fillText('now', right, y);
+  pen.textAlign = 'left';
+}
+
+// [name of a colour of the theme, what it means] ...
+export function legend(...entries) {
+  return element('div', { className: 'legend' }, ...entries.map(([colour, text]) =>
+    element('span', {}, element('i', { style: `background: var(--${colour})` }), text)));
+}

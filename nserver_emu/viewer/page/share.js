@@ -1,0 +1,28 @@
+// The link that only looks: shown and copied for who has the one that acts.
+
+export function setUpSharing(app) {
+  const field = document.getElementById('share-link'), copy = document.getElementById('share-copy');
+  document.getElementById('share').addEventListener('beforetoggle', () => {
+    field.value = lookingLink(location, app.watchToken);
+    copy.textContent = 'Copy link';
+  });
+  field.addEventListener('focus', () => field.select());
+  copy.addEventListener('click', async () => {
+    copy.textContent = (await copied(field)) ? 'Copied' : 'Select it and copy by hand';
+  });
+}
+
+export function lookingLink({ origin, pathname }, token) {
+  return token ? `${origin}${pathname}?token=${encodeURIComponent(token)}` : '';
+}
+
+// Browsers give the clipboard to pages of loopback and of https only.
+async function copied(field) {
+  try {
+    await navigator.clipboard.writeText(field.value);
+    return true;
+  } catch {
+    field.focus();
+    return document.execCommand('copy');
+  }
+}

@@ -1,0 +1,84 @@
+"""Takes the pictures of docs/window anew: `scripts/window-pictures [FOLDER [light|dark]]`. A minute or so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from browsing import CHROMIUM, FLAGS, Opened, nserver, opened
+from playwright.sync_api import Browser, sync_playwright
+
+ROOM = ("several_walls", "--robot", "n200", "--robot", "scout", "--start", "8,8,0,0", "--start", "88,8,120,0",
+        "--noisy", "--seed", "3", "--speed", "4")  # fmt: skip
+WINDOWS = ("drive", "robot", "short", "long", "time", "world", "traffic")
+LOCALIZE = "import sys; from nclient.cli import main; sys.exit(main())"
+
+
+@contextmanager
+def shown(browser: Browser, url: str, scheme: str, width: int, height: int) -> Iterator[Opened]:
+    """The page on a dense screen."""
+    viewport = {"width": width, "height": height}
+    with opened(browser, url, viewport=viewport, color_scheme=scheme, device_scale_factor=2) as page:
+        yield page
+
+
+def the_map_and_the_windows(browser: Browser, folder: Path, scheme: str) -> None:
+    """Two robots, one of which has driven, drawn and touched a wall; then each window by itself, then a phone."""
+    with nserver(*ROOM) as program, shown(browser, program.url, scheme, 1280, 860) as page:
+        page.page.click("#window-traffic > summary")
+        with program.robot() as robot:
+            robot.draw_arc(box_in=(60, 50, 20, 20), angles_rad=(0.0, 4.7), mode=12)
+            robot.draw_line(points_in=((55, 75), (90, 85)), mode=6)
+            for inches, radians in ((30, 0.9), (25, 0.8), (25, -1.2), (40, 0)):
+                robot.move(translation_in=inches)
+                robot.wait_until_still(timeout_s=20)
+                robot.move(steering_rad=radians, turret_rad=radians)
+                robot.wait_until_still(timeout_s=20)
+            page.page.fill("#corners", "70,62 80,62 84,72")
+            page.page.press("#corners", "Enter")
+            page.wait("nserver.scene.world.obstacles.length > 0")
+            page.page.evaluate("(document.activeElement.blur(), document.querySelector('#windows').scrollTop = 0)")
+            page.page.wait_for_timeout(700)
+            page.page.screenshot(path=folder / "map.png")
+            robot.drive(steering_rad_s=0.3, turret_rad_s=0.3)
+            page.page.set_viewport_size({"width": 1280, "height": 3600})
+            page.page.wait_for_timeout(700)
+            for name in WINDOWS:
+                page.page.locator(f"#window-{name}").screenshot(path=folder / f"{name}.png")
+            robot.stop()
+        with shown(browser, program.url, scheme, 390, 844) as phone:
+            phone.page.wait_for_timeout(500)
+            phone.page.screenshot(path=folder / "phone.png")
+
+
+def the_estimate(browser: Browser, folder: Path, scheme: str) -> None:
+    """A localizer that drives a path, half-way there."""
+    words = ("several_walls", "--noisy", "--seed", "1")
+    with nserver(*words) as program, shown(browser, program.url, scheme, 1280, 900) as page:
+        told = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", "several_walls",
+                "--waypoints", "35,55", "90,55", "--publish", program.url]  # fmt: skip
+        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *told], stdout=subprocess.DEVNULL) as localizer:
+            page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25")
+            page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
+            page.page.wait_for_timeout(2500)
+            page.page.screenshot(path=folder / "localization.png")
+            localizer.terminate()
+
+
+def main() -> None:
+    """Take them all."""
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/window")
+    scheme = sys.argv[2] if len(sys.argv) > 2 else "light"
+    folder.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        the_map_and_the_windows(browser, folder, scheme)
+        the_estimate(browser, folder, scheme)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,277 @@
+"""What the whole page owes its user: keys that stop, links to share, noise, worlds, undo; small parts in numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browsing import nserver, opened
+from playwright.sync_api import Browser
+
+from worlds.files import load_world
+from worlds.writing import world_text
+
+NOTICE = "document.querySelector('#notice')"
+OBSTACLES = "nserver.scene.world.obstacles"
+
+
+def test_noise_is_switched_and_a_client_hears_it(browser: Browser) -> None:
+    with nserver("thesis_room", "--robots", "2") as program, opened(browser, program.url) as page:
+        with program.robot() as robot:
+            exact = robot.refresh().sonars_in[0]
+            page.page.select_option("#noise-sensors", "measured")
+            page.wait("nserver.scene.bodies['1'].noise.sensors === 'measured'")
+            assert page.value("nserver.scene.bodies['2'].noise.sensors") == "ideal"
+            page.wait("new Set(nserver.scene.history['1'].map((one) => one.sonars.join())).size > 3")
+            assert abs(robot.refresh().sonars_in[0] - exact) <= 30
+            page.page.check("#noise-all")
+            page.page.select_option("#noise-motion", "noisy")
+            page.wait("['1', '2'].every((id) => nserver.scene.bodies[id].noise.motion === 'noisy')")
+            page.page.select_option("#noise-sensors", "ideal")
+            page.wait(f"nserver.scene.robots['1'].state[17] === {round(exact)}")
+        with opened(browser, program.url) as other:
+            other.wait("document.querySelector('#noise-motion').value === 'noisy'")
+
+
+def test_faults_are_put_in_force_counted_and_cleared(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        page.page.click("text=Faults on purpose")
+        page.wait("document.querySelector('#faults').value.includes('seed')")
+        page.page.fill("#faults", '[[rule]]\nname = "no"\ndo = "nak"\ncommand = "vm"\ndirection = "request"\n')
+        page.page.click("#faults-set")
+        page.wait("document.querySelector('#faults-counts').innerText.includes('nak 0')")
+        with program.robot() as robot:
+            with pytest.raises(Exception, match=r"(?i)refus|nak|error"):
+                robot.drive(translation_in_s=5)
+            page.page.click("#faults-count")
+            page.wait("document.querySelector('#faults-counts').innerText.includes('nak 1')")
+            page.page.click("#faults-clear")
+            page.wait("document.querySelector('#faults-counts').innerText.includes('no faults')")
+            robot.drive(translation_in_s=5)
+
+
+def test_the_link_that_only_looks_is_shown_and_copied(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        page.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        page.page.click("[popovertarget=share]")
+        link = page.page.input_value("#share-link")
+        page.page.click("#share-copy")
+        page.wait("document.querySelector('#share-copy').innerText === 'Copied'")
+        assert page.value("navigator.clipboard.readText()") == link
+        assert link != program.url
+        with opened(browser, link) as other:
+            other.wait("document.body.classList.contains('only-looks')")
+            assert not other.page.is_visible("[popovertarget=share]")
+            assert other.value("nserver.watchToken") is None
+
+
+def test_escape_stops_from_anywhere_and_space_after_a_click(browser: Browser) -> None:
+    moving, still = "nserver.scene.robots['1'].state[41] !== 0", "nserver.scene.robots['1'].state[41] === 0"
+    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+        ways: list[tuple[Callable[[], object], str]] = [
+            (lambda: page.page.click("#fit"), "Space"), (lambda: page.page.focus("#corners"), "Escape"),
+            (lambda: page.page.select_option("#noise-motion", "ideal"), "Escape"),
+        ]  # fmt: skip
+        for prepare, key in ways:
+            robot.drive(steering_rad_s=0.5)
+            page.wait(moving)
+            prepare()
+            page.page.keyboard.press(key)
+            page.wait(still)
+        page.page.focus("#corners")
+        page.page.keyboard.press("Space")
+        assert page.page.input_value("#corners") == " "
+        page.page.focus("#pad")
+        page.page.keyboard.down("a")
+        page.wait(moving)
+        page.page.keyboard.press("Escape")
+        page.wait(still)
+        page.page.keyboard.down("a")  # what a held key says again
+        page.page.wait_for_timeout(300)
+        assert page.value(still)
+        page.page.keyboard.up("a")
+        page.page.keyboard.press("a", delay=200)
+        page.wait(still)
+        failing = """import('/page/stopping.js').then((m) =>
+            m.stopAll({ ask: async () => ({ ok: false, error: 'not connected' }) }, ['1', '2']))"""
+        assert page.value(failing) == "NOT STOPPED — robot 1: not connected; robot 2: not connected"
+
+
+def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp_path: Path) -> None:
+    file = tmp_path / "other.toml"
+    file.write_text(world_text(load_world("several_walls")) + '\n[[obstacle]]\nname = "far"\n'
+                    "corners_cm = [[1_00.0, +150], [110, 150.], [110, 160]]\n".replace("150.]", "150.0]"))
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        assert page.page.is_disabled("#undo")
+        page.page.set_input_files("#load-world", file)
+        page.wait("nserver.scene.world.name === 'several_walls'")
+        assert page.value("Object.keys(nserver.scene.world.paths).length") > 0
+        with page.page.expect_download() as saved:
+            page.page.click("#save-world")
+        saved.value.save_as(tmp_path / "saved.toml")
+        assert load_world(tmp_path / "saved.toml").paths.keys() == load_world("several_walls").paths.keys()
+        page.wait("document.querySelector('#undo').innerText === 'Undo: load other.toml'")
+        page.page.keyboard.press("Control+z")
+        page.wait("nserver.scene.world.name === 'thesis_room'")
+        page.page.keyboard.press("Control+Shift+z")
+        page.wait("nserver.scene.world.name === 'several_walls'")
+        before = page.value(f"JSON.stringify({OBSTACLES})")
+        page.page.click("#clear-world")
+        page.wait(f"{OBSTACLES}.length === 0")
+        page.page.click("#undo")
+        page.wait(f"JSON.stringify({OBSTACLES}) === {json.dumps(before)}")
+        for wrong, words in (("hello", "broken.toml: is no TOML"), ("x = 1", "broken.toml: x: unknown key")):
+            broken = tmp_path / "broken.toml"
+            broken.write_text(wrong)
+            page.page.set_input_files("#load-world", broken)
+            page.wait(f"{NOTICE}.innerText.includes({json.dumps(words)})")
+        page.page.click("#notice-close")
+        assert not page.page.is_visible("#notice")
+
+
+def test_obstacles_move_by_keys_in_steps_of_ones_own_and_what_cannot_be_is_said_in_words(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        page.page.fill("#corners", "60,60 70,60 70,70")
+        page.page.press("#corners", "Enter")
+        page.wait(f"{OBSTACLES}.length === 1")
+        page.page.fill("#move-step", "2.5")
+        page.page.focus("[aria-label='move right obstacle 1']")
+        for count in (1, 2, 3):
+            page.page.keyboard.press("Enter")
+            page.wait(f"{OBSTACLES}[0].corners[0][0] === {60 + 2.5 * count}")
+            page.wait("document.activeElement.ariaLabel === 'move right obstacle 1'")
+        for corners, words in (
+            ("0,0 1,1", "3 to 10 corners, not 2"),
+            (" ".join(f"{k},{k * k}" for k in range(12)), "3 to 10 corners, not 12"),
+            ("60,20 70,30 70,20 60,30", "may not cross"), ("60,20 61,20 62,20", "on one line"),
+            ("-5,-5 5,-5 5,5", "a robot stands in its way"),
+        ):  # fmt: skip
+            page.page.fill("#corners", corners)
+            page.page.press("#corners", "Enter")
+            page.wait(f"{NOTICE}.innerText.includes({json.dumps(words)})")
+        page.page.click("#units")
+        page.page.fill("#corners", "127,127 152.4,127 152.4,152.4")
+        page.page.press("#corners", "Enter")
+        page.wait(f"{OBSTACLES}.some((thing) => thing.corners[0][0] === 50)")
+        assert page.page.input_value("#move-step") == "6.35"
+        page.wait("document.querySelector('#world-list').innerText.includes('127,127')")
+
+
+def test_a_press_chooses_a_robot_and_turns_or_places_none(browser: Browser) -> None:
+    words = ("thesis_room", "--start", "20,30,0,0", "--start", "60,60,0,0")
+    with nserver(*words) as program, opened(browser, program.url) as page:
+        page.page.mouse.click(*page.at(60, 60))
+        page.wait("nserver.robot === '2'")
+        for tool in ("turn", "place"):
+            page.page.click(f"#tool-{tool}")
+            page.page.mouse.click(*page.at(22, 33))
+        page.page.wait_for_timeout(300)
+        assert page.value("nserver.scene.robots['1'].actual") == [20, 30, 0, 0]
+        page.page.click("#tool-pan")
+        page.page.click("#follow")
+        page.page.focus("#map")
+        page.page.keyboard.press("ArrowLeft")
+        page.wait("!nserver.map.following")
+        page.page.click("#units")
+        page.page.click("#window-robot > summary")
+        page.page.reload()
+        page.wait("window.nserver && nserver.metric && !document.querySelector('#window-robot').open")
+
+
+SMALL: list[tuple[str, str, Any]] = [
+    ("colours.js", "m.contrast('#ffffff', '#000000')", 21),
+    ("colours.js", "m.contrast('#777777', '#ffffff') > 4.47 && m.contrast('#777777', '#ffffff') < 4.49", True),
+    ("colours.js",
+     "Object.keys(m.CLIENT_COLOURS).every((name) => [['#ffffff', '#15181d'], ['#12151a', '#e8ebf0']]"
+     ".every(([paper, ink]) => m.contrast(m.clientColour(name, { paper, ink }), paper) >= 3))", True),
+    ("colours.js", "m.clientColour('Red', { paper: '#ffffff', ink: '#15181d' })", "#ff0000"),
+    ("ground.js", "m.cornersWrong([[0, 0], [9, 0], [9, 9], [0, 9]])", ""),
+    ("ground.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 8, 2)", True),
+    ("ground.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 2, 8)", False),
+    ("robot_windows.js", "[[255, 255], [20, 255], [100], [200, 3]].map(m.polarReach)", [30, 30, 120, 255]),
+    ("scene.js", "m.drawnOn([[1, 'a'], [2, 'b']], { gone: [1], come: [[3, 'c']] })", [[2, "b"], [3, "c"]]),
+    ("world_window.js", "[m.typedCorners('1,2 3,-4.5'), m.typedCorners('1,2 3'), m.typedCorners('1,2 3,x')]",
+     [[[1, 2], [3, -4.5]], None, None]),
+    ("traffic_window.js",
+     "['get_bp', '-get_bp', 'state'].map((filter) => m.passes({ what: 'bumper', of: 'get_bp', who: 'x' }, filter))",
+     [True, False, False]),
+    ("time_window.js", "[m.countsText({}), m.countsText({ tcp: { no: { seen: 2, nak: 1 } } })]",
+     ["no faults are in force", "tcp, no: seen 2, nak 1"]),
+    ("share.js", "m.lookingLink({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
+    ("localization_window.js",
+     "m.errorsOf({ pose: [3, 4, 0.1], truth: [0, 0, 2 * Math.PI], cov: [1, 0, 0, 0, 4, 0, 0, 0, 0] }).turn.toFixed(3)",
+     "5.730"),
+]  # fmt: skip
+
+
+def test_small_parts_in_numbers(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        for module, script, right in SMALL:
+            assert page.value(f"import('/page/{module}').then((m) => {script})") == right, script
+
+
+def test_a_run_goes_on_over_a_lost_link_and_is_bounded_by_its_size(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        found = page.value(
+            """import('/page/keeping.js').then((m) => { const run = m.newRun();
+            const picture = (frame, since) =>
+              ({ type: 'picture', frame, since, time_s: frame, traces: {}, graphics: [] });
+            m.keepMessage(run, picture(1, 0)); m.keepMessage(run, picture(2, 1), 10);
+            m.keepMessage(run, { type: 'traffic' }); m.keepMessage(run, picture(9, 0), 10);
+            const kept = run.messages.map((one) => one.frame), length = m.runLength(run);
+            m.keepMessage(run, picture(10, 9), 10, { kept: 9, size: 25 });
+            return [kept, length, run.base.frame, run.messages.length, run.size]; })"""
+        )
+        assert found == [[2, 9], "8 s of it", 2, 2, 20]
+
+
+def test_a_drawing_cancels_what_is_in_xor_where_the_canvas_does(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+        robot.draw_line(points_in=((60, 50), (80, 50)), mode=1)
+        robot.draw_line(points_in=((70, 40), (70, 60)), mode=2)
+        page.wait("nserver.scene.graphics.length === 2")
+        text = page.value("import('/page/keeping.js').then((m) => m.svgOf(nserver))")
+        page.page.evaluate("['sonar', 'grid'].forEach((name) => document.getElementById(`layer-${name}`).click())")
+        page.wait("(nserver.map.draw(), true)")
+        here, beside = page.pixel(70, 50), page.pixel(65, 50)
+        assert sum(here) > sum(beside) + 200
+        drawn = page.value(
+            """(async (text) => { const image = new Image();
+            image.src = URL.createObjectURL(new Blob([text], { type: 'image/svg+xml' }));
+            await image.decode(); const canvas = document.createElement('canvas');
+            canvas.width = nserver.map.view.width; canvas.height = nserver.map.view.height;
+            const pen = canvas.getContext('2d'); pen.drawImage(image, 0, 0);
+            return [[70, 50], [65, 50], [70, 45]].map(([x, y]) => { const [px, py] = nserver.map.screenOf(x, y);
+              const [red, green, blue] = pen.getImageData(Math.round(px), Math.round(py), 1, 1).data;
+              return red + green + blue; }); })(SVG)""".replace("SVG", json.dumps(text))
+        )
+        assert drawn[0] > max(drawn[1:]) + 200
+
+
+def test_a_daemon_started_anew_is_told_and_what_is_old_is_dimmed(browser: Browser) -> None:
+    with nserver("thesis_room") as program, browser.new_context() as context:
+        page = context.new_page()
+        page.goto(program.url)
+        page.wait_for_selector("#link-state:text('live')")
+        found = page.evaluate(
+            """import('/page/link.js').then((m) => new Promise((done) => {
+                const said = [];
+                m.openLink('wrong', { hear() {}, state(name) { said.push(name); if (said.length === 2) done(said); } });
+                }))"""
+        )
+        assert found == ["lost", "refused"]
+
+
+def test_a_lost_link_is_seen(browser: Browser) -> None:
+    with browser.new_context() as context:
+        page = context.new_page()
+        with nserver("thesis_room") as program:
+            page.goto(program.url)
+            page.wait_for_selector("#link-state:text('live')")
+        page.wait_for_selector("#link-state:text('last heard')")
+        assert page.evaluate("document.body.classList.contains('lost')")
+        page.click("#stop")
+        page.wait_for_selector("#notice span:text('NOT STOPPED — robot 1: not connected')")

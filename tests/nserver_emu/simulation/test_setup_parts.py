@@ -1,0 +1,121 @@
+"""Parts of a setup by name, and a robot that errs otherwise from one moment on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from nserver_emu.simulation.individual import setup_of
+from nserver_emu.simulation.models import N150, N200
+from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, WORN, RobotSetup
+from nserver_emu.simulation.setup_parts import PARTS, part_choices, part_name, with_part
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import SonarNoise
+from worlds.calibration import Calibration
+from worlds.files import load_world
+from worlds.world import StartPose
+
+
+def test_every_field_that_is_noise_is_in_one_part() -> None:
+    fields = [field for part in PARTS.values() for field in part]
+    assert sorted(fields) == sorted({*RobotSetup.__dataclass_fields__} - {"name", "ramps", "clock_step_s"})
+
+
+def test_parts_are_called_after_the_first_setup_that_has_them() -> None:
+    assert list(part_choices("sensors", N150, IDEAL)) == ["ideal", "noisy", "measured"]
+    assert list(part_choices("motion", N150, IDEAL)) == ["ideal", "noisy", "worn"]
+    assert part_name("motion", MEASURED, N150, IDEAL) == "noisy"
+    assert part_name("sensors", WORN, N150, IDEAL) == "noisy"
+    for part in PARTS:
+        for setup in SETUPS.values():
+            assert part_name(part, with_part(IDEAL, part, setup), N150, IDEAL) == part_name(part, setup, N150, IDEAL)
+
+
+def test_what_a_robot_began_with_can_be_chosen_again() -> None:
+    own = replace(NOISY, name="room 12", sonar=SonarNoise(std_share=0.3))
+    assert list(part_choices("sensors", N150, own)) == ["ideal", "noisy", "measured", "room 12"]
+    assert list(part_choices("motion", N150, own)) == ["ideal", "noisy", "worn"]
+    assert part_name("sensors", own, N150, own) == "room 12"
+    assert part_name("sensors", own, N150, IDEAL) == "room 12"
+    called_so = replace(own, name="noisy")
+    assert part_choices("sensors", N150, called_so)["noisy"] is NOISY
+    assert part_choices("sensors", N150, called_so)["noisy as begun"] is called_so
+
+
+def a_simulation(setup: RobotSetup) -> Simulation:
+    simulation = Simulation(load_world("thesis_room"), seed=3)
+    simulation.add_robot(1, StartPose(40.0, 40.0, 0.3), N200, setup)
+    return simulation
+
+
+def test_ramps_and_clock_stay_and_noise_changes() -> None:
+    robot = a_simulation(IDEAL).robots[1]
+    robot.err_as(MEASURED)
+    assert robot.setup == replace(MEASURED, ramps=False, clock_step_s=0.0)
+    assert robot.began_as is IDEAL
+    robot.err_as(IDEAL)
+    assert robot.setup == IDEAL
+
+
+@pytest.mark.parametrize("after", [NOISY, MEASURED])
+def test_what_was_sensed_before_stays_and_what_comes_is_as_if_always_so(after: RobotSetup) -> None:
+    before = a_simulation(IDEAL)
+    robot = before.robots[1]
+    before.step(2.0)
+    ideal, infrared = robot.sonar.readings_in, robot.infrared and robot.infrared.readings
+    robot.err_as(after)
+    assert robot.sonar.readings_in == ideal
+    assert robot.infrared
+    assert robot.infrared.readings == infrared
+    heard = set()
+    for _ in range(5):
+        before.step(1.0)
+        heard.add(robot.sonar.readings_in)
+    assert len(heard) == 5
+    robot.err_as(IDEAL)
+    before.step(1.0)
+    assert robot.sonar.readings_in == ideal
+    assert robot.infrared.readings == infrared
+
+
+def test_motion_strays_from_the_switch_on_and_no_more_from_the_switch_off() -> None:
+    simulation = Simulation(load_world("thesis_room"), seed=3)
+    robot = simulation.add_robot(1, StartPose(20.0, 20.0, 0.3), N150, IDEAL)
+
+    def off_in() -> float:
+        robot.move_relative(20.0, 0.5, 0.0)
+        simulation.step(20.0)
+        assert not any(robot.moving)
+        return abs(robot.actual.x_in - robot.encoder.x_in) + abs(robot.actual.y_in - robot.encoder.y_in)
+
+    assert off_in() == 0.0
+    robot.err_as(NOISY)
+    strayed = off_in()
+    assert strayed > 0.01
+    robot.err_as(IDEAL)
+    turned_rad = robot.actual.steering_rad - robot.encoder.steering_rad
+    off_in()
+    assert robot.actual.steering_rad - robot.encoder.steering_rad == pytest.approx(turned_rad, abs=1e-12)
+
+
+def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_when_it_lives() -> None:
+    simulation = a_simulation(IDEAL)
+    robot = simulation.robots[1]
+    simulation.step(1.0)
+    alive = robot.sonar.readings_in
+    robot.err_as(replace(IDEAL, sonar=SonarNoise(dead=(3,))))
+    assert robot.sonar.readings_in == (*alive[:3], 0, *alive[4:])
+    robot.err_as(IDEAL)
+    simulation.step(1.0)
+    assert robot.sonar.readings_in == alive
+
+
+def test_what_a_robot_errs_by_itself_stays_whatever_is_switched() -> None:
+    errs = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+    own = replace(N150, errs=errs)
+    choices = part_choices("sensors", own, setup_of(own, IDEAL))
+    assert {setup.sonar.offsets_in for setup in choices.values()} == {errs.offsets_in}
+    odometries = [setup.odometry.scales[:2] for setup in part_choices("motion", own, setup_of(own, IDEAL)).values()]
+    assert set(odometries) == {(1.02, 0.97)}
+    assert part_name("sensors", setup_of(own, NOISY), own, setup_of(own, IDEAL)) == "noisy"

@@ -1,0 +1,147 @@
+"""Pages that vanish, stall or stay open at the end: forgotten in time, their sockets let go, nobody waits for them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+
+import pytest
+from viewed_daemon import HOST, Served, served
+from wire_client import simulation
+
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.viewer import desk, web
+
+SHORT_S = 0.4
+HANDSHAKE = (
+    "GET /ws?token={token} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\n"
+    "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+)
+MASK = b"\0\0\0\0"
+MORE_THAN_LINES_HOLD = 20_000_000
+MUCH = 100
+
+
+async def dumb_page(here: Served) -> socket.socket:
+    """A page that opened and reads nothing any more; its end of the line holds little."""
+    end = socket.socket()
+    end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    end.setblocking(False)
+    loop = asyncio.get_running_loop()
+    await loop.sock_connect(end, (HOST, here.port))
+    asked = HANDSHAKE.format(token=here.viewing.token, host=f"{HOST}:{here.port}")
+    await loop.sock_sendall(end, asked.encode())
+    assert b" 101 " in await loop.sock_recv(end, 200)
+    async with asyncio.timeout(5):
+        while not here.viewing.hub.viewers:
+            await asyncio.sleep(0.01)
+    return end
+
+
+async def forgotten(here: Served) -> float:
+    """How long it takes until nobody looks any more."""
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    async with asyncio.timeout(20):
+        while here.viewing.hub.viewers:
+            await asyncio.sleep(0.02)
+    return loop.time() - began
+
+
+def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
+    assert max(1.5 * web.HEARTBEAT_S + 1.0, web.STALLED_S + 1.0) <= web.FORGOTTEN_S
+
+
+def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web, "HEARTBEAT_S", SHORT_S)
+
+    async def scenario() -> None:
+        async with served(Emulator(simulation())) as here:
+            with await dumb_page(here) as end:
+                assert await forgotten(here) < 1.5 * SHORT_S + 2.0
+                assert not here.daemon.emulator.clicks.open
+                await told_to_the_end(end)
+
+    asyncio.run(scenario())
+
+
+def test_a_page_that_goes_on_talking_and_takes_nothing_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web, "STALLED_S", SHORT_S)
+
+    async def scenario() -> None:
+        async with served(Emulator(simulation())) as here:
+            with await dumb_page(here) as end:
+                loop = asyncio.get_running_loop()
+                talking = asyncio.create_task(talk_on(loop, end))
+                here.viewing.hub.tell("x" * MORE_THAN_LINES_HOLD)
+                assert await forgotten(here) < SHORT_S + 2.0
+                talking.cancel()
+                await told_to_the_end(end)
+
+    asyncio.run(scenario())
+
+
+async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
+    """Say that a picture was drawn, again and again."""
+    said = json.dumps({"do": "seen", "frame": 1}).encode()
+    while True:
+        await loop.sock_sendall(end, bytes([0x81, 0x80 | len(said)]) + MASK + said)
+        await asyncio.sleep(0.05)
+
+
+def test_who_says_much_at_once_leaves_the_others_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    turns: list[int] = []
+    turn = 0
+    monkeypatch.setitem(desk._DOES, "seen", lambda *_: turns.append(turn))
+
+    async def scenario() -> None:
+        nonlocal turn
+        async with served(Emulator(simulation())) as here, here.page() as page:
+            for number in range(MUCH):
+                await page.say(do="seen", frame=number)
+            async with asyncio.timeout(10):
+                while len(turns) < MUCH:
+                    await asyncio.sleep(0)
+                    turn += 1
+            assert len(set(turns)) == MUCH
+
+    asyncio.run(scenario())
+
+
+async def told_to_the_end(end: socket.socket) -> None:
+    """The line ends, which a line that is only closed would not before all is read, and is read in no time here."""
+    loop = asyncio.get_running_loop()
+    async with asyncio.timeout(5):
+        try:
+            while await loop.sock_recv(end, 65536):
+                pass
+        except ConnectionResetError:
+            pass
+
+
+def test_a_daemon_ends_at_once_though_pages_are_open_that_say_no_goodbye() -> None:
+    async def scenario() -> None:
+        async with served(Emulator(simulation())) as here:
+            ends = [await dumb_page(here) for _ in range(5)]
+            loop = asyncio.get_running_loop()
+            began = loop.time()
+            await here.viewing.close()
+            assert loop.time() - began < web.CLOSING_S + 0.5
+            for end in ends:
+                end.close()
+
+    asyncio.run(scenario())
+
+
+def test_a_page_is_told_that_the_daemon_goes() -> None:
+    async def scenario() -> None:
+        async with served(Emulator(simulation())) as here, here.page() as page:
+            await page.until(lambda message: message["type"] == "picture")
+            closing = asyncio.create_task(here.viewing.close())
+            while (await page.socket.receive()).type.name not in ("CLOSE", "CLOSED"):
+                pass
+            await closing
+            assert page.socket.close_code == 1001
+
+    asyncio.run(scenario())
