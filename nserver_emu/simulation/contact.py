@@ -30,8 +30,8 @@ PRESSING: Final = 1e-9
 GAP_SOLVED_IN: Final = 1e-10
 """Newton stops when the gap is this small; coordinates up to 1e4 in are rounded at 2e-12."""
 
-NEWTON_STEPS: Final = 12
-"""Doubling its digits from 1e-4 takes three steps; the rest is for paths that graze or brake to a standstill."""
+MOST_STEPS: Final = 60
+"""Newton doubles its digits from 1e-4 in three steps; halving a window of seconds down to GAP_SOLVED_IN takes forty."""
 
 
 class Contact(NamedTuple):
@@ -174,17 +174,21 @@ def _first_touched(
 
 
 def _solve(course: Course, thing: Thing, radius_in: float, guess_s: float, window_s: tuple[float, float]) -> float:
-    """The time in a window at which the gap is 0, by Newton's method; the guess where it does not converge."""
-    time = guess_s
-    for _ in range(NEWTON_STEPS):
+    """The time in a window at which the gap is 0: Newton's steps, halves of what is left where they would lead out of it;
+    the guess where there is no such time. Robots gather speed, so a guess by the way alone may be far off in time."""
+    time, (before_s, after_s) = guess_s, window_s
+    for _ in range(MOST_STEPS):
         gap, away_x, away_y = thing.away(radius_in, *course.place(time))
         if abs(gap) < GAP_SOLVED_IN:
             return time
         vx, vy = course.velocity(time)
         rate = away_x * vx + away_y * vy
-        if rate >= 0.0:
-            break
-        time = min(max(time - gap / rate, window_s[0]), window_s[1])
+        if gap > 0.0 > rate:
+            before_s = time
+        else:
+            after_s = time
+        newton = time - gap / rate if rate < 0.0 else inf
+        time = newton if before_s < newton < after_s else 0.5 * (before_s + after_s)
     return guess_s
 
 

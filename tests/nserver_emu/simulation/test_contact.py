@@ -6,7 +6,7 @@ from math import cos, inf, pi, sin, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nserver_emu.simulation.contact import TOUCH_IN, Contact, Course, Ground, Thing, first_contact
@@ -90,6 +90,7 @@ runs = st.builds(
 
 @settings(max_examples=60, deadline=None)
 @given(scenes, runs, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
+@example(np.array([[0.0, 11.0, 6.0, 9.0]]), Stretch(3.0, 1.0, 9.0, 0.0, 0.0), 0.0, 1.0)
 def test_a_slow_march_finds_the_same(things: np.ndarray, run: Stretch, heading: float, way: float) -> None:
     run = run._replace(speed=way * run.speed, acceleration=way * run.acceleration)
     if gap(things, 0.0, 0.0) < 0.5:
