@@ -32,7 +32,7 @@ def test_an_estimate_is_shown_and_waypoints_come_back(browser: Browser) -> None:
             page.wait("nserver.waypoints['1'].length > 0")
             page.page.click("#pause")
             page.wait("nserver.estimateOf('1')?.waypoints.at(-1)[1] > 29")
-            page.wait("/([12]) of \\1 reached/.test(document.querySelector('#window-localization').innerText)")
+            page.wait("/([12]) of \\1 reached/.test(document.querySelector('#window-localization').innerText)", 60.0)
             out, _ = localizer.communicate(timeout=60)
         assert localizer.returncode == 0
         assert re.search(r"([12]) of \1 way-points reached", out)
