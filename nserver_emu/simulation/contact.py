@@ -175,7 +175,7 @@ def _first_touched(
 
 def _solve(course: Course, thing: Thing, radius_in: float, guess_s: float, window_s: tuple[float, float]) -> float:
     """The time in a window at which the gap is 0: Newton's steps, halves of what is left where they would lead out of
-    it; the guess where there is no such time. Robots gather speed, so a guess by the way alone may be far off in time."""
+    it; the guess where there is no such time. Robots gather speed, so a guess by the way alone may be off."""
     time, (before_s, after_s) = guess_s, window_s
     for _ in range(MOST_STEPS):
         gap, away_x, away_y = thing.away(radius_in, *course.place(time))
