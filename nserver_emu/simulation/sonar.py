@@ -18,6 +18,7 @@ import numpy as np
 
 from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
+from nserver_emu.simulation.passage import Moment
 from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sighting import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
@@ -128,7 +129,7 @@ class SonarRing:
         self._scene = Scene(walls)
         self._chance = chance
         self._readings = [DEAD_IN if sonar in model.dead else NOTHING_IN for sonar in range(SONARS)]
-        self._stamps = [UNFIRED] * SONARS
+        self._moments: list[Stamp | Moment] = [UNFIRED] * SONARS
         self._unheard: dict[int, Firing] = {}
         self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
@@ -146,7 +147,7 @@ class SonarRing:
     @property
     def stamps(self) -> tuple[Stamp, ...]:
         """The moment of each of those readings."""
-        return tuple(self._stamps)
+        return tuple(moment if isinstance(moment, Stamp) else moment.stamp for moment in self._moments)
 
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
         """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
@@ -161,33 +162,35 @@ class SonarRing:
         self._count = 0
         self.due_ps = now_ps if self._order else NEVER_PS
 
-    def fire_due(self, eye: Eye, stamp: Stamp) -> None:
+    def fire_due(self, eye: Eye, moment: Stamp | Moment) -> None:
         """The sonar that is due fires here and now."""
         sonar, instant_ps, life_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.life_ps
         if life_ps:
             self._recent = tuple(cry for cry in self._recent if instant_ps - cry.instant_ps < life_ps)
-        cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
+        cry = self._fire(sonar, eye, moment, instant_ps, self._recent)
         if life_ps:
             self._recent = (*self._recent, cry)
         self._count += 1
         self.due_ps += self._interval_ps
 
-    def fire_all(self, eye: Eye, stamp: Stamp) -> None:
+    def fire_all(self, eye: Eye, moment: Stamp | Moment) -> None:
         """All sixteen as at power-on, each as if it were alone."""
         for sonar in range(SONARS):
-            self._fire(sonar, eye, stamp, 0, ())
+            self._fire(sonar, eye, moment, 0, ())
 
     def surround(self, walls: FloatArray) -> None:
         """From now on these are the walls (m, 4); what was fired before still meets the old ones."""
         self._listen()
         self._scene = Scene(walls)
 
-    def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
+    def _fire(
+        self, sonar: int, eye: Eye, moment: Stamp | Moment, instant_ps: int, earlier: tuple[Cry, ...]
+    ) -> Cry:
         x, y, turret_rad, _, _ = eye
         way_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
         cry = Cry(x, y, way_rad, instant_ps, self.model.draw(self._chance))
         self._unheard[sonar] = Firing(cry, earlier, eye)
-        self._stamps[sonar] = stamp
+        self._moments[sonar] = moment
         return cry
 
     def _listen(self) -> None:
