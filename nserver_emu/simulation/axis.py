@@ -65,25 +65,23 @@ class Phase(NamedTuple):
     acceleration: float
 
 
-class Run(NamedTuple):
-    """What an axis will do until the next command: its phases, how long the first has lasted, and its resolution."""
+Run = tuple[tuple[Phase, ...], float, float]
+"""What an axis will do until the next command: its phases, how long the first has lasted, and its resolution. A plain
+tuple, for it is noted for every firing of a sonar."""
 
-    phases: tuple[Phase, ...]
-    elapsed_s: float
-    resolution: float
 
-    def shown_in(self, dt_s: float) -> float:
-        """What the encoders show dt_s >= 0 seconds from then: never 0 while the axis moves, exactly 0 when not."""
-        phases, elapsed_s = self.phases, self.elapsed_s
-        if dt_s:
-            _, phases, elapsed_s = _walk(phases, elapsed_s, dt_s)
-        if not phases:
-            return 0.0
-        _, velocity, acceleration = phases[0]
-        velocity += acceleration * elapsed_s
-        if -self.resolution < velocity < self.resolution:
-            return copysign(self.resolution, velocity or acceleration)
-        return velocity
+def shown_in(run: Run, dt_s: float) -> float:
+    """What the encoders show dt_s >= 0 seconds into a run: never 0 while the axis moves, exactly 0 when it does not."""
+    phases, elapsed_s, resolution = run
+    if dt_s:
+        _, phases, elapsed_s = _walk(phases, elapsed_s, dt_s)
+    if not phases:
+        return 0.0
+    _, velocity, acceleration = phases[0]
+    velocity += acceleration * elapsed_s
+    if -resolution < velocity < resolution:
+        return copysign(resolution, velocity or acceleration)
+    return velocity
 
 
 class Axis:
@@ -157,12 +155,12 @@ class Axis:
     @property
     def shown_velocity(self) -> float:
         """What the encoders show: never 0 while the axis moves, exactly 0 when it does not."""
-        return self.run.shown_in(0.0)
+        return shown_in(self.run, 0.0)
 
     @property
     def run(self) -> Run:
         """What it will do, as a value: what is commanded later changes nothing in it."""
-        return Run(self._phases, self._elapsed_s, self.limits.resolution)
+        return self._phases, self._elapsed_s, self.limits.resolution
 
     def command(self, command: Command, value: float) -> None:
         """Do what one axis of mv says; LEAVE and LIMP need no value."""
@@ -243,7 +241,7 @@ class Axis:
 
     def way_in(self, dt_s: float) -> float:
         """How far dt_s >= 0 seconds will take it, units; nothing changes by asking."""
-        return _walk(self._phases, self._elapsed_s, dt_s)[0]
+        return _walk(self._phases, self._elapsed_s, dt_s)[0] if self._phases else 0.0
 
     def _start(self, phases: tuple[Phase, ...]) -> None:
         """Take up the phases that have a duration; a finished motion holds."""

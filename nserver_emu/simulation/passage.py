@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from nserver_emu.simulation.angles import once_round
-from nserver_emu.simulation.axis import Run
+from nserver_emu.simulation.axis import Run, shown_in
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.stretch import Stretch
 
@@ -49,5 +49,5 @@ class Moment(NamedTuple):
         (x, y, heading, stretch, (first, second, third)), time_s, turret, instant_s = self
         dx, dy = stretch.displacement(heading, time_s)
         pose = Pose(x + dx, y + dy, once_round(heading + stretch.turn_at(time_s)), once_round(turret))
-        velocities = first.shown_in(time_s), second.shown_in(time_s), third.shown_in(time_s)
+        velocities = shown_in(first, time_s), shown_in(second, time_s), shown_in(third, time_s)
         return Stamp(pose, velocities, instant_s, instant_s)

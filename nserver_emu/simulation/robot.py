@@ -446,15 +446,20 @@ class SimulatedRobot:
     def _fire_along(self, stretch: Stretch, begin_s: float, taken_s: float) -> None:
         """Let the sonars fire that are due in the first seconds of a stretch, which is about to begin; `begin_s` of
         this piece of time are over. Who is due at its very end fires from what comes after."""
-        drive, chassis, sonar, passage = self._drive, self._chassis, self.sonar, None
-        while (into_s := (sonar.due_ps - self._time_ps) / PS_PER_S - begin_s) < taken_s - TIME_TOLERANCE_S:
-            if passage is None:
-                passage = self._passage(stretch)
-            due_ps, into_s = sonar.due_ps, max(into_s, 0.0)
+        sonar, due_ps, before_s = self.sonar, self.sonar.due_ps, taken_s - TIME_TOLERANCE_S
+        into_s = (due_ps - self._time_ps) / PS_PER_S - begin_s
+        if into_s >= before_s:
+            return
+        drive, chassis, encoders, passage = self._drive, self._chassis, self._encoders, self._passage(stretch)
+        (x, y), heading = chassis.place, chassis.heading(drive.steering_rad)
+        while into_s < before_s:
+            into_s = max(into_s, 0.0)
             turret_rad = drive.turret_in(into_s)
-            (x, y), (dx, dy) = chassis.place, stretch.displacement(chassis.heading(drive.steering_rad), into_s)
+            dx, dy = stretch.displacement(heading, into_s)
             eye = Eye(x + dx, y + dy, chassis.turret_direction(turret_rad), self._lookout.at(due_ps), self._own)
-            sonar.fire_due(eye, Moment(passage, into_s, self._encoders.turret(turret_rad), due_ps / PS_PER_S))
+            sonar.fire_due(eye, Moment(passage, into_s, encoders.turret(turret_rad), due_ps / PS_PER_S))
+            due_ps = sonar.due_ps
+            into_s = (due_ps - self._time_ps) / PS_PER_S - begin_s
 
     def _move(self, span_s: float) -> None:
         """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""

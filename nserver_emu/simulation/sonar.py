@@ -91,7 +91,10 @@ class SonarNoise:
         return self._from_ring(from_axis, cries, body)
 
     def _from_ring(self, from_axis: Sequence[float], cries: Sequence[Cry], body: Body) -> list[float]:
-        return [self._misheard(far - body.sonar_ring_radius_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
+        ring_in = body.sonar_ring_radius_in
+        if not (self.least_std_in or self.std_share):
+            return [far - ring_in for far in from_axis]
+        return [self._misheard(far - ring_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
 
     def _misheard(self, range_in: float, cry: Cry) -> float:
         chance = cry.chances[0]
@@ -197,10 +200,11 @@ class SonarRing:
         """Hear the echoes of all firings since the last look. How many they are changes no reading."""
         if not self._unheard:
             return
-        dead = self.model.dead
-        firings = {sonar: firing for sonar, firing in self._unheard.items() if sonar not in dead}
+        dead, offsets_in, firings = self.model.dead, self.model.offsets_in, self._unheard
+        if dead:
+            firings = {sonar: firing for sonar, firing in firings.items() if sonar not in dead}
         for sonar, heard_in in zip(firings, self._heard_in(list(firings.values())), strict=True):
-            self._readings[sonar] = _reading(heard_in + self.model.offsets_in[sonar])
+            self._readings[sonar] = _reading(heard_in + offsets_in[sonar])
         self._unheard.clear()
 
     def _heard_in(self, firings: Sequence[Firing]) -> list[float]:
@@ -213,4 +217,6 @@ class SonarRing:
 
 def _reading(heard_in: float) -> int:
     """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
-    return NOTHING_IN if heard_in == inf else min(max(floor(heard_in + 0.5), NEAREST_IN), NOTHING_IN)
+    if heard_in >= NOTHING_IN:
+        return NOTHING_IN
+    return floor(heard_in + 0.5) if heard_in >= NEAREST_IN else NEAREST_IN
