@@ -65,6 +65,25 @@ class Phase(NamedTuple):
     acceleration: float
 
 
+Run = tuple[tuple[Phase, ...], float, float]
+"""What an axis will do until the next command: its phases, how long the first has lasted, and its resolution. A plain
+tuple, for it is noted for every firing of a sonar."""
+
+
+def shown_in(run: Run, dt_s: float) -> float:
+    """What the encoders show dt_s >= 0 seconds into a run: never 0 while the axis moves, exactly 0 when it does not."""
+    phases, elapsed_s, resolution = run
+    if dt_s:
+        _, phases, elapsed_s = _walk(phases, elapsed_s, dt_s)
+    if not phases:
+        return 0.0
+    _, velocity, acceleration = phases[0]
+    velocity += acceleration * elapsed_s
+    if -resolution < velocity < resolution:
+        return copysign(resolution, velocity or acceleration)
+    return velocity
+
+
 class Axis:
     """One axis with its limits; `ramps` False makes it jump to its speed.
 
@@ -136,14 +155,12 @@ class Axis:
     @property
     def shown_velocity(self) -> float:
         """What the encoders show: never 0 while the axis moves, exactly 0 when it does not."""
-        if not self._phases:
-            return 0.0
-        _, velocity, acceleration = self._phases[0]
-        velocity += acceleration * self._elapsed_s
-        resolution = self.limits.resolution
-        if -resolution < velocity < resolution:
-            return copysign(resolution, velocity or acceleration)
-        return velocity
+        return shown_in(self.run, 0.0)
+
+    @property
+    def run(self) -> Run:
+        """What it will do, as a value: what is commanded later changes nothing in it."""
+        return self._phases, self._elapsed_s, self.limits.resolution
 
     def command(self, command: Command, value: float) -> None:
         """Do what one axis of mv says; LEAVE and LIMP need no value."""
@@ -217,28 +234,14 @@ class Axis:
             travelled = (velocity + 0.5 * acceleration * dt_s) * dt_s
             self._elapsed_s = elapsed_s + dt_s
         else:
-            travelled, self._phases, self._elapsed_s = self._walk(dt_s)
+            travelled, self._phases, self._elapsed_s = _walk(self._phases, elapsed_s, dt_s)
             self._hold_when_done()
         self.count += travelled
         return travelled
 
     def way_in(self, dt_s: float) -> float:
         """How far dt_s >= 0 seconds will take it, units; nothing changes by asking."""
-        return self._walk(dt_s)[0]
-
-    def _walk(self, dt_s: float) -> tuple[float, tuple[Phase, ...], float]:
-        """The way that dt_s seconds take, the phases that are left then, and how long the first of them has lasted."""
-        travelled, phases, elapsed_s = 0.0, self._phases, self._elapsed_s
-        while phases:
-            duration_s, velocity, acceleration = phases[0]
-            left_s = duration_s - elapsed_s
-            velocity += acceleration * elapsed_s
-            if dt_s < left_s - TIME_TOLERANCE_S:
-                return travelled + (velocity + 0.5 * acceleration * dt_s) * dt_s, phases, elapsed_s + dt_s
-            travelled += (velocity + 0.5 * acceleration * left_s) * left_s
-            dt_s = max(dt_s - left_s, 0.0)
-            phases, elapsed_s = phases[1:], 0.0
-        return travelled, phases, 0.0
+        return _walk(self._phases, self._elapsed_s, dt_s)[0] if self._phases else 0.0
 
     def _start(self, phases: tuple[Phase, ...]) -> None:
         """Take up the phases that have a duration; a finished motion holds."""
@@ -274,3 +277,18 @@ class Axis:
             cruise_s = max(ahead - ramps / (2.0 * rate), 0.0) / top
         up = self._ramp(start, way * peak)
         return (*up, Phase(cruise_s, way * peak, 0.0), *self._ramp(way * peak, 0.0))
+
+
+def _walk(phases: tuple[Phase, ...], elapsed_s: float, dt_s: float) -> tuple[float, tuple[Phase, ...], float]:
+    """The way that dt_s seconds take, the phases that are left then, and how long the first of them has lasted."""
+    travelled = 0.0
+    while phases:
+        duration_s, velocity, acceleration = phases[0]
+        left_s = duration_s - elapsed_s
+        velocity += acceleration * elapsed_s
+        if dt_s < left_s - TIME_TOLERANCE_S:
+            return travelled + (velocity + 0.5 * acceleration * dt_s) * dt_s, phases, elapsed_s + dt_s
+        travelled += (velocity + 0.5 * acceleration * left_s) * left_s
+        dt_s = max(dt_s - left_s, 0.0)
+        phases, elapsed_s = phases[1:], 0.0
+    return travelled, phases, 0.0

@@ -27,7 +27,7 @@ TICK_PS: Final = PS_PER_S // 100
 """A hundredth of a second: a robot at 20 in/s is seen 0.2 in from where it is at most, a fifth of what sonars tell."""
 
 SPAN_PS: Final = 12 * TICK_PS
-"""Two firings of a ring at its usual rate, where motion is cut anyway."""
+"""Two firings of a ring at its usual rate, where motion that draws chance is cut anyway."""
 
 SLACK_IN: Final = 0.01
 """Robots come no nearer to others than this unless they are looked at: bumpers feel 1e-3 in, rounding is 1e-11."""

@@ -39,6 +39,15 @@ class Encoders:
         """What they take for the heading at this mechanical steering angle, unwrapped."""
         return steering_rad + self._steering_offset_rad
 
+    def turret(self, turret_rad: float) -> float:
+        """What they take for the turret's direction at this mechanical angle, unwrapped."""
+        return turret_rad + self._turret_offset_rad
+
+    @property
+    def place(self) -> tuple[float, float]:
+        """(x, y) in inches, as they reckon."""
+        return self._x_in, self._y_in
+
     def shift(self, dx_in: float, dy_in: float) -> None:
         """Reckon a way of (dx, dy)."""
         self._x_in += dx_in

@@ -1,9 +1,10 @@
 """One simulated robot: its commands, and what a moment of time does to it. No socket, no clock, no wire units.
 
 Two robots in one: the encoder robot is what the wheels were told and what State reports; the actual robot moves in the
-map and drives the sensors. Time is cut at firings, time-outs and changes of acceleration, so that no result depends on
+map and drives the sensors. Time is cut at time-outs, flashes and changes of acceleration, so that no result depends on
 the caller's steps (with noise: only which numbers are drawn, not their spread); in each piece first motion, then
-contact, then sensors.
+contact, then sensors. Sonars fire inside a piece, from where the closed form says; only where motion draws chance or
+a search for zero may end time is cut at firings too.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import replace
 from math import copysign, cos, sin
 from typing import Final, NamedTuple
 
-from nserver_emu.simulation.axis import Command
+from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
 from nserver_emu.simulation.chassis import Chassis
 from nserver_emu.simulation.compass import Compass, last_reading_ps
 from nserver_emu.simulation.contact import Ground
@@ -24,7 +25,8 @@ from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
 from nserver_emu.simulation.laser import ranges, thinned
 from nserver_emu.simulation.models import N150, RobotModel
 from nserver_emu.simulation.noise import Identity, Purpose
-from nserver_emu.simulation.poses import Pose, Stamp, Velocities
+from nserver_emu.simulation.passage import AT_REST, Moment, Passage
+from nserver_emu.simulation.poses import Pose, Velocities
 from nserver_emu.simulation.reach import STAYS, Reach
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.sighting import NOBODY, Eye, Lookout
@@ -112,7 +114,7 @@ class SimulatedRobot:
     def wake(self) -> None:
         """Power on what looks around, once: all sonars have a reading, and the ring runs."""
         self.awake = True
-        self.sonar.fire_all(self._eye(), self._stamp())
+        self.sonar.fire_all(self._eye(), self._moment(self._time_ps))
         self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
 
     # What can be seen
@@ -353,7 +355,9 @@ class SimulatedRobot:
     def advance_to(self, end_ps: int) -> None:
         """Let time pass until an instant that is not before now."""
         while self._time_ps < end_ps:
-            until = min(end_ps, self.sonar.due_ps, self._deadline_ps)
+            until = min(end_ps, self._deadline_ps)
+            if self._zeroing or not self._exact:
+                until = min(until, self.sonar.due_ps)
             if self.infrared is not None:
                 until = min(until, self.infrared.due_ps)
             if self.compass is not None and until >= self.compass.due_ps:
@@ -420,9 +424,9 @@ class SimulatedRobot:
 
     def _fire_due(self) -> None:
         while self.sonar.due_ps <= self._time_ps:
-            self.sonar.fire_due(self._eye(), self._stamp())
+            self.sonar.fire_due(self._eye(), self._moment(self.sonar.due_ps))
         while self.infrared is not None and self.infrared.due_ps <= self._time_ps:
-            self.infrared.flash_due(self._eye(), self._stamp())
+            self.infrared.flash_due(self._eye(), self._moment(self._time_ps).stamp)
 
     def _read_compass(self, compass: Compass, until_ps: int) -> None:
         """Its last reading up to an instant that this piece of time reaches, if one is due, before anything moves.
@@ -441,9 +445,35 @@ class SimulatedRobot:
     def _eye(self) -> Eye:
         return Eye(*self._chassis.outlook(self._drive.turret_rad), self._lookout.at(self._time_ps), self._own)
 
-    def _stamp(self) -> Stamp:
-        drive, now_s = self._drive, self._time_ps / PS_PER_S
-        return Stamp(self._encoders.pose(drive.steering_rad, drive.turret_rad), self.velocities, now_s, now_s)
+    def _moment(self, instant_ps: int) -> Moment:
+        """The moment of what is read here and now."""
+        turret_rad = self._encoders.turret(self._drive.turret_rad)
+        return Moment(self._passage(AT_REST), 0.0, turret_rad, instant_ps / PS_PER_S)
+
+    def _passage(self, stretch: Stretch) -> Passage:
+        """A stretch that begins here and now, as the encoders know it."""
+        drive, encoders = self._drive, self._encoders
+        first, second, third = drive.axes
+        heading_rad = encoders.heading(drive.steering_rad)
+        return Passage(*encoders.place, heading_rad, stretch, (first.run, second.run, third.run))
+
+    def _fire_along(self, stretch: Stretch, begin_s: float, taken_s: float) -> None:
+        """Let the sonars fire that are due in the first seconds of a stretch, which is about to begin; `begin_s` of
+        this piece of time are over. Who is due at its very end fires from what comes after."""
+        sonar, due_ps, before_s = self.sonar, self.sonar.due_ps, taken_s - TIME_TOLERANCE_S
+        into_s = (due_ps - self._time_ps) / PS_PER_S - begin_s
+        if into_s >= before_s:
+            return
+        drive, chassis, encoders, passage = self._drive, self._chassis, self._encoders, self._passage(stretch)
+        (x, y), heading = chassis.place, chassis.heading(drive.steering_rad)
+        while into_s < before_s:
+            into_s = max(into_s, 0.0)
+            turret_rad = drive.turret_in(into_s)
+            dx, dy = stretch.displacement(heading, into_s)
+            eye = Eye(x + dx, y + dy, chassis.turret_direction(turret_rad), self._lookout.at(due_ps), self._own)
+            sonar.fire_due(eye, Moment(passage, into_s, encoders.turret(turret_rad), due_ps / PS_PER_S))
+            due_ps = sonar.due_ps
+            into_s = (due_ps - self._time_ps) / PS_PER_S - begin_s
 
     def _move(self, span_s: float) -> None:
         """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
@@ -451,6 +481,7 @@ class SimulatedRobot:
         while left_s > 0.0:
             stretch = self._drive.stretch(left_s)
             if stretch.at_rest:
+                self._fire_along(stretch, span_s - left_s, left_s)
                 turned_rad = self._drive.advance(left_s)
                 if not self._exact:
                     self._drift(0.0, turned_rad)
@@ -482,6 +513,7 @@ class SimulatedRobot:
         if self._track is not None:
             begin_ps = self._time_ps + round(begin_s * PS_PER_S)
             self._track.append(Leg(begin_ps, *chassis.place, heading, driven, free_s))
+        self._fire_along(stretch, begin_s, taken_s)
         way = chassis.follow(driven, free_s, steering_rad)
         if driven is stretch and taken_s == free_s and self._encoders.heading(steering_rad) == heading:
             self._encoders.shift(*way)

@@ -18,6 +18,7 @@ import numpy as np
 
 from nserver_emu.simulation.echo_ways import Scene
 from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
+from nserver_emu.simulation.passage import Moment
 from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sighting import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
@@ -90,7 +91,10 @@ class SonarNoise:
         return self._from_ring(from_axis, cries, body)
 
     def _from_ring(self, from_axis: Sequence[float], cries: Sequence[Cry], body: Body) -> list[float]:
-        return [self._misheard(far - body.sonar_ring_radius_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
+        ring_in = body.sonar_ring_radius_in
+        if not (self.least_std_in or self.std_share):
+            return [far - ring_in for far in from_axis]
+        return [self._misheard(far - ring_in, cry) for far, cry in zip(from_axis, cries, strict=True)]
 
     def _misheard(self, range_in: float, cry: Cry) -> float:
         chance = cry.chances[0]
@@ -128,7 +132,7 @@ class SonarRing:
         self._scene = Scene(walls)
         self._chance = chance
         self._readings = [DEAD_IN if sonar in model.dead else NOTHING_IN for sonar in range(SONARS)]
-        self._stamps = [UNFIRED] * SONARS
+        self._moments: list[Stamp | Moment] = [UNFIRED] * SONARS
         self._unheard: dict[int, Firing] = {}
         self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
@@ -146,7 +150,7 @@ class SonarRing:
     @property
     def stamps(self) -> tuple[Stamp, ...]:
         """The moment of each of those readings."""
-        return tuple(self._stamps)
+        return tuple(moment if isinstance(moment, Stamp) else moment.stamp for moment in self._moments)
 
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
         """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
@@ -161,21 +165,21 @@ class SonarRing:
         self._count = 0
         self.due_ps = now_ps if self._order else NEVER_PS
 
-    def fire_due(self, eye: Eye, stamp: Stamp) -> None:
+    def fire_due(self, eye: Eye, moment: Stamp | Moment) -> None:
         """The sonar that is due fires here and now."""
         sonar, instant_ps, life_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.life_ps
         if life_ps:
             self._recent = tuple(cry for cry in self._recent if instant_ps - cry.instant_ps < life_ps)
-        cry = self._fire(sonar, eye, stamp, instant_ps, self._recent)
+        cry = self._fire(sonar, eye, moment, instant_ps, self._recent)
         if life_ps:
             self._recent = (*self._recent, cry)
         self._count += 1
         self.due_ps += self._interval_ps
 
-    def fire_all(self, eye: Eye, stamp: Stamp) -> None:
+    def fire_all(self, eye: Eye, moment: Stamp | Moment) -> None:
         """All sixteen as at power-on, each as if it were alone."""
         for sonar in range(SONARS):
-            self._fire(sonar, eye, stamp, 0, ())
+            self._fire(sonar, eye, moment, 0, ())
 
     def surround(self, walls: FloatArray) -> None:
         """From now on these are the walls (m, 4); what was fired before still meets the old ones."""
@@ -190,22 +194,25 @@ class SonarRing:
         for sonar in model.dead:
             self._readings[sonar] = DEAD_IN
 
-    def _fire(self, sonar: int, eye: Eye, stamp: Stamp, instant_ps: int, earlier: tuple[Cry, ...]) -> Cry:
+    def _fire(
+        self, sonar: int, eye: Eye, moment: Stamp | Moment, instant_ps: int, earlier: tuple[Cry, ...]
+    ) -> Cry:
         x, y, turret_rad, _, _ = eye
         way_rad = turret_rad + self.model.turned_rad + self.body.sonar_angles_rad[sonar]
         cry = Cry(x, y, way_rad, instant_ps, self.model.draw(self._chance))
         self._unheard[sonar] = Firing(cry, earlier, eye)
-        self._stamps[sonar] = stamp
+        self._moments[sonar] = moment
         return cry
 
     def _listen(self) -> None:
         """Hear the echoes of all firings since the last look. How many they are changes no reading."""
         if not self._unheard:
             return
-        dead = self.model.dead
-        firings = {sonar: firing for sonar, firing in self._unheard.items() if sonar not in dead}
+        dead, offsets_in, firings = self.model.dead, self.model.offsets_in, self._unheard
+        if dead:
+            firings = {sonar: firing for sonar, firing in firings.items() if sonar not in dead}
         for sonar, heard_in in zip(firings, self._heard_in(list(firings.values())), strict=True):
-            self._readings[sonar] = _reading(heard_in + self.model.offsets_in[sonar])
+            self._readings[sonar] = _reading(heard_in + offsets_in[sonar])
         self._unheard.clear()
 
     def _heard_in(self, firings: Sequence[Firing]) -> list[float]:
@@ -218,4 +225,6 @@ class SonarRing:
 
 def _reading(heard_in: float) -> int:
     """What a sonar reads of a range from the ring, a fraction rounded to the nearest whole inch."""
-    return NOTHING_IN if heard_in == inf else min(max(floor(heard_in + 0.5), NEAREST_IN), NOTHING_IN)
+    if heard_in >= NOTHING_IN:
+        return NOTHING_IN
+    return floor(heard_in + 0.5) if heard_in >= NEAREST_IN else NEAREST_IN

@@ -1,0 +1,125 @@
+"""Sonars that fire inside a piece of motion, against the same robot moved from firing to firing."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from math import remainder, tau
+
+import pytest
+
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.snapshot import dumps, loads
+from nserver_emu.simulation.axis import Axis
+from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
+from nserver_emu.simulation.poses import Pose
+from nserver_emu.simulation.robot import SimulatedRobot
+from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import DEFAULT_ORDER
+from worlds.world import StartPose, World
+
+CUT_S = 0.004
+"""The unit of the ring's rate: every firing is at the end of a step."""
+
+
+def driven(room: World, model: RobotModel, setup: RobotSetup) -> SimulatedRobot:
+    """A robot that the encoders believe elsewhere, its ring fast, soon at a wall."""
+    robot = Simulation(room, seed=4).add_robot(1, StartPose(84.0, 20.0, 0.3, 1.0), model, setup)
+    robot.define_position(-7.0, 3.0)
+    robot.define_angles(1.1, 2.2)
+    robot.configure_sonars(5, DEFAULT_ORDER)
+    return robot
+
+
+def both(whole: SimulatedRobot, cut: SimulatedRobot, begin: int, steps: int) -> None:
+    """Let so many steps pass in both, in one of them at once."""
+    for step in range(begin, begin + steps):
+        cut.advance_to((step + 1) * 4_000_000_000)
+    whole.advance_to((begin + steps) * 4_000_000_000)
+
+
+def apart(pose: Pose, other: Pose) -> float:
+    """The greatest difference of two poses, angles the short way round."""
+    angles = (pose.steering_rad - other.steering_rad, pose.turret_rad - other.turret_rad)
+    return max(abs(pose.x_in - other.x_in), abs(pose.y_in - other.y_in), *(abs(remainder(by, tau)) for by in angles))
+
+
+@pytest.mark.parametrize("model", [N150, N200, SCOUT], ids=lambda model: model.name)
+@pytest.mark.parametrize("ramps", [False, True])
+def test_firing_inside_a_motion_is_firing_where_motion_was_cut(room: World, model: RobotModel, ramps: bool) -> None:
+    setup = replace(IDEAL, ramps=ramps)
+    whole, cut = driven(room, model, setup), driven(room, model, setup)
+    stopped, step, told = 0, 0, [(15.0, 0.4, -0.5), (-12.0, 0.0, 0.3), (18.0, 16.0, 0.0), (0.0, 0.0, 0.2)]
+    for number, speeds in enumerate(told * 2):
+        for robot in (whole, cut):
+            robot.set_timeout(0.9 if number % 2 else 0.0)
+            if number == 4:
+                robot.zero()
+            elif number == 6:
+                robot.move_relative(6.0, 3.0, 0.4)
+            else:
+                robot.set_velocities(*speeds)
+        both(whole, cut, step, 301)
+        step += 301
+        stopped += whole.bumpers != 0
+        assert whole.sonar.readings_in == cut.sonar.readings_in
+        assert (whole.moving, whole.bumpers, whole.zeroing) == (cut.moving, cut.bumpers, cut.zeroing)
+        assert apart(whole.actual, cut.actual) < 1e-9
+        for ours, theirs in zip(whole.sonar.stamps, cut.sonar.stamps, strict=True):
+            assert apart(ours.pose, theirs.pose) < 1e-9
+            assert ours.velocities == pytest.approx(theirs.velocities, abs=1e-9)
+            assert ours[2:] == theirs[2:]
+    assert stopped
+
+
+def test_a_moment_tells_the_same_whenever_it_is_asked(room: World) -> None:
+    asked, left = driven(room, N150, IDEAL), driven(room, N150, IDEAL)
+    for robot in (asked, left):
+        robot.set_velocities(10.0, 0.5, -0.5)
+        robot.advance_to(300_000_000_000)
+    at_once = asked.sonar.stamps
+    for robot in (asked, left):
+        robot.stop()
+        robot.place(0.0, 0.0, 0.0, 0.0)
+        robot.define_angles(1.0, 2.0)
+    assert asked.sonar.stamps == left.sonar.stamps == at_once
+    assert copy.deepcopy(left).sonar.stamps == at_once
+
+
+def test_wheels_that_err_by_chance_move_from_firing_to_firing(room: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their chance is drawn once for each piece: pieces stay what they were."""
+    pieces: list[float] = []
+    moved = Axis.advance
+
+    def advance(axis: Axis, dt_s: float) -> float:
+        pieces.append(dt_s)
+        return moved(axis, dt_s)
+
+    monkeypatch.setattr(Axis, "advance", advance)
+    for setup, expected_s in ((NOISY, [0.02, 0.02, 0.02]), (IDEAL, [0.06])):
+        robot = driven(room, N150, replace(setup, ramps=False))
+        robot.set_velocities(10.0, 0.5, 0.0)
+        pieces.clear()
+        robot.advance_to(60_000_000_000)
+        assert pieces[::3] == pytest.approx(expected_s)
+
+
+def test_a_snapshot_between_firings_goes_on_bit_for_bit(room: World) -> None:
+    def emulator() -> Emulator:
+        simulation = Simulation(room, seed=4)
+        simulation.add_robot(1, StartPose(70.0, 20.0, 0.3, 1.0))
+        return Emulator(simulation)
+
+    kept, again = emulator(), emulator()
+    robot = kept.simulation.robots[1]
+    robot.set_velocities(10.0, 0.5, -0.5)
+    kept.simulation.step(0.17)
+    text = dumps(kept)
+    loads(again, text)
+    assert dumps(again) == text
+    for one in (kept, again):
+        one.simulation.step(0.3)
+    back = again.simulation.robots[1]
+    assert (back.sonar.stamps, back.sonar.readings_in) == (robot.sonar.stamps, robot.sonar.readings_in)
+    assert (back.actual, back.encoder) == (robot.actual, robot.encoder)
