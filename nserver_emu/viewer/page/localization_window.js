@@ -109,7 +109,7 @@ export const localizationWindow = {
     for (const [name, { canvas, heading, title }] of Object.entries(this.charts)) {
       const text = ['innovation', 'error'].includes(name) ? `${title}, ${unit}` : title;
       if (heading.textContent !== text) heading.textContent = text;
-      chart(canvas, theme, { end_s: latest.clock_s, span_s: KEPT_S, lines: lines[name], bound: name === 'nis' ? GATE_99_9 : undefined });
+      chart(canvas, theme, { end_s: latest.clock_s, span_s: spanOf(moments), lines: lines[name], bound: name === 'nis' ? GATE_99_9 : undefined });
     }
   },
   listWaypoints(app) {
@@ -148,6 +148,12 @@ export const localizationWindow = {
 };
 
 function ageOf(mine) { return window.nserverRun ? 0 : (performance.now() - mine.heard_ms) / 1000; }
+
+// How many seconds the charts show, so that what there is fills them.
+export function spanOf(moments) {
+  const known_s = moments.length ? moments[moments.length - 1].time_s - moments[0].time_s : 0;
+  return [15, 30, 60].find((span_s) => known_s <= span_s) ?? KEPT_S;
+}
 
 // The command that publishes here, for who may act; null for who may not know the token.
 export function howToPublish(app) {

@@ -21,11 +21,12 @@ export function zoomAt(view, factor, px, py) {
 export function pan(view, dx, dy) { view.x -= dx / view.scale; view.y += dy / view.scale; }
 
 export function fitTo(view, [x1, y1, x2, y2]) {
-  const margin = 24;
-  const across = (view.width - 2 * margin) / Math.max(x2 - x1, 1), up = (view.height - 2 * margin) / Math.max(y2 - y1, 1);
-  view.x = (x1 + x2) / 2;
-  view.y = (y1 + y2) / 2;
+  const margin = 24, ruler = 14;  // the scale bar stands below
+  const across = (view.width - 2 * margin) / Math.max(x2 - x1, 1);
+  const up = (view.height - 2 * margin - ruler) / Math.max(y2 - y1, 1);
   view.scale = Math.max(Math.min(across, up), 0.02);
+  view.x = (x1 + x2) / 2;
+  view.y = (y1 + y2) / 2 - ruler / 2 / view.scale;
 }
 
 // The length of a grid step or scale bar that is at least so many pixels: 1, 2 or 5 times a power of ten of the unit.

@@ -31,12 +31,12 @@ class Opened:
     page: Page
     troubles: list[str] = field(default_factory=list)
 
-    def wait(self, condition: str) -> None:
+    def wait(self, condition: str, patience_s: float = PATIENCE_S) -> None:
         """Until this JavaScript is true; `nserver` is the page's own application.
 
         Asked again and again from here: the page's policy forbids what Playwright would have it ask itself.
         """
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + patience_s
         while not self.page.evaluate(condition):
             assert time.monotonic() < deadline, f"never came true: {condition}"
             self.page.wait_for_timeout(PAUSE_MS)

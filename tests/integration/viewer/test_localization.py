@@ -20,15 +20,19 @@ def test_an_estimate_is_shown_and_waypoints_come_back(browser: Browser) -> None:
         command = [
             sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())", "localize",
             f"nserver://127.0.0.1:{program.port}/1",
-            "--map", "thesis_room", "--waypoints", "20,0", "--publish", program.url,
+            "--map", "thesis_room", "--waypoints", "60,0", "--publish", program.url,
         ]  # fmt: skip
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as localizer:
             page.wait("document.querySelector('#window-localization').innerText.includes('0 of 1 reached')")
             page.wait("nserver.map.shown.estimate")
+            page.page.click("#pause")
+            page.wait("nserver.scene.paused")
             page.page.click("#tool-waypoint")
             page.page.mouse.click(*page.at(30, 30))
+            page.wait("nserver.waypoints['1'].length > 0")
+            page.page.click("#pause")
             page.wait("nserver.estimateOf('1')?.waypoints.at(-1)[1] > 29")
-            page.wait("/([12]) of \\1 reached/.test(document.querySelector('#window-localization').innerText)")
+            page.wait("/([12]) of \\1 reached/.test(document.querySelector('#window-localization').innerText)", 60.0)
             out, _ = localizer.communicate(timeout=60)
         assert localizer.returncode == 0
         assert re.search(r"([12]) of \1 way-points reached", out)

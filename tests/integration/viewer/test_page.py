@@ -200,6 +200,8 @@ SMALL: list[tuple[str, str, Any]] = [
      [True, False, False]),
     ("time_window.js", "[m.countsText({}), m.countsText({ tcp: { no: { seen: 2, nak: 1 } } })]",
      ["no faults are in force", "tcp, no: seen 2, nak 1"]),
+    ("localization_window.js",
+     "[[0, 9], [0, 31], [5, 200]].map((ends) => m.spanOf(ends.map((time_s) => ({ time_s }))))", [15, 60, 120]),
     ("share.js", "m.lookingLink({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
     ("localization_window.js",
      "m.errorsOf({ pose: [3, 4, 0.1], truth: [0, 0, 2 * Math.PI], cov: [1, 0, 0, 0, 4, 0, 0, 0, 0] }).turn.toFixed(3)",
@@ -233,20 +235,22 @@ def test_a_drawing_cancels_what_is_in_xor_where_the_canvas_does(browser: Browser
         robot.draw_line(points_in=((60, 50), (80, 50)), mode=1)
         robot.draw_line(points_in=((70, 40), (70, 60)), mode=2)
         page.wait("nserver.scene.graphics.length === 2")
+        page.value("(Object.assign(nserver.map.view, { x: 70, y: 50, scale: 4 }), nserver.map.keepDrawing(), true)")
         text = page.value("import('/page/keeping.js').then((m) => m.svgOf(nserver))")
         page.page.evaluate("['sonar', 'grid'].forEach((name) => document.getElementById(`layer-${name}`).click())")
         page.wait("(nserver.map.draw(), true)")
-        here, beside = page.pixel(70, 50), page.pixel(65, 50)
-        assert sum(here) > sum(beside) + 200
+        read = """[[70, 50], [65, 50], [70, 45]].map(([x, y]) => { const [px, py] = nserver.map.screenOf(x, y);
+              const [red, green, blue] = pen.getImageData(Math.floor(px), Math.floor(py), 1, 1).data;
+              return red + green + blue; })"""
+        shown = page.value(f"(() => {{ const pen = nserver.map.canvas.getContext('2d'); return {read}; }})()")
+        assert shown[0] > max(shown[1:]) + 200
         drawn = page.value(
             """(async (text) => { const image = new Image();
             image.src = URL.createObjectURL(new Blob([text], { type: 'image/svg+xml' }));
             await image.decode(); const canvas = document.createElement('canvas');
             canvas.width = nserver.map.view.width; canvas.height = nserver.map.view.height;
             const pen = canvas.getContext('2d'); pen.drawImage(image, 0, 0);
-            return [[70, 50], [65, 50], [70, 45]].map(([x, y]) => { const [px, py] = nserver.map.screenOf(x, y);
-              const [red, green, blue] = pen.getImageData(Math.round(px), Math.round(py), 1, 1).data;
-              return red + green + blue; }); })(SVG)""".replace("SVG", json.dumps(text))
+            return READ; })(SVG)""".replace("READ", read).replace("SVG", json.dumps(text))
         )
         assert drawn[0] > max(drawn[1:]) + 200
 
