@@ -81,6 +81,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
                              "printed; way-points set there are gone to instead")
     resuming.add_arguments(parser)
+    parser.add_argument("--stay", action="store_true",
+                        help="with --publish: where there is nowhere left to go, stand and wait for way-points of the "
+                             "page, until the time limit or Ctrl-C")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
 
 
@@ -124,7 +127,8 @@ def _drive(
     rays = options.sonars == "rays" if options.sonars else simulated
     sonar = WIRE_SONAR if rays else ConeModel()
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
-    navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius)
+    stays = options.stay and publisher is not None
+    navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     seen = _sighting(robot) if simulated else None
     number = robot.truth().robot_id if publisher and simulated else 1
     done, told_s = Run(points), -math.inf
@@ -141,7 +145,7 @@ def _drive(
         if publisher:
             turret_rad = told.turret_rad - told.steering_rad
             wanted = publisher.tell(message(number, done.moments[-1], turret_rad, done.waypoints))
-            if wanted:
+            if wanted is not None:
                 navigator.go(wanted)
                 done.waypoints = wanted
         if not options.json and clock_s >= told_s + 1.0:

@@ -58,14 +58,18 @@ class Command(NamedTuple):
 
 
 class Navigator:
-    """From way-point to way-point. `waypoints`: (x, y) in inches, visited in order."""
+    """From way-point to way-point. `waypoints`: (x, y) in inches, visited in order; `stays`: where there is nowhere
+    left to go the robot stands, ready to be sent on."""
 
     def __init__(
         self,
         waypoints: Sequence[tuple[float, float]],
         speeds: Speeds | None = None,
         radius_in: float = STOP_RADIUS_IN,
+        *,
+        stays: bool = False,
     ) -> None:
+        self._stays = stays
         self._goals = [np.array(point, dtype=np.float64) for point in waypoints]
         self._gains = (speeds or Speeds()).gains
         self._radius_in = radius_in
@@ -88,11 +92,11 @@ class Navigator:
         self.passed = 0
 
     def command(self, pose: Floats) -> Command | None:
-        """What to do at this pose (3,); None when there is nowhere left to go."""
+        """What to do at this pose (3,); None when there is nowhere left to go and nothing to wait for."""
         while not self.finished and distance_to(pose, self._goals[self.passed]) <= self._radius_in:
             self.passed += 1
         if self.finished:
-            return None
+            return Command(0.0, 0.0) if self._stays else None
         step = next_step(pose, self._goals[self.passed], self._gains) / PERIOD_S
         return Command(float(step[0]), float(step[1]))
 

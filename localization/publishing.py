@@ -3,7 +3,8 @@
     moment ──> POST URL/publish ──> {"waypoints": ..., "set": n} ──> new way-points, once they were set anew
 
 Rules: the page's address is the one that nserver printed, its token in it. Inches and radians. A page that cannot be
-reached at the beginning is an error; one that is lost on the way is told of once, and the robot drives on.
+reached at the beginning is an error; one that is lost on the way is told of and tried again now and then, and the robot
+drives on: nothing waits for a page longer than a fraction of a second.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from __future__ import annotations
 import http.client
 import json
 import logging
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -20,7 +22,11 @@ from nclient.errors import AddressError, ConnectionLost
 
 log = logging.getLogger(__name__)
 
-TIMEOUT_S: Final = 2.0
+FIRST_TIMEOUT_S: Final = 5.0
+TIMEOUT_S: Final = 0.25
+"""On the way: the robot stops by itself when nothing is said to it for 2 s."""
+AGAIN_S: Final = 3.0
+"""From a loss to the next try."""
 Points = list[tuple[float, float]]
 
 
@@ -41,9 +47,9 @@ def message(robot: int, moment: Moment, turret_rad: float, waypoints: Sequence[t
 
 
 class Publisher:
-    """The way to one page. Raises AddressError for a URL that is none of a page's."""
+    """The way to one page; `clock`: seconds that only grow. Raises AddressError for a URL that is none of a page's."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, clock: Callable[[], float] = time.monotonic) -> None:
         parts = urlsplit(url)
         try:
             port = parts.port
@@ -54,27 +60,36 @@ class Publisher:
                                "such as http://127.0.0.1:7080/?token=...")
         self._place = f"{parts.hostname}:{port}"
         self._path = f"/publish?{parts.query}"
-        self._connection = http.client.HTTPConnection(parts.hostname, port, timeout=TIMEOUT_S)
+        self._connection = http.client.HTTPConnection(parts.hostname, port, timeout=FIRST_TIMEOUT_S)
+        self._clock = clock
         self._set: int | None = None
-        self._lost = False
+        self._lost_s: float | None = None
 
     def tell(self, said: dict[str, Any]) -> Points | None:
-        """Publish; way-points that were set at the page since. Raises ConnectionLost at the first time only."""
-        if self._lost:
+        """Publish; way-points that were set at the page since, none where they were cleared. Raises ConnectionLost at
+        the first time only."""
+        first = self._set is None
+        if self._lost_s is not None and self._clock() - self._lost_s < AGAIN_S:
             return None
         try:
-            answer = self._post(json.dumps(said))
-        except (OSError, http.client.HTTPException, ValueError) as error:
-            self.close()
-            if self._set is None:
-                raise ConnectionLost(f"cannot publish to {self._place}: {error}") from error
-            self._lost = True
-            log.warning("publishing ends: %s is lost: %s", self._place, error)
+            answer = self._post(json.dumps(said | {"began": True} if first else said))
+            before, self._set = self._set, int(answer["set"])
+            wanted = [(float(x), float(y)) for x, y in answer["waypoints"] or ()]
+        except (OSError, http.client.HTTPException, ValueError, KeyError, TypeError) as error:
+            self._lose(error)
             return None
-        before, self._set = self._set, int(answer["set"])
-        if before is None or before == self._set or not answer["waypoints"]:
-            return None
-        return [(float(x), float(y)) for x, y in answer["waypoints"]]
+        if self._lost_s is not None:
+            log.warning("%s is there again", self._place)
+            self._lost_s = None
+        return None if first or before == self._set else wanted
+
+    def _lose(self, error: Exception) -> None:
+        self.close()
+        if self._set is None:
+            raise ConnectionLost(f"cannot publish to {self._place}: {error}") from error
+        if self._lost_s is None:
+            log.warning("%s is lost, tried again now and then: %s", self._place, error)
+        self._lost_s = self._clock()
 
     def close(self) -> None:
         """Let go of the connection. Twice is fine."""
@@ -84,6 +99,9 @@ class Publisher:
         self._connection.request("POST", self._path, text, {"Content-Type": "application/json"})
         response = self._connection.getresponse()
         body = response.read().decode()
+        self._connection.timeout = TIMEOUT_S
+        if self._connection.sock is not None:
+            self._connection.sock.settimeout(TIMEOUT_S)
         if response.status != http.client.OK:
             raise ValueError(body.strip() or str(response.status))
         found: dict[str, Any] = json.loads(body)

@@ -104,6 +104,8 @@ class Desk:
         robot = told["robot"]
         if robot not in self.daemon.emulator.simulation.robots:
             raise BadMessage(f"there is no robot {robot}")
+        if told.pop("began") and self.waypoints.get(robot):
+            self.set_waypoints(robot, [])
         self._published[robot] = now, told
         self.hub.tell(to_page("localization", **told, age_s=0.0))
         return {"waypoints": self.waypoints.get(robot), "set": self._waypoints_set[robot]}

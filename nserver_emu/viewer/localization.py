@@ -4,7 +4,7 @@
     pose        x, y, heading of the steering           turret     its direction as estimated
     cov         3 x 3 of the pose                       odometry, truth    poses; truth is null where unknown
     echoes      [{"sonar", "reading_in", "refusal", "innovation_in", "nis"} ...] since the one before
-    waypoints   [[x, y] ...], and how many are passed
+    waypoints   [[x, y] ...], and how many are passed      began       true: it goes on its own ones, whatever was set
 
     answer      {"waypoints": [[x, y] ...] or null, "set": how often they were set}
 
@@ -16,13 +16,17 @@ from __future__ import annotations
 import json
 from typing import Any, Final
 
+import numpy as np
+
 from nserver_emu.viewer.protocol import FARTHEST, MOST_POINTS, BadMessage, Message
 from worlds.bodies import SONARS
 
 REFUSALS: Final = ("none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate")
 MOST_ECHOES: Final = 64
 _POSE, _COV = 3, 9
-_ROUNDING: Final = 1e-9
+_ROUNDING: Final = 1e-6
+FARTHEST_READING_IN: Final = 1000.0
+"""More than any sonar reads."""
 
 
 def published(text: str) -> Message:
@@ -36,7 +40,7 @@ def published(text: str) -> Message:
             "truth": None if said["truth"] is None else _numbers(said["truth"], _POSE),
             "echoes": [_echo(echo) for echo in said["echoes"][:MOST_ECHOES]],
             "waypoints": [_numbers(point, 2) for point in said["waypoints"][:MOST_POINTS]],
-            "passed": _whole(said["passed"]),
+            "passed": _whole(said["passed"]), "began": said.get("began") is True,
         }  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
         raise BadMessage(f"what is published is robot, clock_s, pose, turret, cov, odometry, truth, echoes, "
@@ -49,15 +53,18 @@ def _echo(said: Any) -> Message:
     if refusal not in REFUSALS:
         raise ValueError(f"no refusal {refusal!r}")
     return {
-        "sonar": _whole(said["sonar"], below=SONARS), "reading_in": _number(said["reading_in"]), "refusal": refusal,
-        "innovation_in": _number(said["innovation_in"]), "nis": _number(said["nis"]),
+        "sonar": _whole(said["sonar"], below=SONARS), "refusal": refusal,
+        "reading_in": _number(said["reading_in"], 0.0, FARTHEST_READING_IN),
+        "innovation_in": _number(said["innovation_in"]), "nis": _number(said["nis"], 0.0),
     }  # fmt: skip
 
 
 def _covariance(rows: Any) -> list[float]:
     cov = _numbers([n for row in rows for n in row], _COV)
-    if min(cov[0], cov[4], cov[8]) < 0.0 or cov[0] * cov[4] < cov[1] * cov[3] * (1 - _ROUNDING):
-        raise ValueError("cov is no covariance")
+    matrix = np.array(cov).reshape(_POSE, _POSE)
+    most = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > _ROUNDING * most or np.linalg.eigvalsh(matrix)[0] < -_ROUNDING * most:
+        raise ValueError("cov is no covariance: not symmetric, or negative in some direction")
     return cov
 
 
@@ -74,8 +81,7 @@ def _numbers(values: Any, count: int) -> list[float]:
     return numbers
 
 
-def _number(value: Any) -> float:
-    number = float(value)
-    if not -FARTHEST <= number <= FARTHEST:
-        raise ValueError(f"no number from -{FARTHEST:g} to {FARTHEST:g}: {value!r}")
-    return number
+def _number(value: Any, least: float = -FARTHEST, most: float = FARTHEST) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise ValueError(f"no number from {least:g} to {most:g}: {value!r:.60}")
+    return float(value)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -15,9 +17,9 @@ import pytest
 
 from localization.belief import Belief
 from localization.localizer import Echo, Estimate
-from localization.navigation import Navigator
+from localization.navigation import COMMAND_TIMEOUT_S, Navigator
 from localization.observation import Refusal
-from localization.publishing import Publisher, message
+from localization.publishing import AGAIN_S, Publisher, message
 from localization.run import Moment
 from nclient.errors import AddressError, ConnectionLost
 
@@ -76,8 +78,8 @@ def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
         publisher = Publisher(url)
         found = [publisher.tell({"n": n}) for n in range(4)]
         publisher.close()
-    assert found == [None, None, [(1.0, 2.0)], None]
-    assert told == [("/publish?token=secret", {"n": n}) for n in range(4)]
+    assert found == [None, None, [(1.0, 2.0)], []]
+    assert told == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
 
 
 def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> None:
@@ -85,14 +87,33 @@ def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> N
         Publisher(url).tell({})
 
 
-def test_a_page_lost_on_the_way_is_told_of_once_and_nobody_stops(caplog: pytest.LogCaptureFixture) -> None:
-    with a_page((200, '{"waypoints": null, "set": 0}'), (500, "")) as (url, told):
-        publisher = Publisher(url)
-        with caplog.at_level(logging.WARNING):
-            assert [publisher.tell({}) for _ in range(4)] == [None] * 4
+def test_a_page_lost_on_the_way_is_told_of_tried_again_and_nobody_stops(caplog: pytest.LogCaptureFixture) -> None:
+    now_s = 0.0
+    fine, sent = (200, '{"waypoints": null, "set": 0}'), (200, '{"waypoints": [[3, 4]], "set": 1}')
+    with a_page(fine, (500, ""), (200, "{}"), sent) as (url, told):
+        publisher = Publisher(url, lambda: now_s)
+        found = []
+        for now_s in (0.0, 1.0, 2.0, 1.0 + AGAIN_S, 1.0 + 1.5 * AGAIN_S, 1.0 + 2 * AGAIN_S):
+            found.append(publisher.tell({"at": now_s}))
         publisher.close()
-    assert len(told) == 2
-    assert len([record for record in caplog.records if "publishing ends" in record.message]) == 1
+    assert [said["at"] for _, said in told] == [0.0, 1.0, 1.0 + AGAIN_S, 1.0 + 2 * AGAIN_S]
+    assert found == [None] * 5 + [[(3.0, 4.0)]]
+    words = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert len(words) == 2
+    assert "is lost, tried again now and then" in words[0]
+    assert "is there again" in words[1]
+
+
+def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_second() -> None:
+    with a_page((200, '{"waypoints": null, "set": 0}')) as (url, _):
+        publisher = Publisher(url)
+        publisher.tell({})
+        publisher.close()
+    with socket.create_server(("127.0.0.1", int(url.split(":")[2].split("/")[0]))):  # takes it, and says nothing
+        began = time.monotonic()
+        assert publisher.tell({}) is None
+        assert time.monotonic() - began < COMMAND_TIMEOUT_S / 2
+        publisher.close()
 
 
 @pytest.mark.parametrize("url", ["", "127.0.0.1:7080", "http://127.0.0.1/?token=x", "http://h:7080/", "http://h:x/?token=y"])
@@ -112,3 +133,15 @@ def test_a_navigator_can_be_sent_elsewhere() -> None:
     assert command is not None
     assert command.steering_rad_s > 0
     assert navigator.command(np.array([0.0, 40.0, 0.0])) is None
+
+
+def test_a_navigator_that_stays_stands_where_it_is_done_and_can_be_sent_on() -> None:
+    navigator = Navigator([(0, 0)], stays=True)
+    assert navigator.command(np.zeros(3)) == (0.0, 0.0)
+    assert navigator.finished
+    navigator.go([])
+    assert navigator.command(np.zeros(3)) == (0.0, 0.0)
+    navigator.go([(0, 40)])
+    command = navigator.command(np.zeros(3))
+    assert command is not None
+    assert command.steering_rad_s > 0

@@ -32,7 +32,7 @@ def test_refusals_have_the_filter_s_own_names() -> None:
 
 def test_what_is_right_comes_through() -> None:
     told = published(json.dumps(GOOD | {"more": 1}))
-    assert told == GOOD | {"cov": [1, 0, 0, 0, 2, 0, 0, 0, 3]}
+    assert told == GOOD | {"cov": [1, 0, 0, 0, 2, 0, 0, 0, 3], "began": False}
     assert published(json.dumps(GOOD | {"truth": [1, 2, 3]}))["truth"] == [1, 2, 3]
 
 
@@ -42,7 +42,10 @@ def test_what_is_right_comes_through() -> None:
      {"echoes": [{"sonar": 1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": "whim"}]}, {"waypoints": [[1, 2, 3]]},
      {"pose": [1e308, 0, 0]}, {"cov": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 2, 0], [2, 1, 0], [0, 0, 1]]},
      {"echoes": [GOOD["echoes"][0] | {"sonar": 16}]}, {"echoes": [GOOD["echoes"][0] | {"sonar": -1e23}]},
-     {"robot": 1e30}, {"passed": -1}, {"passed": True}],
+     {"robot": 1e30}, {"passed": -1}, {"passed": True}, {"clock_s": "1"}, {"turret": True}, {"clock_s": 10**400},
+     {"cov": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 0, 2], [0, 1, 0], [2, 0, 1]]},
+     {"echoes": [GOOD["echoes"][0] | {"reading_in": -1}]}, {"echoes": [GOOD["echoes"][0] | {"reading_in": 1e6}]},
+     {"echoes": [GOOD["echoes"][0] | {"nis": -0.1}]}],
 )  # fmt: skip
 def test_anything_else_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BadMessage, match="what is published is robot"):
@@ -65,6 +68,21 @@ def test_an_estimate_grows_old_and_is_no_news_to_who_comes_late() -> None:
 
     assert heard(112.3) == [12.3]
     assert heard(100.0 + STALE_S) == []
+
+
+def test_who_begins_goes_on_its_own_way_and_the_page_s_older_one_is_gone() -> None:
+    desk = Desk(Daemon(Emulator(simulation())), Hub(Album(Emulator(simulation()))))
+    viewer = desk.hub.join(may_act=False)
+    desk.set_waypoints(1, [[7, 8]])
+    assert desk.publish(json.dumps(GOOD | {"began": True}), 1.0) == {"waypoints": [], "set": 2}
+    told = [json.loads(text) for text in viewer.news()]
+    assert [(one["type"], one.get("points")) for one in told] == [
+        ("waypoints", [[7, 8]]), ("waypoints", []), ("localization", None)
+    ]  # fmt: skip
+    assert "began" not in told[-1]
+    assert desk.publish(json.dumps(GOOD | {"began": True}), 2.0) == {"waypoints": [], "set": 2}
+    desk.set_waypoints(1, [[1, 2]])
+    assert desk.publish(json.dumps(GOOD), 3.0) == {"waypoints": [[1, 2]], "set": 3}
 
 
 def test_it_is_posted_with_the_token_and_seen_by_who_looks_then_or_later() -> None:
