@@ -17,16 +17,17 @@ from localization import resuming
 from localization.belief import Belief, independent
 from localization.calibrated import with_wheels
 from localization.cone import ConeModel
-from localization.filters.table import DEFAULT_METHOD, METHODS
+from localization.filters.table import DEFAULT_METHOD, METHODS, finder
 from localization.measurement import WIRE_SONAR
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.publishing import Publisher, message
-from localization.readers import constants, noise, opened, point, pose, positive, seconds, stds
+from localization.readers import UNKNOWN, constants, noise, opened, point, positive, seconds, start, stds
 from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
 from nclient import Robot, RobotState, WorldFileError
+from nclient.errors import EstimateFileError
 from worlds.bodies import BODIES
 from worlds.calibration import FAULTLESS, Calibration, load_calibration
 from worlds.files import load_world
@@ -46,12 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     goals = parser.add_mutually_exclusive_group(required=True)
     goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
     goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
-    parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
+    parser.add_argument("--start", type=start, metavar="X,Y,HEADING",
                         help="where the robot stands now, inches and degrees; its encoders are set to it "
-                             "(default: what they say)")
+                             f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
-    parser.add_argument("--body", choices=sorted(BODIES), default="n150", help="the robot's model (default n150)")
+    parser.add_argument("--body", choices=sorted(BODIES), help="the robot's model (default: as its address says)")
     parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
                         help="top speed in in/s (default %(default)s)")
     parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
@@ -90,6 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when every way-point was reached, 3 when the time ran out."""
     world = load_world(options.map)
+    if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
+        raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
+                                "alone: leave --resume and other methods out")
     points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
     if options.picture:
         from localization.drawing import require_matplotlib
@@ -97,6 +101,7 @@ def run(options: argparse.Namespace) -> int:
         require_matplotlib()
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
+    options.body = options.body or robot.model.name
     with robot:
         try:
             done = _drive(robot, world, points, options, simulated, publisher)
@@ -117,7 +122,8 @@ def _drive(
     publisher: Publisher | None = None,
 ) -> Run:  # fmt: skip
     state = robot.refresh()
-    if options.start:
+    nowhere = options.start == UNKNOWN
+    if options.start and not nowhere:
         x, y, heading = options.start
         robot.set_position(x_in=x, y_in=y)
         turret_rad = heading + state.turret_rad - state.steering_rad
@@ -133,7 +139,8 @@ def _drive(
     number = robot.truth().robot_id if publisher and simulated else 1
     done, told_s = Run(points), -math.inf
     steady = SteadyPose(options.smooth)
-    for progress in follow(robot, begin(robot, known, belief, options.method), navigator, time.sleep, steady):
+    method = finder(known, None, options.scale_std) if nowhere else options.method
+    for progress in follow(robot, begin(robot, known, belief, method), navigator, time.sleep, steady):
         clock_s = progress.estimate.clock_s
         truth = None
         if seen:

@@ -18,7 +18,7 @@ import numpy as np
 from localization import calibrated
 from localization.belief import Belief, Floats
 from localization.echoes import Firing, FiringSchedule
-from localization.filters.method import Filter, Smoothing
+from localization.filters.method import Filter, Place, Searching, Smoothing
 from localization.filters.sense import pose_of
 from localization.filters.table import DEFAULT_METHOD, make
 from localization.lag import with_lag
@@ -72,13 +72,14 @@ class Smoothed(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """Where the robot is believed to be at `clock_s` of its own clock, and the echoes heard since the last one;
-    of a method that smooths, where it was a while ago besides."""
+    of a method that smooths, where it was a while ago besides; of one that searches, all places that it may be at."""
 
     clock_s: float
     belief: Belief
     echoes: tuple[Echo, ...]
     verdict: Verdict = ALL_WELL
     smoothed: Smoothed | None = None
+    places: tuple[Place, ...] = ()
 
     @property
     def pose(self) -> Floats:
@@ -107,6 +108,7 @@ class Localizer:
         self._history = PoseHistory()
         self._settled: EncoderPose | None = None
         self._heard_s = -np.inf
+        self._searching = self._filter if isinstance(self._filter, Searching) else None
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
@@ -132,7 +134,8 @@ class Localizer:
         step = step_between(self._settled.pose, latest.pose)
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         told = with_lag(self._filter.ahead(step), *self._history.last_two)
-        return Estimate(latest.clock_s, told, echoes, self._filter.verdict, smoothed)
+        places = self._searching.places if self._searching else ()
+        return Estimate(latest.clock_s, told, echoes, self._filter.verdict, smoothed, places)
 
     def _hear(self, firing: Firing, reading_in: float) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""

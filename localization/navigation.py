@@ -17,10 +17,13 @@ import numpy as np
 from localization.belief import Belief, Floats
 from localization.control import Gains, distance_to, next_step
 from localization.echoes import FiringSchedule
+from localization.filters.method import Filter
 from localization.filters.table import DEFAULT_METHOD
+from localization.groping import Groping
 from localization.localizer import Estimate, Localizer
 from localization.steadying import SteadyPose
 from localization.surroundings import Surroundings
+from localization.watch import Trust
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
@@ -109,9 +112,9 @@ class Progress(NamedTuple):
     passed: int
 
 
-def begin(robot: Robot, known: Surroundings, belief: Belief, method: str = DEFAULT_METHOD) -> Localizer:
+def begin(robot: Robot, known: Surroundings, belief: Belief, method: str | Filter = DEFAULT_METHOD) -> Localizer:
     """Restart the robot's ring, so that its firing instants are known, and start a filter on it: a name of
-    filters.table."""
+    filters.table, or one that is made."""
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
     assert state.clock_s is not None
     localizer = Localizer(known, belief, FiringSchedule(state.clock_s), method)
@@ -126,19 +129,26 @@ def follow(
     wait: Callable[[float], None],
     steady: SteadyPose | None = None,
 ) -> Generator[Progress, None, None]:
-    """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends.
+    """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends. While
+    it is LOST it looks for itself (groping) instead.
 
     `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
     `steady`: what makes the pose to steer by of the estimates; the estimates themselves where there is none.
     """
-    steady = steady or SteadyPose(0.0)
+    steady, groping = steady or SteadyPose(0.0), Groping(PERIOD_S)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     try:
         while True:
             estimate = localizer.update(state)
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
-            command = navigator.command(steady.update(estimate.clock_s, estimate.pose, encoders))
+            command: Command | None
+            if estimate.verdict.trust is Trust.LOST:
+                steady.forget()
+                command = Command(*groping.command(state))
+            else:
+                groping.reset()
+                command = navigator.command(steady.update(estimate.clock_s, estimate.pose, encoders))
             yield Progress(estimate, state, navigator.passed)
             if command is None:
                 return

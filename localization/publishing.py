@@ -35,7 +35,7 @@ def message(robot: int, moment: Moment, turret_rad: float, waypoints: Sequence[t
     estimate = moment.estimate
     return {
         "robot": robot, "clock_s": estimate.clock_s, "pose": estimate.pose.tolist(),
-        "turret": float(estimate.pose[2]) + turret_rad, "cov": estimate.belief.cov.tolist(),
+        "turret": float(estimate.pose[2]) + turret_rad, "cov": estimate.belief.cov[:3, :3].tolist(),
         "odometry": list(moment.odometry), "truth": None if moment.truth is None else list(moment.truth),
         "echoes": [
             {"sonar": echo.sonar, "reading_in": echo.reading_in, "refusal": echo.refusal.name.lower(),

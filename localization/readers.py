@@ -15,6 +15,7 @@ from nclient import ReplyTimeout, Robot, connect
 
 MOST_NOISE: Final = 10
 """More noise than this is a slip of the keyboard."""
+UNKNOWN: Final = "unknown"
 
 
 def opened(address: str | None) -> tuple[Robot, bool]:
@@ -44,6 +45,11 @@ def pose(text: str) -> tuple[float, float, float]:
     """A place in inches, and a direction in degrees that becomes radians."""
     x, y, heading_deg = numbers(text, 3)
     return x, y, math.radians(heading_deg)
+
+
+def start(text: str) -> tuple[float, float, float] | str:
+    """A pose, or UNKNOWN."""
+    return UNKNOWN if text.strip().lower() == UNKNOWN else pose(text)
 
 
 def stds(text: str) -> tuple[float, float, float]:

@@ -15,9 +15,12 @@ import numpy as np
 from localization.belief import Floats, add, difference
 from localization.localizer import Estimate
 from localization.observation import Refusal
+from localization.watch import Trust
 
 LONGEST_GAP_S = 0.5
 """Beyond this the way between two states is no single arc any more, and the estimate gets too sure of itself."""
+MOST_PLACES = 4
+"""So many are told of in a line."""
 Pose = tuple[float, float, float]
 """x_in, y_in, heading of the steering in radians."""
 
@@ -52,9 +55,14 @@ class Moment(NamedTuple):
     turret_rad: float = 0.0
 
     @property
+    def lost(self) -> bool:
+        """Whether no place is believed."""
+        return self.estimate.verdict.trust is Trust.LOST
+
+    @property
     def error(self) -> Floats | None:
-        """Estimate less truth, (3,) in inches and radians; None where the truth is not known."""
-        return None if self.truth is None else difference(self.estimate.pose, np.array(self.truth))
+        """Estimate less truth, (3,) in inches and radians; None where the truth is not known, or no place believed."""
+        return None if self.truth is None or self.lost else difference(self.estimate.pose, np.array(self.truth))
 
 
 @dataclass
@@ -97,12 +105,16 @@ class Run:
     def line(self) -> str:
         """The last moment in one line."""
         moment = self.moments[-1]
+        if moment.lost:
+            return f"{self.duration_s:6.1f} s  {_told(moment.estimate)}"
         x, y, heading = moment.estimate.pose
         std = moment.estimate.belief.std
         text = (
             f"{self.duration_s:6.1f} s  estimate ({x:7.2f}, {y:7.2f}) in {math.degrees(heading):7.2f} deg"
             f"  ± {max(std[0], std[1]):.2f} in {math.degrees(std[2]):.2f} deg"
         )
+        if moment.estimate.verdict.reason:
+            text += f"  {_told(moment.estimate)}"
         error = moment.error
         if error is None or moment.truth is None:
             return text
@@ -126,6 +138,12 @@ class Run:
                 for refusal in Refusal
                 if refusal and (count := sum(echo.refusal is refusal for echo in echoes))
             },
+            "trust": last.estimate.verdict.trust.value,
+            "reason": last.estimate.verdict.reason,
+            "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
+            "places": [
+                {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in last.estimate.places
+            ],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,
             "end_error_in": float(errors[-1]) if len(errors) else None,
@@ -152,3 +170,14 @@ class Run:
                 "let the time run slower"
             )
         return "\n".join(lines)
+
+
+def _told(estimate: Estimate) -> str:
+    """How far an estimate can be believed and why, and where else the robot may be."""
+    text = f"{estimate.verdict.trust.value}: {estimate.verdict.reason}"
+    if len(estimate.places) < 2:
+        return text
+    places = [(*place.belief.mean[:3].tolist(), place.share) for place in estimate.places[:MOST_PLACES]]
+    return f"{text}: " + ", ".join(
+        f"({x:.1f}, {y:.1f}) in {math.degrees(heading):.0f} deg {share:.0%}" for x, y, heading, share in places
+    )

@@ -30,6 +30,8 @@ CLIMB_IN, CLIMB_RAD = 2.5 * CELL_IN, 0.35
 """Peaks nearer than this to a better one are its slopes."""
 MOST_PEAKS: Final = 40
 REFINED_STD: Final = (0.6 * CELL_IN, 0.6 * CELL_IN, 0.06)
+SAME_SQUARED: Final = 16.27
+"""A place within this squared distance of a belief, by its spread, is the believed one: chi-square of 3, 99.9 %."""
 WORTH_KEEPING: Final = 1e-4
 """Hypotheses with less than this share are dropped."""
 BAD_SHARE, SPAN_IN = 0.3, 249.0
@@ -66,10 +68,18 @@ def search(clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: Odom
 def rivalry(
     here: Belief, clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise
 ) -> float:
-    """By how many nats the best place that is found explains the clues better than where the robot is believed to be;
-    none better is 0 or less, -inf where nothing is found."""
-    best = max((score for _, score in _weighed(clues, atlas, hearing, odometry)), default=-inf)
-    return best - _refined(here.mean[:POSE], clues, hearing, odometry)[1]
+    """By how many nats the best place elsewhere explains the clues better than where the robot is believed to be; 0 or
+    less where none is better, -inf where nothing else is found. What is not beyond the belief's own spread is here."""
+    wide = Belief(here.mean[:POSE], here.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
+    information = np.linalg.inv(wide.cov)
+
+    def elsewhere(place: Belief) -> bool:
+        off = difference(place.mean, wide.mean)
+        return bool(off @ information @ off > SAME_SQUARED)
+
+    found = _weighed(clues, atlas, hearing, odometry)
+    best = max((score for place, score in found if elsewhere(place)), default=-inf)
+    return best - _led(wide, clues, hearing, odometry)[1]
 
 
 def _weighed(
@@ -155,9 +165,17 @@ def _peaks(poses: Floats, score: Floats) -> list[Floats]:
 def _refined(
     peak: Floats, clues: Sequence[Clue], hearing: Hearing, odometry: OdometryNoise
 ) -> tuple[Belief, float]:
-    """A peak carried to the first clue and led along all of them: the belief at the last, and its log likelihood."""
-    start = _carried(peak[None, :], clues[-1].encoders, clues[0].encoders)[0]
-    belief = independent(add(start, np.zeros(3)), REFINED_STD)
+    """A peak, as wide as a cell, led along the clues."""
+    return _led(independent(peak, REFINED_STD), clues, hearing, odometry)
+
+
+def _led(
+    last: Belief, clues: Sequence[Clue], hearing: Hearing, odometry: OdometryNoise
+) -> tuple[Belief, float]:
+    """A belief carried from the last clue to the first and led along all of them: what it is then, and how likely all
+    that was heard is by it, as a logarithm."""
+    start = _carried(last.mean[None, :], clues[-1].encoders, clues[0].encoders)[0]
+    belief = Belief(add(start, np.zeros(3)), last.cov)
     score, before = 0.0, clues[0].encoders
     for clue in clues:
         belief = predict(belief, step_between(before, clue.encoders), odometry)

@@ -30,6 +30,10 @@ class SteadyPose:
         self._odometry: Floats | None = None
         self._clock_s = 0.0
 
+    def forget(self) -> None:
+        """Nothing is believed any more: the next estimate is followed at once."""
+        self._shown = None
+
     def update(self, clock_s: float, estimate: Floats, odometry: Floats) -> Floats:
         """What to steer by at this clock: estimate and encoder pose (3,) of that instant in, a pose (3,) out."""
         if self._shown is None or self._odometry is None or not self._time_s:

@@ -22,7 +22,7 @@ import numpy as np
 from localization.atlas import Atlas
 from localization.belief import Belief, Floats
 from localization.filters.hearing import Hearing
-from localization.filters.method import Judgement
+from localization.filters.method import Judgement, Place
 from localization.motion import OdometryNoise, move
 from localization.observation import Refusal
 from localization.search import NEAREST_IN, Clue, Hypothesis, merged, rivalry, search
@@ -69,6 +69,11 @@ class Finder:
         if self.hypotheses:
             return self.hypotheses[0].belief
         return with_constants(Belief(np.zeros(3), np.diag(np.square(NOWHERE_STD))), self._constants)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Where the robot may be."""
+        return tuple(Place(known.belief, known.share) for known in self.hypotheses)
 
     @property
     def verdict(self) -> Verdict:

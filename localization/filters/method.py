@@ -52,6 +52,23 @@ class Filter(Protocol):
         ...
 
 
+class Place(NamedTuple):
+    """Where the robot may be, and the share of all that is believed."""
+
+    belief: Belief
+    share: float
+
+
+@runtime_checkable
+class Searching(Protocol):
+    """What a method has besides that may hold several places for possible."""
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """The likeliest first; none while it has no idea."""
+        ...
+
+
 @runtime_checkable
 class Smoothing(Protocol):
     """What a method has besides that looks back: readings since then have their say about where the robot was."""

@@ -171,3 +171,34 @@ def test_sonars_that_read_too_much_are_found_out_while_driving(
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
     assert ends[1] < 0.5 * ends[0]
     assert len(json.loads(kept.read_text())["mean"]) == 6
+
+
+def test_told_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
+    assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["reached"], result["trust"], len(result["places"])) == (1, "OK", 1)
+    assert 0.0 < result["lost_share"] < 0.9
+    assert result["rmse_position_in"] < 0.5
+
+
+def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
+    asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
+    assert localize(*asked) == 3
+    out = capsys.readouterr().out
+    assert "LOST: searching: nothing was told of the place" in out
+    assert "LOST: 4 places look alike, the likeliest with " in out
+    assert out.splitlines()[-1].startswith("0 of 1 way-points reached")
+    assert localize(*asked, "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["trust"] == "LOST"
+    assert len(result["places"]) == 4
+    assert sum(place["share"] for place in result["places"]) == pytest.approx(1.0)
+    assert result["rmse_position_in"] is None
+
+
+@pytest.mark.parametrize("words", [["--method", "mcl"], ["--resume", "there.json"]])
+def test_an_unknown_start_is_for_the_finder_alone(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--start", "unknown", *words) == 1
+    assert "leave --resume and other methods out" in capsys.readouterr().err

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
@@ -21,6 +22,7 @@ from localization.navigation import COMMAND_TIMEOUT_S, Navigator
 from localization.observation import Refusal
 from localization.publishing import AGAIN_S, Publisher, message
 from localization.run import Moment
+from localization.systematic import with_constants
 from nclient.errors import AddressError, ConnectionLost
 
 
@@ -69,6 +71,14 @@ def test_a_moment_as_it_is_published() -> None:
         "waypoints": [[5, 6]], "passed": 1,
     }  # fmt: skip
     assert message(1, a_moment(), 0.0, [])["truth"] is None
+
+
+def test_of_a_longer_state_the_pose_is_published() -> None:
+    moment = a_moment()
+    longer = with_constants(moment.estimate.belief, (0.05, 0.01))
+    said = message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
+    assert said["pose"] == [1, 2, 0.5]
+    assert said["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
 
 
 def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:

@@ -144,3 +144,12 @@ def test_where_nothing_is_found_there_is_no_rival() -> None:
     nowhere = draw_atlas(walls, N150, KINDS["ideal"], 500.0)
     hearing = hearing_of(walls, N150, KINDS["ideal"])
     assert rivalry(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == -math.inf
+
+
+def test_the_believed_place_a_little_elsewhere_is_no_rival() -> None:
+    """A robot that turned on the spot with poor encoders: its heading is off by what it knows that it may be off."""
+    clues, truth = clues_at("several_walls", "measured", (30.0, 60.0, 20.0))
+    walls = load_world("several_walls").walls
+    hearing = hearing_of(walls, N150, KINDS["measured"])
+    turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, 0.15))
+    assert rivalry(turned, clues, atlas_of("several_walls", "measured"), hearing, QUIET) < 0.5 * BETTER_NATS

@@ -46,3 +46,12 @@ def test_the_heading_is_followed_the_short_way_round() -> None:
 def test_a_negative_time_is_refused() -> None:
     with pytest.raises(ValueError, match="0 s or more"):
         SteadyPose(-1.0)
+
+
+def test_after_forgetting_the_next_estimate_is_followed_at_once() -> None:
+    steady = SteadyPose(5.0)
+    here, there = np.array([0.0, 0.0, 0.0]), np.array([40.0, 30.0, 2.0])
+    steady.update(0.0, here, here)
+    assert not np.allclose(steady.update(0.1, there, here), there)
+    steady.forget()
+    assert np.allclose(steady.update(0.2, there, here), there)

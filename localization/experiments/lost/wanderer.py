@@ -2,44 +2,27 @@
 
     believed    a shortest way (planning.roadmap) to a place drawn by chance, turned to on the spot, then by the thesis'
                 law
-    lost        turning on the spot to look around, and then on wherever the sonars ahead hear room, so that places that
-                look alike are told apart
+    lost        groping: a look around, and then on wherever the sonars ahead hear room
 
 Rules: estimate and readings in, a command out; no robot, no truth. All chance is handed in.
 """
 
 from __future__ import annotations
 
-from math import cos, tau
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from localization.belief import Floats
 from localization.control import bearing_error
+from localization.groping import TURN_RAD_S, Groping, Heard
 from localization.navigation import PERIOD_S, Command, Navigator, Speeds
 from localization.planning.course import waypoints
 from localization.planning.roadmap import NoWayError, Roadmap
 
 STAND: Final = Command(0.0, 0.0)
-TURN_RAD_S: Final = 0.4
 TURN_FIRST_RAD: Final = 1.0
 """Farther off the bearing than this the robot turns on the spot: the law alone would drive a circle."""
-LOOK_S: Final = 10.0
-"""How long a lost robot turns before it drives on."""
-ROOM_AHEAD_IN: Final = 18.0
-AHEAD: Final = cos(tau / 8)
-
-
-class Heard(Protocol):
-    """What is looked at of a robot's state."""
-
-    @property
-    def sonars_in(self) -> tuple[int, ...]: ...
-    @property
-    def steering_rad(self) -> float: ...
-    @property
-    def turret_rad(self) -> float: ...
 
 
 class Wanderer:
@@ -48,11 +31,11 @@ class Wanderer:
     def __init__(self, roadmap: Roadmap, places: Floats, speeds: Speeds, chance: np.random.Generator) -> None:
         self._roadmap, self._places, self._speeds, self._chance = roadmap, places, speeds, chance
         self._navigator: Navigator | None = None
-        self._groping = 0
+        self._groping = Groping(PERIOD_S)
 
     def command(self, pose: Floats) -> Command:
         """What to do at a pose (3,) that is believed."""
-        self._groping = 0
+        self._groping.reset()
         if self._navigator is None or (command := self._navigator.command(pose)) is None:
             self._navigator = self._somewhere(pose)
             return STAND
@@ -66,10 +49,7 @@ class Wanderer:
     def grope(self, state: Heard) -> Command:
         """What to do when nothing is believed."""
         self._navigator = None
-        self._groping += 1
-        if self._groping * PERIOD_S < LOOK_S or not _room_ahead(state):
-            return Command(0.0, TURN_RAD_S)
-        return Command(0.6 * self._speeds.translation_in_s, 0.0)
+        return Command(*self._groping.command(state))
 
     def _somewhere(self, pose: Floats) -> Navigator | None:
         goal = self._places[self._chance.integers(len(self._places))]
@@ -79,9 +59,3 @@ class Wanderer:
             return None
         return Navigator(waypoints(path), self._speeds)
 
-
-def _room_ahead(state: Heard) -> bool:
-    """Whether all sonars that look ahead, an eighth of a turn to either side, hear nothing near."""
-    looking = np.arange(len(state.sonars_in)) * (tau / len(state.sonars_in)) + state.turret_rad - state.steering_rad
-    return all(reading > ROOM_AHEAD_IN for reading, way in zip(state.sonars_in, looking, strict=True)
-               if cos(way) >= AHEAD)
