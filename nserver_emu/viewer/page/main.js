@@ -15,6 +15,7 @@ import { localizationWindow } from './localization_window.js';
 import { setUpTools } from './tools.js';
 import { setUpMenus } from './menus.js';
 import { setUpSharing } from './share.js';
+import { setUpHolding } from './holding.js';
 import { setUpStopping, stopAll } from './stopping.js';
 import { newUndo } from './undo.js';
 import { tenthsOf, angleTenths } from './units.js';
@@ -28,7 +29,7 @@ const part = (id) => document.getElementById(id);
 
 const unitsListeners = [], setAt = {};
 const app = {
-  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, watchToken: null, lines: {},
+  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, name: '', watchToken: null, lines: {},
   chosen() { return { id: app.robot, robot: app.scene.robots[app.robot], body: app.scene.bodies[app.robot], scene: app.scene }; },
   onUnits(listener) { unitsListeners.push(listener); },
   switchUnits() {
@@ -63,7 +64,7 @@ const app = {
   },
   async stopAll() {
     driveWindow.release();
-    app.notice(await stopAll(app.link, Object.keys(app.scene.robots)));
+    app.notice(await stopAll(app.link));
   },
   changed() { refresh = true; },
   drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
@@ -90,6 +91,7 @@ function hear(message, size) {
 
 function greet(message) {
   app.mayAct = message.may_act;
+  app.name = message.name;
   greeted = true;
   tellState();
   app.watchToken = message.watch_token;
@@ -119,6 +121,7 @@ function takePicture(picture) {
   applyPicture(app.scene, picture);
   if ('world' in picture) part('world-name').textContent = picture.world.title || picture.world.name;
   if ('bodies' in picture) offerRobots();
+  showHeld();
   app.map.keepDrawing();
   refresh = true;
 }
@@ -170,6 +173,7 @@ setUpTools(app);
 if (remembered('metric', false)) app.switchUnits();
 setUpMenus();
 setUpSharing(app);
+const showHeld = setUpHolding(app);
 part('robot-choice').addEventListener('change', (event) => app.selectRobot(event.target.value));
 part('stop').addEventListener('click', () => app.stopAll());
 part('notice-close').addEventListener('click', () => app.notice(''));

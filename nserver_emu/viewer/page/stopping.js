@@ -32,9 +32,8 @@ export function setUpStopping(stop) {
   }, { capture: true });
 }
 
-// Tells every robot to stop; what could not be told, in words, or nothing.
-export async function stopAll(link, robots) {
-  const answers = await Promise.all(robots.map((id) => link.ask({ do: 'call', robot: Number(id), call: 'st', args: [] })));
-  const failed = robots.flatMap((id, k) => (answers[k].ok ? [] : [`robot ${id}: ${answers[k].error}`]));
-  return failed.length ? `NOT STOPPED — ${failed.join('; ')}` : '';
+// Has every robot stand until it is released; why that could not be told, or nothing.
+export async function stopAll(link) {
+  const answer = await link.ask({ do: 'stop' });
+  return answer.ok ? '' : `NOT STOPPED — ${answer.error}`;
 }

@@ -96,6 +96,8 @@ def test_keys_drive_while_they_are_held_and_the_stop_button_stops(browser: Brows
         page.wait("nserver.scene.robots['1'].state[41] !== 0")
         page.page.click("#stop")
         page.wait("nserver.scene.robots['1'].state[41] === 0")
+        page.page.click("#release")
+        page.wait("document.querySelector('#held').hidden")
         robot.drive(steering_rad_s=0.5)
         page.wait("nserver.scene.robots['1'].state[41] !== 0")
         page.page.focus("#map")

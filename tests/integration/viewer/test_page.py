@@ -81,6 +81,8 @@ def test_escape_stops_from_anywhere_and_space_after_a_click(browser: Browser) ->
             prepare()
             page.page.keyboard.press(key)
             page.wait(still)
+            page.page.click("#release")
+            page.wait("document.querySelector('#held').hidden")
         page.page.focus("#corners")
         page.page.keyboard.press("Space")
         assert page.page.input_value("#corners") == " "
@@ -93,11 +95,14 @@ def test_escape_stops_from_anywhere_and_space_after_a_click(browser: Browser) ->
         page.page.wait_for_timeout(300)
         assert page.value(still)
         page.page.keyboard.up("a")
+        page.page.click("#release")
+        page.wait("document.querySelector('#held').hidden")
+        page.page.focus("#pad")
         page.page.keyboard.press("a", delay=200)
         page.wait(still)
         failing = """import('/page/stopping.js').then((m) =>
-            m.stopAll({ ask: async () => ({ ok: false, error: 'not connected' }) }, ['1', '2']))"""
-        assert page.value(failing) == "NOT STOPPED — robot 1: not connected; robot 2: not connected"
+            m.stopAll({ ask: async () => ({ ok: false, error: 'not connected' }) }))"""
+        assert page.value(failing) == "NOT STOPPED — not connected"
 
 
 def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp_path: Path) -> None:
@@ -188,6 +193,15 @@ SMALL: list[tuple[str, str, Any]] = [
      "Object.keys(m.CLIENT_COLOURS).every((name) => [['#ffffff', '#15181d'], ['#12151a', '#e8ebf0']]"
      ".every(([paper, ink]) => m.contrast(m.clientColour(name, { paper, ink }), paper) >= 3))", True),
     ("colours.js", "m.clientColour('Red', { paper: '#ffffff', ink: '#15181d' })", "#ff0000"),
+    ("holding.js", "m.heldWords({ 1: { held: null }, 2: {} }, 'viewer 1')", None),
+    ("holding.js", "m.heldWords({ 1: { held: { by: 'viewer 1', ignored: 1 } } }, 'viewer 1')",
+     {"who": "Held: nothing moves until Release. Stopped by you (viewer 1).", "ignored": "1 command to move ignored."}),
+    ("holding.js",
+     "m.heldWords({ 1: {}, 2: { held: { by: 'b', ignored: 2 } }, 3: { held: { by: 'c', ignored: 5 } } }, 'a')",
+     {"who": "Held: robots 2, 3 do not move until Release. Stopped by b and c.",
+      "ignored": "7 commands to move ignored."}),
+    ("holding.js", "m.heldWords({ 1: {}, 2: { held: { by: 'b', ignored: 0 } } }, 'a')",
+     {"who": "Held: robot 2 does not move until Release. Stopped by b.", "ignored": ""}),
     ("ground.js", "m.cornersWrong([[0, 0], [9, 0], [9, 9], [0, 9]])", ""),
     ("ground.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 8, 2)", True),
     ("ground.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 2, 8)", False),
@@ -278,4 +292,4 @@ def test_a_lost_link_is_seen(browser: Browser) -> None:
         page.wait_for_selector("#link-state:text('last heard')")
         assert page.evaluate("document.body.classList.contains('lost')")
         page.click("#stop")
-        page.wait_for_selector("#notice span:text('NOT STOPPED — robot 1: not connected')")
+        page.wait_for_selector("#notice span:text('NOT STOPPED — not connected')")
