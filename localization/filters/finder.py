@@ -35,6 +35,8 @@ SURE: Final = 0.99
 """Share from which one hypothesis is the estimate."""
 BETTER_NATS: Final = 12.0
 """By so much another place must explain the last echoes better, for a doubted one to be given up."""
+FOUND_STD: Final = (0.5, 0.5, 0.03)
+"""How much less is known of a place that was found than its few echoes say: they chose it, and count for that."""
 NOWHERE_STD: Final = (1000.0, 1000.0, 3.0)
 """How uncertain a belief is that knows nothing: inches and radians."""
 
@@ -142,7 +144,7 @@ class Finder:
             self._fresh = CLUES // 2
             found = search(list(self._clues), self._map, self._hearing, self._odometry)
             self.hypotheses = [
-                Hypothesis(with_constants(place.belief, self._constants), place.share) for place in found
+                Hypothesis(with_constants(_wider(place.belief), self._constants), place.share) for place in found
             ]
             self._watch.reset()
         return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
@@ -153,3 +155,8 @@ class Finder:
         if self._atlas is None:
             self._atlas = self._draw_atlas()
         return self._atlas
+
+
+def _wider(belief: Belief) -> Belief:
+    """A belief over a pose, by FOUND_STD wider."""
+    return Belief(belief.mean, belief.cov + np.diag(np.square(FOUND_STD)))

@@ -48,6 +48,7 @@ KIDNAPPED_S: Final = (20.0, 40.0)
 """When a robot is kidnapped: anywhere between."""
 FAR_IN, FAR_RAD = 24.0, 1.0
 """Set down at least so far away, or turned so much."""
+STILL_S: Final = 10
 CERTAIN_S: Final = 3.0
 PATIENCE_S: Final = 90.0
 """How long a lost robot may look for itself."""
@@ -177,8 +178,11 @@ class _Run:
                 self._squares.append(hypot(*(estimate.pose - self._truth)[:2]) ** 2)
 
     def _kidnap(self) -> None:
-        """Set the robot down elsewhere, its turret as it is on the body; its encoders go on as if nothing had been."""
-        state, truth = self._robot.refresh(), self._robot.truth()
+        """Stop the robot and set it down elsewhere, its turret as it is on the body; its encoders go on as if nothing
+        had been. Moving wheels would turn on meanwhile, and the ring stand otherwise than the encoders say."""
+        self._robot.stop()
+        state = self._robot.wait_until_still(timeout_s=STILL_S)
+        truth = self._robot.truth()
         here = _pose(truth)
         while True:
             there = _drawn(self._places, self._chance)

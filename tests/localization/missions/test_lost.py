@@ -20,7 +20,8 @@ MakeHelm = Callable[..., Helm]
 
 
 class Kidnapper:
-    """Carries the robot elsewhere when so much time is over; its encoders think nothing of it."""
+    """Carries the robot elsewhere when so much time is over; its encoders think nothing of it. It is stopped first: its
+    wheels would turn on under the hands that hold it, and the ring stand otherwise on the body."""
 
     def __init__(self, helm: Helm, pose: Pose, at_s: float = 2.0) -> None:
         self._helm, self._pose, self._at_s, self.done = helm, pose, at_s, False
@@ -30,7 +31,8 @@ class Kidnapper:
     def __call__(self, sight: Sight) -> None:
         if not self.done and sight.estimate.clock_s > self._at_s:
             self.done = True
-            told = sight.state
+            self._helm.robot.stop()
+            told = self._helm.robot.wait_until_still(timeout_s=5)
             front = self._pose.steering_rad + told.turret_rad - told.steering_rad
             self._helm.robot.place(replace(self._pose, turret_rad=front))
             self._helm.robot.set_position(x_in=told.x_in, y_in=told.y_in)
