@@ -55,6 +55,7 @@ const app = {
     if (app.robot !== id) driveWindow.release();
     app.robot = id;
     part('robot-choice').value = id;
+    app.watch();
     app.map.keepDrawing();
     refresh = true;
   },
@@ -69,7 +70,7 @@ const app = {
   changed() { refresh = true; },
   drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
   layersChanged() { app.watch(); },
-  watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser }); },
+  watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser, robot: Number(app.robot) }); },
   notice(text) {
     const place = part('notice');
     place.firstElementChild.textContent = text;
@@ -129,7 +130,7 @@ function takePicture(picture) {
 function offerRobots() {
   const choice = part('robot-choice'), ids = Object.keys(app.scene.bodies);
   choice.replaceChildren(...ids.map((id) => element('option', { value: id }, `${id} (${app.scene.bodies[id].model})`)));
-  if (!ids.includes(app.robot)) app.robot = ids[0];
+  if (!ids.includes(app.robot)) { app.robot = ids[0]; app.watch(); }
   choice.value = app.robot;
 }
 

@@ -1,14 +1,9 @@
 // The window Time, noise, faults: what the owner of the daemon may change of it. Shown to who may act.
 
 import { element, button, choice, field, form } from './parts.js';
+import { control } from './control.js';
 
 export const NOISE_PARTS = { sensors: 'Sensors', motion: 'Motion' };
-
-export async function control(app, command, argument) {
-  const answer = await app.link.ask({ do: 'control', command, argument });
-  app.notice(answer.ok ? '' : answer.error);
-  return answer;
-}
 
 export const timeWindow = {
   id: 'time', title: 'Time, noise, faults', acts: true,
