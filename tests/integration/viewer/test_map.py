@@ -142,7 +142,7 @@ def test_a_wrong_token_shows_nothing(browser: Browser) -> None:
         answer = page.goto(program.url[:-3] + "xxx")
         assert answer is not None
         assert answer.status == 403
-        assert "the token is wrong" in page.inner_text("body")
+        assert "The token in it is wrong" in page.inner_text("body")
 
 
 def test_the_page_of_another_site_cannot_open_the_websocket(browser: Browser) -> None:
