@@ -4,9 +4,9 @@
     GET /              the page, of a tab that keeps its token to itself: a reload
     GET /ws?token=T    the websocket         POST /publish?token=T    what a localizer thinks (localization.py)
 
-Rules: nothing of the simulation without the token, of which there are two, to act and to look only (entrance.py). A websocket is opened
-by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere, by
-Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
+Rules: nothing of the simulation without the token, of which there are two, to act and to look only (entrance.py). A
+websocket is opened by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere,
+by Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
 """
 
 from __future__ import annotations
