@@ -1,7 +1,8 @@
 """What clients say and are answered, for who watches: a recorder that listens in before it hands on to the real one.
 
     row     {"time_s": simulated, "who": connection, "to": "robot" | "host", "what": C name or kind of reply,
-             "of": C name of what is asked or answered, "text": in words, "hex": the bytes it came in, "size": how many}
+             "of": C name of what is asked or answered, "text": in words, "hex": the bytes it came in, "size": how many,
+             "parts": of a request, [["code", its number], [name, value] ...]; of a reply, which has no code, none}
 
 Rules: while nobody watches, nothing is decoded. A connection is taken up between two requests, on the terms that its
 session has come to by then. No more than MOST_ROWS are told a picture: what is beyond is counted, and the
@@ -17,7 +18,7 @@ from typing import Any, Final
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.models import Model
 from nclient.protocol.terms import Terms
-from nclient.recording.follower import HELLO_FIRST, SERIAL, Decoded, Follower
+from nclient.recording.follower import HELLO_FIRST, SERIAL, TCP, Decoded, Follower
 from nclient.recording.readable import told
 from nclient.recording.recorder import AnyRecorder, Tape
 
@@ -74,14 +75,14 @@ class Listening:
         """Whether no more rows are told until somebody has fetched those there are."""
         return len(self._rows) >= MOST_ROWS
 
-    def note(self, who: str, to: str, data: bytes, found: list[Decoded], asked: deque[str]) -> None:
-        """These frames went by; `asked`: what is not answered yet."""
+    def note(self, who: str, to: str, data: bytes, found: list[Decoded], asked: deque[str], line: str) -> None:
+        """These frames went by; `asked`: what is not answered yet; `line`: how they went."""
         for frame in found:
             self._rows.append({
                 "time_s": round(self._time_s(), 3), "who": who, "to": to,
                 "what": frame.get("call") or frame.get("reply") or "error", "of": _of(frame, asked),
                 "text": told(frame),
-                "hex": data[:MOST_HEX].hex(" "), "size": len(data),
+                "hex": data[:MOST_HEX].hex(" "), "size": len(data), "parts": parts(frame, line),
             })  # fmt: skip
 
 
@@ -91,6 +92,23 @@ def _of(frame: Decoded, asked: deque[str]) -> str:
     if name and BY_NAME[name].has_tcp_reply:
         asked.append(name)
     return name or (asked.popleft() if "reply" in frame and frame["reply"] != GREETING and asked else "")
+
+
+def parts(frame: Decoded, line: str) -> list[list[Any]]:
+    """The code of a request and its arguments, by name; those that vary in number are numbered from 1."""
+    if "call" not in frame:
+        return []
+    row = BY_NAME[frame["call"]]
+    names = [argument.name for argument in row.arguments]
+    beside: list[list[Any]] = []
+    if row.beside is not None:
+        name, place = row.beside
+        del names[place]
+        beside = [[name, frame[name]]] if name in frame else []
+    args = frame["args"]
+    names = names[: len(args)] + [str(k + 1) for k in range(len(args) - len(names))]
+    code = row.tcp_type if line == TCP else row.line_type
+    return [["code", code], *beside, *map(list, zip(names, args, strict=True))]
 
 
 class _Ear:
@@ -108,12 +126,13 @@ class _Ear:
             if self._follower is None:
                 self._take_up()
             if self._follower is not None:
-                self._listening.note(self._name, "robot", data, self._follower.to_robot(data), self._asked)
+                self._listening.note(self._name, "robot", data, self._follower.to_robot(data), self._asked,
+                                     self._line)
 
     def to_host(self, data: bytes, by_time: bool = False) -> None:
         self._inner.to_host(data, by_time)
         if self._hears() and self._follower is not None:
-            self._listening.note(self._name, "host", data, self._follower.to_host(data), self._asked)
+            self._listening.note(self._name, "host", data, self._follower.to_host(data), self._asked, self._line)
 
     def close(self) -> None:
         self._inner.close()

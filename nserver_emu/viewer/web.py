@@ -1,11 +1,12 @@
 """The page on the web: page and files over HTTP, pictures over a websocket, all from one asyncio loop with the daemon.
 
     GET /?token=T      the page              GET /page/NAME     its files (no secret in them)
+    GET /              the page, of a tab that keeps its token to itself: a reload
     GET /ws?token=T    the websocket         POST /publish?token=T    what a localizer thinks (localization.py)
 
-Rules: nothing without the token, of which there are two, to act and to look only (entrance.py). A websocket is opened
-by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere, by
-Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
+Rules: nothing of the simulation without the token, of which there are two, to act and to look only (entrance.py). A
+websocket is opened by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere,
+by Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
 """
 
 from __future__ import annotations
@@ -134,17 +135,20 @@ class Viewing:
 
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
-        if not known_host(request.host, self._known):
-            raise web.HTTPForbidden(text=f"this page is not known as {request.host!a}: ask by its number\n")
+        self._check_host(request)
         may_act = self._tokens.may_act(request.query.get("token", ""))
         if may_act is None:
             raise web.HTTPForbidden(text="the token is wrong: take the whole address that nserver printed\n")
         return may_act
 
+    def _check_host(self, request: web.Request) -> None:
+        if not known_host(request.host, self._known):
+            raise web.HTTPForbidden(text=f"this page is not known as {request.host!a}: ask by its number\n")
+
     async def _page(self, request: web.Request) -> web.StreamResponse:
-        if known_host(request.host, self._known) and self._tokens.may_act(request.query.get("token", "")) is None:
+        self._check_host(request)
+        if "token" in request.query and self._tokens.may_act(request.query["token"]) is None:
             raise web.HTTPForbidden(text=REFUSED, content_type="text/html")
-        self._may(request)
         return web.FileResponse(PAGE / "index.html")
 
     async def _publish(self, request: web.Request) -> web.StreamResponse:

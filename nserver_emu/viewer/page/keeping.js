@@ -76,7 +76,7 @@ export async function saveRun(app) {
   const imports = Object.fromEntries([...modules].map(([name, source]) =>
     [`nserver/${name}`, `data:text/javascript;charset=utf-8,${encodeURIComponent(source)}`]));
   const safe = (value) => JSON.stringify(value).replace(/</g, '\\u003c');
-  const page = await text(`/${location.search}`), style = await text('/page/style.css');
+  const page = await text('/'), style = await text('/page/style.css');
   const whole = page
     .replace(/<link rel="stylesheet"[^>]*>/, () => `<style>${style}</style>`)
     .replace(/<script type="module"[^>]*><\/script>/, () => `<script>window.nserverRun = ${safe({ base: app.run.base, messages: app.run.messages })};</script>

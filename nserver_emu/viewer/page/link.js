@@ -43,19 +43,19 @@ export function openLink(token, { hear, state }) {
     } else hear(message, size);
   }
 
-  function send(message) { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); }
+  function send(message) { if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); }
 
   // Says something that is answered; resolves with the answer, ok or not.
   function ask(message) {
     asked += 1;
     const id = asked;
     return new Promise((resolve) => {
-      if (socket.readyState !== WebSocket.OPEN) { resolve({ ok: false, error: 'not connected' }); return; }
+      if (socket?.readyState !== WebSocket.OPEN) { resolve({ ok: false, error: 'not connected' }); return; }
       answers.set(id, resolve);
       send({ ...message, id });
     });
   }
 
-  open();
+  if (token) open(); else state('closed');
   return { send, ask };
 }

@@ -6,6 +6,7 @@ import { toScreen } from './view.js';
 import { circle, arrow } from './draw.js';
 import { drawWaypoints, pointsNow, tenthed } from './tools.js';
 import { chart, legend } from './charts.js';
+import { linkWith } from './share.js';
 import { cell, table, element, button, form, lengthField } from './parts.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
 
@@ -159,7 +160,7 @@ export function spanOf(moments) {
 export function howToPublish(app) {
   if (!app.mayAct || window.nserverRun) return null;
   const place = app.lines.nserver ?? 'localhost:7019';
-  return `nomad localize nserver://${place}/${app.robot} --map ${app.scene.world?.name ?? 'WORLD'} --publish '${location.href}'`;
+  return `nomad localize nserver://${place}/${app.robot} --map ${app.scene.world?.name ?? 'WORLD'} --publish '${linkWith(location, app.token)}'`;
 }
 
 // Error against truth (null where that is unknown) and 3 sigma, of the place in inches, of the heading in degrees.

@@ -3,6 +3,7 @@
 import { emptyScene, applyPicture } from './scene.js';
 import { readTheme } from './colours.js';
 import { openLink } from './link.js';
+import { takeToken } from './entrance.js';
 import { openReplay } from './replay.js';
 import { newRun, keepMessage, savePng, saveSvg, saveRun, runLength } from './keeping.js';
 import { mapWindow } from './map_window.js';
@@ -29,7 +30,7 @@ const part = (id) => document.getElementById(id);
 
 const unitsListeners = [], setAt = {};
 const app = {
-  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, name: '', watchToken: null, lines: {},
+  scene: emptyScene(), theme: readTheme(), metric: false, robot: '1', mayAct: false, name: '', token: '', watchToken: null, lines: {},
   chosen() { return { id: app.robot, robot: app.scene.robots[app.robot], body: app.scene.bodies[app.robot], scene: app.scene }; },
   onUnits(listener) { unitsListeners.push(listener); },
   switchUnits() {
@@ -55,6 +56,7 @@ const app = {
     if (app.robot !== id) driveWindow.release();
     app.robot = id;
     part('robot-choice').value = id;
+    app.watch();
     app.map.keepDrawing();
     refresh = true;
   },
@@ -69,7 +71,7 @@ const app = {
   changed() { refresh = true; },
   drawEstimate(pen, scene, view, options) { localizationWindow.draw(pen, scene, view, options, app); },
   layersChanged() { app.watch(); },
-  watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser }); },
+  watch() { app.link.send({ do: 'watch', traffic: trafficWindow.open, laser: app.map.shown.laser, robot: Number(app.robot) }); },
   notice(text) {
     const place = part('notice');
     place.firstElementChild.textContent = text;
@@ -129,7 +131,7 @@ function takePicture(picture) {
 function offerRobots() {
   const choice = part('robot-choice'), ids = Object.keys(app.scene.bodies);
   choice.replaceChildren(...ids.map((id) => element('option', { value: id }, `${id} (${app.scene.bodies[id].model})`)));
-  if (!ids.includes(app.robot)) app.robot = ids[0];
+  if (!ids.includes(app.robot)) { app.robot = ids[0]; app.watch(); }
   choice.value = app.robot;
 }
 
@@ -187,12 +189,13 @@ for (const [id, keep] of [['save-png', savePng], ['save-svg', saveSvg], ['save-r
 setInterval(() => { refresh = true; tellState(); }, 1000);  // what grows old is shown so though nothing comes
 
 const STATES = { live: 'live', lost: 'connection lost: trying again',
-  refused: 'nserver was started anew: open the address that it printed now', replay: 'a run that was kept' };
+  refused: 'nserver was started anew: open the address that it printed now',
+  closed: 'no way in without a token: open the whole address that nserver printed', replay: 'a run that was kept' };
 let state = '', lostAt = 0, greeted = false;
 function showState(name) {
   if (name === 'lost' && state === 'live') lostAt = performance.now();
   state = name;
-  document.body.classList.toggle('lost', name === 'lost' || name === 'refused');
+  document.body.classList.toggle('lost', ['lost', 'refused', 'closed'].includes(name));
   tellState();
 }
 
@@ -215,7 +218,8 @@ if (window.nserverRun) {
 } else {
   setUpStopping(() => { if (app.mayAct) app.stopAll(); });
   document.addEventListener('keydown', undoByKey);
-  app.link = openLink(new URLSearchParams(location.search).get('token') ?? '', { hear, state: showState });
+  app.token = takeToken();
+  app.link = openLink(app.token, { hear, state: showState });
 }
 requestAnimationFrame(frame);
 window.nserver = app;

@@ -1,9 +1,9 @@
-// The link that only looks: shown and copied for who has the one that acts.
+// Links to this page: the one that only looks is shown and copied for who has the one that acts.
 
 export function setUpSharing(app) {
   const field = document.getElementById('share-link'), copy = document.getElementById('share-copy');
   document.getElementById('share').addEventListener('beforetoggle', () => {
-    field.value = lookingLink(location, app.watchToken);
+    field.value = linkWith(location, app.watchToken);
     copy.textContent = 'Copy link';
   });
   field.addEventListener('focus', () => field.select());
@@ -12,7 +12,7 @@ export function setUpSharing(app) {
   });
 }
 
-export function lookingLink({ origin, pathname }, token) {
+export function linkWith({ origin, pathname }, token) {
   return token ? `${origin}${pathname}?token=${encodeURIComponent(token)}` : '';
 }
 

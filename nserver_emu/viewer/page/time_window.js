@@ -1,14 +1,9 @@
 // The window Time, noise, faults: what the owner of the daemon may change of it. Shown to who may act.
 
 import { element, button, choice, field, form } from './parts.js';
+import { control } from './control.js';
 
 export const NOISE_PARTS = { sensors: 'Sensors', motion: 'Motion' };
-
-export async function control(app, command, argument) {
-  const answer = await app.link.ask({ do: 'control', command, argument });
-  app.notice(answer.ok ? '' : answer.error);
-  return answer;
-}
 
 export const timeWindow = {
   id: 'time', title: 'Time, noise, faults', acts: true,
@@ -23,6 +18,8 @@ export const timeWindow = {
       element('div', { className: 'row' }, this.pause, form(() => ask('step', Number(this.step.input.value)),
         element('button', { id: 'step' }, 'Step'), this.step.label)),
       element('div', { className: 'row' }, this.factor.label, button('As fast as it can', () => ask('speed', 'max'))));
+    this.lockstep = element('p', { className: 'quiet', id: 'lockstep', hidden: true });
+    box.append(this.lockstep);
     this.buildNoise(box, app, ask);
     this.buildFaults(box, ask);
   },
@@ -61,6 +58,8 @@ export const timeWindow = {
   },
   update(app) {
     const { scene } = app, body = scene.bodies[app.robot];
+    this.lockstep.hidden = scene.lockstep_s === null;
+    this.lockstep.textContent = lockstepText(scene.lockstep_s);
     this.pause.textContent = scene.paused ? 'Resume' : 'Pause';
     if (scene.speed !== this.shown && !this.asking && document.activeElement !== this.factor.input) {
       this.shown = scene.speed;
@@ -69,6 +68,12 @@ export const timeWindow = {
     for (const name of body ? Object.keys(NOISE_PARTS) : []) this.noise[name].offer(body.noises[name], body.noise[name]);
   },
 };
+
+// What the page's user is to know where time moves by what is asked.
+export function lockstepText(step_s) {
+  return step_s === null ? '' : `In lockstep each command moves time on by ${Number((step_s * 1000).toFixed(3))} ms, those of this page too:`
+    + ' driving, placing a robot, adding an obstacle. Stop and Release take no time.';
+}
 
 export function countsText(counts) {
   const rows = Object.entries(counts).flatMap(([line, rules]) => Object.entries(rules).map(([rule, tally]) =>

@@ -6,6 +6,7 @@ import { drawRobot, polygonPath, circle, arrow } from './draw.js';
 import { tenthsOf, angleTenths } from './units.js';
 import { element } from './parts.js';
 import { cornersWrong, inside, isFree } from './ground.js';
+import { control } from './control.js';
 
 const TOOLS = { pan: 'Move map', place: 'Robot', turn: 'Turn', add: 'Add obstacle', shift: 'Move obstacle',
   remove: 'Delete obstacle', pose: 'Give pose', waypoint: 'Waypoints' };
@@ -44,8 +45,7 @@ export function setUpTools(app) {
 }
 
 const NOT_POSSIBLE = { add_obstacle: 'An obstacle is not possible there: a robot stands in its way, or it reaches off the map.',
-  move_obstacle: 'The obstacle cannot go there: a robot stands in its way, or somebody else changed it.',
-  delete_obstacle: 'That obstacle is not there any more.', place_robot: 'The robot does not fit there: a wall, an obstacle or a robot is in its way.' };
+  place_robot: 'The robot does not fit there: a wall, an obstacle or a robot is in its way.' };
 
 // Has a robot do or answer something; what was refused stands in the notice, in plain words where there are some.
 export async function tell(app, call, args, robot = Number(app.robot)) {
@@ -137,29 +137,20 @@ function turnTool(app) {
 
 function flat(corners) { return [corners.length, ...corners.flat().map(tenthsOf)]; }
 
+// Obstacles: each step keeps the whole world as it was before, which is what undo puts back, to the last digit.
+
 export async function addObstacle(app, corners) {
   const wrong = cornersWrong(corners);
   if (wrong) { app.notice(`Not possible: ${wrong}.`); return { ok: false, error: wrong }; }
-  return app.undo.run({ title: 'add obstacle', forth: () => tell(app, 'add_obstacle', flat(corners)),
-    back: () => tell(app, 'delete_obstacle', flat(corners)) });
+  return app.replaceWorld('add obstacle', () => tell(app, 'add_obstacle', flat(corners)));
 }
 
-export function deleteObstacle(app, { corners, name }) {
-  const wrong = cornersWrong(corners);
-  if (wrong) { app.notice(`Clients cannot name it: ${wrong}. Change it in the world's file.`); return null; }
-  const exact = name || corners.flat().some((number) => Math.abs(number * 10 - Math.round(number * 10)) > 1e-6);
-  if (exact) return app.replaceWorld('delete obstacle', () => tell(app, 'delete_obstacle', flat(corners)));
-  return app.undo.run({ title: 'delete obstacle', forth: () => tell(app, 'delete_obstacle', flat(corners)),
-    back: () => tell(app, 'add_obstacle', flat(corners)) });
+export function deleteObstacle(app, { corners }) {
+  return app.replaceWorld('delete obstacle', () => control(app, 'obstacle', { corners }));
 }
 
 export function moveObstacle(app, corners, dx_in, dy_in) {
-  const wrong = cornersWrong(corners);
-  if (wrong) { app.notice(`Clients cannot name it: ${wrong}. Change it in the world's file.`); return null; }
-  const [dx, dy] = [tenthsOf(dx_in), tenthsOf(dy_in)];
-  const moved = corners.map(([x, y]) => [x + dx / 10, y + dy / 10]);
-  return app.undo.run({ title: 'move obstacle', forth: () => tell(app, 'move_obstacle', [...flat(corners), dx, dy]),
-    back: () => tell(app, 'move_obstacle', [...flat(moved), -dx, -dy]) });
+  return app.replaceWorld('move obstacle', () => control(app, 'obstacle', { corners, by: [dx_in, dy_in] }));
 }
 
 export function rectangle([x1, y1], [x2, y2]) {

@@ -54,8 +54,11 @@ export function passes(row, filter) {
   return (!wanted.length || wanted.some((word) => text.includes(word))) && !unwanted.some((word) => text.includes(word));
 }
 
+// A request part by part: `vm: code 12, translation 50, steering 0, turret 0`.
+export function partsText({ what, parts }) { return `${what}: ${parts.map(([name, value]) => `${name} ${value}`).join(', ')}`; }
+
 function rowElement(row) {
   return element('details', {},
     element('summary', {}, `${row.time_s.toFixed(3)} ${row.who} ${row.to === 'robot' ? '>' : '<'} ${row.text.slice(0, 160)}`),
-    element('div', {}, row.text), element('div', {}, `${row.size} bytes: ${row.hex}`));
+    element('div', {}, row.parts?.length ? partsText(row) : row.text), element('div', {}, `${row.size} bytes: ${row.hex}`));
 }

@@ -3,8 +3,8 @@
 
 import { element, button, download, form, lengthField } from './parts.js';
 import { addObstacle, deleteObstacle, moveObstacle } from './tools.js';
-import { control } from './time_window.js';
-import { tenthsOf, unitIn, unitName } from './units.js';
+import { control } from './control.js';
+import { unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
 
@@ -75,7 +75,7 @@ async function shift(app, k, dx_in, dy_in) {
   const thing = app.scene.world.obstacles[k];
   if (!thing) return;
   const answer = await moveObstacle(app, thing.corners, dx_in, dy_in);
-  if (answer?.ok) thing.corners = thing.corners.map(([x, y]) => [x + tenthsOf(dx_in) / 10, y + tenthsOf(dy_in) / 10]);
+  if (answer.ok) thing.corners = thing.corners.map(([x, y]) => [x + dx_in, y + dy_in]);
 }
 
 async function worldNow(app) {
@@ -88,11 +88,11 @@ async function saveWorld(app) {
   if (text !== null) download(`${app.scene.world.name}.toml`, 'text/plain', text);
 }
 
-// Puts a whole world in place of the one there; one step of undo brings that back.
+// Changes the world; one step of undo brings back the one before it, whole. The answer, or why there was nothing to keep.
 async function replaceWorld(app, title, forth) {
   const before = await worldNow(app);
-  if (before === null) return;
-  await app.undo.run({ title, forth, back: () => control(app, 'world set', { text: before, file: 'the world before' }) });
+  if (before === null) return { ok: false, error: 'the world cannot be read' };
+  return app.undo.run({ title, forth, back: () => control(app, 'world set', { text: before, file: 'the world before' }) });
 }
 
 export function loadWorld(app, text, file) {

@@ -62,7 +62,7 @@ WORDS = "document.querySelector('#window-localization').innerText"
 
 def test_each_robot_has_its_estimate_and_one_that_is_silent_grows_old(browser: Browser) -> None:
     with nserver("thesis_room", "--robots", "2") as program, opened(browser, program.url) as page:
-        page.wait(f"{WORDS}.includes(`--publish '${{location.href}}'`) && {WORDS}.includes('--map thesis_room')")
+        page.wait(f"{WORDS}.includes(`--publish '{program.url}'`) && {WORDS}.includes('--map thesis_room')")
         publish(program.url, 1)
         publish(program.url, 2, clock_s=0.5, pose=[70, 80, 1])
         publish(program.url, 1, clock_s=2.0)

@@ -216,7 +216,7 @@ SMALL: list[tuple[str, str, Any]] = [
      ["no faults are in force", "tcp, no: seen 2, nak 1"]),
     ("localization_window.js",
      "[[0, 9], [0, 31], [5, 200]].map((ends) => m.spanOf(ends.map((time_s) => ({ time_s }))))", [15, 60, 120]),
-    ("share.js", "m.lookingLink({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
+    ("share.js", "m.linkWith({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
     ("localization_window.js",
      "m.errorsOf({ pose: [3, 4, 0.1], truth: [0, 0, 2 * Math.PI], cov: [1, 0, 0, 0, 4, 0, 0, 0, 0] }).turn.toFixed(3)",
      "5.730"),

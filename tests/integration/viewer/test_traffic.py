@@ -20,6 +20,7 @@ def test_requests_and_replies_are_shown_filtered_and_opened(browser: Browser) ->
         page.wait(f"{LOG}.innerText.includes('< state')")
         page.page.click("text=> vm 50 0 0")
         page.wait(f"{LOG}.innerText.includes('16 bytes: 00 0c 00 03 00 00 00 32')")
+        page.wait(f"{LOG}.innerText.includes('vm: code 12, translation 50, steering 0, turret 0')")
         page.page.fill("#traffic-filter", "vm -gs")
         page.wait(f"{LOG}.childElementCount === 2")
         shown = page.value(f"[...{LOG}.querySelectorAll('summary')].map((one) => one.innerText)")

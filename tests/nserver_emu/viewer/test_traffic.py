@@ -12,11 +12,11 @@ from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.models import N150, N200, Model
 from nclient.protocol.terms import Terms, line_terms
-from nclient.recording.follower import HELLO_FIRST, TCP
+from nclient.recording.follower import HELLO_FIRST, TCP, Decoded
 from nclient.recording.recorder import OFF, Tape
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Session
-from nserver_emu.viewer.traffic import MOST_HEX, MOST_ROWS, Listening
+from nserver_emu.viewer.traffic import MOST_HEX, MOST_ROWS, Listening, parts
 
 
 class Inner:
@@ -81,6 +81,18 @@ def test_requests_and_replies_are_told_in_words_with_their_bytes() -> None:
     assert (rows[2]["size"], rows[2]["who"]) == (16, "client")
     assert "v 10 -5 0" in rows[3]["text"]
     assert listening.rows() == []
+    assert rows[0]["parts"] == [["code", 102], ["pid", 4711], ["robot_id", 1]]
+    assert rows[2]["parts"] == [["code", 12], ["translation", 100], ["steering", -50], ["turret", 0]]
+    assert rows[3]["parts"] == []
+
+
+def test_arguments_are_named_and_those_that_vary_in_number_are_numbered() -> None:
+    outline: Decoded = {"call": "add_obstacle", "args": [3, 6, 6, 7, 6, 7, 7]}
+    numbered = [["1", 6], ["2", 6], ["3", 7], ["4", 6], ["5", 7], ["6", 7]]
+    assert parts(outline, TCP) == [["code", 50], ["n", 3], *numbered]
+    assert parts({"call": "vm", "args": [1, 2, 3]}, HELLO_FIRST)[:2] == [["code", 5], ["translation", 1]]
+    assert parts({"call": "connect_robot", "args": [1]}, TCP) == [["code", 102], ["robot_id", 1]]
+    assert parts({"call": "gs", "args": []}, TCP) == [["code", 15]]
 
 
 @pytest.mark.parametrize("wide", [False, True])

@@ -36,6 +36,10 @@ def test_the_page_wants_its_token_and_loads_nothing_from_elsewhere() -> None:
                     text = await answer.text()
                     assert "http:" not in text
                     assert "https:" not in text
+            async with here.web.get(here.origin) as answer:  # a reload: the tab has its token to itself
+                assert (answer.status, await answer.text()) == (200, text)
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await here.web.ws_connect(f"{here.origin}/ws", headers={"Origin": here.origin})
             async with here.web.get(f"{here.origin}/page/main.js") as answer:
                 assert answer.status == 200
             async with here.web.get(f"{here.origin}/page/../web.py") as answer:
@@ -62,9 +66,10 @@ def test_a_name_that_resolves_to_us_is_not_ours() -> None:
         async with served(an_emulator()) as here:
             name = f"evil.example:{here.port}"
             headers = {"Host": name, "Origin": f"http://{name}"}
-            async with here.web.get(here.origin, params={"token": here.viewing.token}, headers=headers) as answer:
-                assert answer.status == 403
-                assert "ask by its number" in await answer.text()
+            for params in ({"token": here.viewing.token}, {}):
+                async with here.web.get(here.origin, params=params, headers=headers) as answer:
+                    assert answer.status == 403
+                    assert "ask by its number" in await answer.text()
 
     asyncio.run(scenario())
 

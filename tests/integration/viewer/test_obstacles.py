@@ -1,0 +1,55 @@
+"""Obstacles at the page: moved and deleted whatever their corners, undone to the last digit; whose laser is asked."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+from browsing import nserver, opened
+from playwright.sync_api import Browser
+
+from worlds.files import load_world
+from worlds.writing import world_text
+
+OBSTACLES = "nserver.scene.world.obstacles"
+CORNERS = 12
+
+
+def test_an_obstacle_of_twelve_corners_is_moved_deleted_and_brought_back(browser: Browser, tmp_path: Path) -> None:
+    angles = [2 * math.pi * k / CORNERS for k in range(CORNERS)]
+    corners = [[170.123 + 30 * math.cos(angle), 170 + 30 * math.sin(angle)] for angle in angles]
+    file = tmp_path / "pillar.toml"
+    pillar = f'\n[[obstacle]]\nname = "pillar"\ncorners_cm = {corners}\n'
+    file.write_text(world_text(load_world("thesis_room")) + pillar)
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        page.page.set_input_files("#load-world", file)
+        page.wait(f"{OBSTACLES}.length === 1")
+        before = page.value(f"JSON.stringify({OBSTACLES})")
+        left = page.value(f"{OBSTACLES}[0].corners[0][0]")
+        page.page.fill("#move-step", "2.5")
+        page.page.click("[aria-label='move right pillar']")
+        page.wait(f"Math.abs({OBSTACLES}[0].corners[0][0] - {left} - 2.5) < 1e-6")
+        page.page.click("#tool-remove")
+        page.page.mouse.click(*page.at(67, 67))
+        page.wait(f"{OBSTACLES}.length === 0")
+        page.page.keyboard.press("Control+z")
+        page.wait(f"{OBSTACLES}.length === 1 && {OBSTACLES}[0].corners[0][0] > {left} + 2")
+        page.page.keyboard.press("Control+z")
+        page.wait(f"JSON.stringify({OBSTACLES}) === {json.dumps(before)}")
+        page.page.click("#tool-shift")
+        page.page.mouse.move(*page.at(67, 67))
+        page.page.mouse.down()
+        page.page.mouse.move(*page.at(0, 0), steps=3)
+        page.page.mouse.up()
+        page.wait("document.querySelector('#notice').innerText.includes('a robot stands where it would be')")
+        assert page.value(f"JSON.stringify({OBSTACLES})") == before
+        page.page.keyboard.press("Control+Shift+z")
+        page.wait(f"{OBSTACLES}[0].corners[0][0] > {left} + 2")
+
+
+def test_the_laser_is_asked_for_of_the_robot_that_is_chosen(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "n200", "--robots", "2") as program, opened(browser, program.url) as page:
+        page.wait("Object.keys(nserver.scene.lasers).join() === '1'")
+        page.page.select_option("#robot-choice", "2")
+        page.wait("Object.keys(nserver.scene.lasers).join() === '2'")
