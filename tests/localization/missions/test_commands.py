@@ -96,6 +96,7 @@ class _Seen(Mission):
 
     def __init__(self, report: Report) -> None:
         self.report = report
+        self.ended = None
 
     @property
     def seen(self) -> Any:
