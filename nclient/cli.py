@@ -95,7 +95,7 @@ def whole_parser() -> Parser:
 
 
 def _description(command: Subcommand) -> dict[str, Any]:
-    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
+    about = re.split(r"\s*\bRules:", command.__doc__ or "", maxsplit=1)[0]
     return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
 
 

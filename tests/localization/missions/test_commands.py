@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from localization.readers import MOST_NOISE, constants, noise, numbers, point, p
 from nclient.cli import main
 from nclient.errors import MissionFileError, WorldFileError
 
+ROOT = Path(__file__).parents[3]
 SIM = "sim:thesis_room?noisy=1&seed=1"
 
 
@@ -160,3 +163,14 @@ def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             main([name, "--help"])
         assert (module.__doc__ or "").splitlines()[0] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", sorted(point.name for point in entry_points(group="nomad.commands")))
+def test_help_keeps_rules_to_itself_and_names_files_that_are_there(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main([name, "--help"])
+    told = capsys.readouterr().out
+    assert "Rules:" not in told
+    assert all((ROOT / path).exists() for path in re.findall(r"docs/[\w/.]+\w", told))
