@@ -7,8 +7,10 @@ Where the other end is our simulation the true error is printed beside the estim
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
+import sys
 import time
 from dataclasses import astuple
 from pathlib import Path
@@ -26,7 +28,8 @@ from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
-from nclient import Robot, RobotState, WorldFileError
+from nclient import NomadError, Robot, RobotState, WorldFileError
+from nclient.leaving import Left
 from worlds.bodies import BODIES
 from worlds.calibration import FAULTLESS, Calibration, load_calibration
 from worlds.files import load_world
@@ -88,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it. 0 when every way-point was reached, 3 when the time ran out."""
+    """Do it. 0 when every way-point was reached, 3 when the time ran out; interrupted it still saves and tells."""
     world = load_world(options.map)
     points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
     if options.picture:
@@ -97,25 +100,45 @@ def run(options: argparse.Namespace) -> int:
         require_matplotlib()
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
+    done = Run(points)
     with robot:
         try:
-            done = _drive(robot, world, points, options, simulated, publisher)
-            resuming.save(options, world, done)
+            _drive(robot, world, done, options, simulated, publisher)
+        except (KeyboardInterrupt, Left):
+            with contextlib.suppress(NomadError):
+                robot.stop()
+            _tell_interrupted(options, world, done)
+            raise
         finally:
             if publisher:
                 publisher.close()
+    _tell(options, world, done)
+    return 0 if done.reached == len(done.waypoints) else 3
+
+
+def _tell(options: argparse.Namespace, world: World, done: Run) -> None:
+    """What a run leaves: --save, --picture, the verdict."""
+    resuming.save(options, world, done)
     if options.picture:
         from localization.drawing import draw_run
 
         draw_run(options.picture, world, done, BODIES[options.body])
     print(json.dumps(done.summary()) if options.json else done.verdict())
-    return 0 if done.reached == len(done.waypoints) else 3
+
+
+def _tell_interrupted(options: argparse.Namespace, world: World, done: Run) -> None:
+    """The same of a run that Ctrl-C or a signal ends: what cannot be written is told, the ending stays what it was."""
+    try:
+        if done.moments:
+            _tell(options, world, done)
+    except NomadError as error:
+        print(f"nomad: {error}", file=sys.stderr)
 
 
 def _drive(
-    robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace, simulated: bool,
+    robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
-) -> Run:  # fmt: skip
+) -> None:  # fmt: skip
     state = robot.refresh()
     if options.start:
         x, y, heading = options.start
@@ -128,10 +151,10 @@ def _drive(
     sonar = WIRE_SONAR if rays else ConeModel()
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
     stays = options.stay and publisher is not None
-    navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
+    navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     seen = _sighting(robot) if simulated else None
     number = robot.truth().robot_id if publisher and simulated else 1
-    done, told_s = Run(points), -math.inf
+    told_s = -math.inf
     steady = SteadyPose(options.smooth)
     for progress in follow(robot, begin(robot, known, belief, options.method), navigator, time.sleep, steady):
         clock_s = progress.estimate.clock_s
@@ -153,7 +176,6 @@ def _drive(
             print(done.line(), flush=True)
         if done.duration_s > options.time_limit:
             break
-    return done
 
 
 def _at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:

@@ -50,7 +50,13 @@ def run(options: argparse.Namespace) -> int:
 
 def tell(report: Report, options: argparse.Namespace) -> None:
     """Print a report, and write it where that is asked for. Raises MissionFileError where that cannot be."""
-    print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)
+    try:
+        _write(report, options)
+    finally:
+        print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)
+
+
+def _write(report: Report, options: argparse.Namespace) -> None:
     if options.report:
         try:
             options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")

@@ -2,7 +2,8 @@
 
     done                        every step was
     a word of a failure         a step failed, and the program did not catch it; or time, fence, LOST, caught or not
-    error, interrupted          the robot or the file failed; Ctrl-C. Both are told in the report, and raised again
+    error, interrupted          the robot or the file failed; Ctrl-C, SIGTERM, SIGHUP. Both are told in the report, and
+                                raised again
 
 Rules: no options, no printing. The helm stops the robot.
 """
@@ -14,6 +15,7 @@ from collections.abc import Callable
 from localization.missions.failures import MissionOver, StepFailed
 from localization.missions.mission import Mission
 from localization.missions.report import DONE
+from nclient.leaving import Left
 
 
 def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
@@ -28,6 +30,9 @@ def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
         report.ending, report.reason = failure.ending, str(failure)
     except KeyboardInterrupt:
         report.ending, report.reason = "interrupted", "Ctrl-C"
+        raise
+    except Left as left:
+        report.ending, report.reason = "interrupted", left.signal_name
         raise
     except BaseException as error:
         report.ending, report.reason = "error", str(error) or type(error).__name__

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from localization import cli as localization_cli
+from localization.run import Run
 from nclient import ReplyTimeout, Robot, cli
+from nclient.leaving import Left
 from worlds.calibration import Calibration, Spread, calibration_text
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
@@ -171,3 +175,34 @@ def test_sonars_that_read_too_much_are_found_out_while_driving(
         ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
     assert ends[1] < 0.5 * ends[0]
     assert len(json.loads(kept.read_text())["mean"]) == 6
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: Left("SIGTERM")])
+def test_an_interrupted_run_is_saved_and_told(
+    ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def interrupted(robot: Robot, _: object, done: Run, *others: object) -> None:
+        drive(robot, _, done, *others)
+        raise ending()
+
+    drive: Callable[..., None] = localization_cli._drive
+    monkeypatch.setattr(localization_cli, "_drive", interrupted)
+    kept = tmp_path / "kept"
+    words = [NOISY, *TO_GOAL, "--time-limit", "1"]
+    assert localize(*words, "--save", str(kept)) in (130, 143)
+    assert "1 of 2 way-points reached" in capsys.readouterr().out
+    assert kept.exists()
+    assert localize(*words, "--save", str(tmp_path)) in (130, 143), "the ending stays what it was"
+    assert str(tmp_path) in capsys.readouterr().err
+
+
+def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def at_once(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(localization_cli, "_drive", at_once)
+    assert localize(NOISY, *TO_GOAL) == 130
+    assert capsys.readouterr().out == ""

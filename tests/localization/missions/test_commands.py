@@ -19,6 +19,7 @@ from localization.missions.running import run_mission
 from localization.readers import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
 from nclient.cli import main
 from nclient.errors import MissionFileError, WorldFileError
+from nclient.leaving import Left
 
 ROOT = Path(__file__).parents[3]
 SIM = "sim:thesis_room?noisy=1&seed=1"
@@ -118,6 +119,7 @@ def fail(error: BaseException) -> Any:
     [
         (StepFailed("blocked", "no way"), "blocked", "no way"),
         (KeyboardInterrupt(), "interrupted", "Ctrl-C (KeyboardInterrupt)"),
+        (Left("SIGHUP"), "interrupted", "SIGHUP (Left)"),
         (MissionFileError("line 3"), "error", "line 3 (MissionFileError)"),
         (SystemExit(), "error", "SystemExit (SystemExit)"),
     ],
