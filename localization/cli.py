@@ -22,6 +22,7 @@ from localization.cone import ConeModel
 from localization.filters.table import DEFAULT_METHOD, METHODS
 from localization.measurement import WIRE_SONAR
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.obstruction import Obstruction
 from localization.publishing import Publisher, message
 from localization.readers import constants, noise, opened, point, pose, positive, seconds, stds
 from localization.run import Moment, Run, Sighting
@@ -91,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it. 0 when every way-point was reached, 3 when the time ran out; interrupted it still saves and tells."""
+    """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
     world = load_world(options.map)
     points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
     if options.picture:
@@ -155,7 +156,7 @@ def _drive(
     seen = _sighting(robot) if simulated else None
     number = robot.truth().robot_id if publisher and simulated else 1
     told_s = -math.inf
-    steady = SteadyPose(options.smooth)
+    steady, obstruction = SteadyPose(options.smooth), Obstruction(options.speed)
     for progress in follow(robot, begin(robot, known, belief, options.method), navigator, time.sleep, steady):
         clock_s = progress.estimate.clock_s
         truth = None
@@ -174,7 +175,8 @@ def _drive(
         if not options.json and clock_s >= told_s + 1.0:
             told_s = clock_s
             print(done.line(), flush=True)
-        if done.duration_s > options.time_limit:
+        done.stopped = obstruction.reason(clock_s, told, progress.estimate.pose, navigator.goal)
+        if done.stopped or done.duration_s > options.time_limit:
             break
 
 

@@ -206,3 +206,14 @@ def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
     monkeypatch.setattr(localization_cli, "_drive", at_once)
     assert localize(NOISY, *TO_GOAL) == 130
     assert capsys.readouterr().out == ""
+
+
+def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0") == 3
+    told = capsys.readouterr().out
+    assert "stopped: it presses against something 5 s long" in told
+    assert "bumpers 0" in told
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0", "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["stopped"].startswith("it presses against something")
+    assert result["duration_s"] < 40.0
