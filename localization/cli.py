@@ -7,8 +7,10 @@ Where the other end is our simulation the true error is printed beside the estim
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
+import sys
 import time
 from dataclasses import astuple
 from pathlib import Path
@@ -20,14 +22,16 @@ from localization.cone import ConeModel
 from localization.filters.table import DEFAULT_METHOD, METHODS, finder
 from localization.measurement import WIRE_SONAR
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.obstruction import Obstruction
 from localization.publishing import Publisher, message
 from localization.readers import UNKNOWN, constants, noise, opened, point, positive, seconds, start, stds
 from localization.run import Moment, Run, Sighting
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
-from nclient import Robot, RobotState, WorldFileError
+from nclient import NomadError, Robot, RobotState, WorldFileError
 from nclient.errors import EstimateFileError
+from nclient.leaving import Left
 from worlds.bodies import BODIES
 from worlds.calibration import FAULTLESS, Calibration, load_calibration
 from worlds.files import load_world
@@ -89,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it. 0 when every way-point was reached, 3 when the time ran out."""
+    """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
     world = load_world(options.map)
     if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
         raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
@@ -102,25 +106,45 @@ def run(options: argparse.Namespace) -> int:
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
     options.body = options.body or robot.model.name
+    done = Run(points)
     with robot:
         try:
-            done = _drive(robot, world, points, options, simulated, publisher)
-            resuming.save(options, world, done)
+            _drive(robot, world, done, options, simulated, publisher)
+        except (KeyboardInterrupt, Left):
+            with contextlib.suppress(NomadError):
+                robot.stop()
+            _tell_interrupted(options, world, done)
+            raise
         finally:
             if publisher:
                 publisher.close()
+    _tell(options, world, done)
+    return 0 if done.reached == len(done.waypoints) else 3
+
+
+def _tell(options: argparse.Namespace, world: World, done: Run) -> None:
+    """What a run leaves: --save, --picture, the verdict."""
+    resuming.save(options, world, done)
     if options.picture:
         from localization.drawing import draw_run
 
         draw_run(options.picture, world, done, BODIES[options.body])
     print(json.dumps(done.summary()) if options.json else done.verdict())
-    return 0 if done.reached == len(done.waypoints) else 3
+
+
+def _tell_interrupted(options: argparse.Namespace, world: World, done: Run) -> None:
+    """The same of a run that Ctrl-C or a signal ends: what cannot be written is told, the ending stays what it was."""
+    try:
+        if done.moments:
+            _tell(options, world, done)
+    except NomadError as error:
+        print(f"nomad: {error}", file=sys.stderr)
 
 
 def _drive(
-    robot: Robot, world: World, points: list[tuple[float, float]], options: argparse.Namespace, simulated: bool,
+    robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
-) -> Run:  # fmt: skip
+) -> None:  # fmt: skip
     state = robot.refresh()
     nowhere = options.start == UNKNOWN
     if options.start and not nowhere:
@@ -134,11 +158,11 @@ def _drive(
     sonar = WIRE_SONAR if rays else ConeModel()
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
     stays = options.stay and publisher is not None
-    navigator = Navigator(points, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
+    navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     seen = _sighting(robot) if simulated else None
     number = robot.truth().robot_id if publisher and simulated else 1
-    done, told_s = Run(points), -math.inf
-    steady = SteadyPose(options.smooth)
+    told_s = -math.inf
+    steady, obstruction = SteadyPose(options.smooth), Obstruction(options.speed)
     method = finder(known, None, options.scale_std) if nowhere else options.method
     for progress in follow(robot, begin(robot, known, belief, method), navigator, time.sleep, steady):
         clock_s = progress.estimate.clock_s
@@ -158,9 +182,10 @@ def _drive(
         if not options.json and clock_s >= told_s + 1.0:
             told_s = clock_s
             print(done.line(), flush=True)
-        if done.duration_s > options.time_limit:
+        aim = None if done.moments[-1].lost else navigator.goal
+        done.stopped = obstruction.reason(clock_s, told, progress.estimate.pose, aim)
+        if done.stopped or done.duration_s > options.time_limit:
             break
-    return done
 
 
 def _at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:

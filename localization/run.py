@@ -67,10 +67,11 @@ class Moment(NamedTuple):
 
 @dataclass
 class Run:
-    """The moments of a run to `waypoints`."""
+    """The moments of a run to `waypoints`; `stopped`: why it was given up before its time, "" where it was not."""
 
     waypoints: list[tuple[float, float]]
     moments: list[Moment] = field(default_factory=list)
+    stopped: str = ""
 
     def add(self, moment: Moment) -> None:
         """The next moment."""
@@ -132,6 +133,7 @@ class Run:
             "waypoints": len(self.waypoints),
             "reached": self.reached,
             "duration_s": round(self.duration_s, 3),
+            "stopped": self.stopped or None,
             "echoes_used": sum(echo.refusal is Refusal.NONE for echo in echoes),
             "echoes_refused": {
                 refusal.name.lower(): count
@@ -164,6 +166,8 @@ class Run:
                 f"the estimate is {result['end_error_in']:.2f} in off at the end (RMSE {result['rmse_position_in']:.2f}"
                 f" in); odometry alone is {result['odometry_end_error_in']:.2f} in off"
             )
+        if self.stopped:
+            lines.append(f"stopped: {self.stopped}")
         if self.longest_gap_s > LONGEST_GAP_S:
             lines.append(
                 f"states came up to {self.longest_gap_s:.1f} s apart: the filter wants them within {LONGEST_GAP_S} s; "

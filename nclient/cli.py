@@ -4,7 +4,8 @@
                          add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
 
 Rules: knows no subcommand by name and imports only the one that is asked for, so that one which lacks an extra
-hurts no other. A NomadError is told on stderr; exit codes are those of nclient.exit_codes.
+hurts no other. A NomadError is told on stderr; exit codes are those of nclient.exit_codes. Every command is left in
+order on SIGTERM and SIGHUP (nclient/leaving.py), so that its `with` blocks stop what they drive.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from nclient.arguments import Parser
 from nclient.errors import NomadError
 from nclient.exit_codes import ExitCode, in_short
 from nclient.extras import DISTRIBUTION, remedy
+from nclient.leaving import Left, left_in_order
 from nclient.suggesting import nearest
 
 GROUP = "nomad.commands"
@@ -47,13 +49,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     Help, version and arguments that make no sense leave by argparse's SystemExit.
     """
     try:
-        code = _dispatch(list(sys.argv[1:] if argv is None else argv))
-        sys.stdout.flush()
+        with left_in_order():
+            code = _dispatch(list(sys.argv[1:] if argv is None else argv))
+            sys.stdout.flush()
     except NomadError as error:
         print(f"nomad: {error}", file=sys.stderr)
         return ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
+    except Left as left:
+        return left.exit_code
     except BrokenPipeError:
         _let_stdout_go()
         return ExitCode.READER_GONE
@@ -95,7 +100,7 @@ def whole_parser() -> Parser:
 
 
 def _description(command: Subcommand) -> dict[str, Any]:
-    about, _, _ = (command.__doc__ or "").partition("\n\nRules")
+    about = re.split(r"\s*\bRules:", command.__doc__ or "", maxsplit=1)[0]
     return {"description": about, "formatter_class": argparse.RawDescriptionHelpFormatter}
 
 

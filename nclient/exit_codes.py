@@ -32,10 +32,10 @@ class ExitCode(IntEnum):
     FAILED = 1, "not done, or the answer is no: the reason is on stderr", _ALL
     USAGE = 2, "wrong usage, or an extra is missing: stderr says what would be right", _ALL
     NOT_REACHED = 3, "`nomad localize`: a way-point was not reached", (_NOMAD,)
-    HUNG_UP = 129, "the terminal was closed (SIGHUP); a robot driven by `nomad shell` was stopped", (_NOMAD,)
-    INTERRUPTED = 130, "Ctrl-C (SIGINT)", (_NOMAD,)
+    HUNG_UP = 129, "the terminal was closed (SIGHUP); a driven robot was stopped, its report written", (_NOMAD,)
+    INTERRUPTED = 130, "Ctrl-C (SIGINT); a driven robot was stopped, its report written", (_NOMAD,)
     READER_GONE = 141, "whoever read the output went away (SIGPIPE)", (_NOMAD,)
-    TERMINATED = 143, "SIGTERM; a robot driven by `nomad shell` was stopped", (_NOMAD,)
+    TERMINATED = 143, "SIGTERM; a driven robot was stopped, its report written", (_NOMAD,)
 
 
 FAILURES = {

@@ -1,7 +1,7 @@
 """Run a mission: a program in Python or a list of steps in TOML, on whatever address.
 
     nomad mission docs/missions/rounds.toml "sim:several_walls?noisy=1&seed=3&start=5,5"
-    nomad mission docs/missions/rounds.py nserver://localhost:7019/1 --map several_walls --report report.json
+    nomad mission docs/missions/look_around.py nserver://localhost:7019/1 --map several_walls --report r.json
 
 Exit code 0: all was done; 3: a step failed. The robot stands at the end, on an error and on Ctrl-C, and the report is
 told all the same. Rules: reads options, prints, writes the report; what is done is the file's.
@@ -50,7 +50,13 @@ def run(options: argparse.Namespace) -> int:
 
 def tell(report: Report, options: argparse.Namespace) -> None:
     """Print a report, and write it where that is asked for. Raises MissionFileError where that cannot be."""
-    print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)
+    try:
+        _write(report, options)
+    finally:
+        print(json.dumps(report.as_json()) if options.json else report.text(), flush=True)
+
+
+def _write(report: Report, options: argparse.Namespace) -> None:
     if options.report:
         try:
             options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")

@@ -7,7 +7,8 @@
 
 Every verb returns when it is done and raises StepFailed when it cannot be; `limit_s` seconds of the robot's clock and
 `retries` go with each. Rules: no clock and no file; a period of the helm is the only way that time passes, so all ends:
-by itself, by its limit or the mission's, by the fence, or by LOST.
+by itself, by its limit or the mission's, by the fence, or by LOST. What ended a mission (MissionOver, Ctrl-C) is kept,
+and every verb but note raises it again: a program that swallowed it drives no farther.
 """
 
 from __future__ import annotations
@@ -73,6 +74,8 @@ class Mission:
         self.settings = settings or Settings()
         self._helm = helm
         self.report = Report(self.settings.title)
+        self.ended: BaseException | None = None
+        """What ended it before it was done: MissionOver, or what is no Exception, such as Ctrl-C."""
         self._began_s, self._step_ends_s = helm.clock_s, inf
         self._fence = polygon_segments(self.settings.fence_in) if self.settings.fence_in else None
         if self._fence is not None:
@@ -149,7 +152,9 @@ class Mission:
     # how they are done
 
     def _do(self, verb: str, words: str, act: Callable[[], None], limit_s: float, retries: int) -> None:
-        """A step: act, again where it failed, and all of it into the report. Raises StepFailed."""
+        """A step: act, again where it failed, and all of it into the report. Raises StepFailed, and what ended all."""
+        if self.ended is not None:
+            raise self.ended
         if self._step is not None:
             raise StepFailed("error", f"{verb} inside of {self._step.verb}: one step at a time")
         with self._reported(verb, words) as step:
@@ -159,8 +164,6 @@ class Mission:
                 try:
                     act()
                     return
-                except MissionOver:
-                    raise
                 except StepFailed as failure:
                     if not left:
                         raise
@@ -175,8 +178,10 @@ class Mission:
             yield step
             step.ending = DONE
         except BaseException as error:
-            step.ending = error.ending if isinstance(error, StepFailed) else "error"
-            step.reason = str(error) if isinstance(error, NomadError) else type(error).__name__
+            if not isinstance(error, Exception):
+                self.ended = error
+            step.ending = error.ending if isinstance(error, StepFailed | MissionOver) else "error"
+            step.reason = str(error) if isinstance(error, NomadError | MissionOver) else type(error).__name__
             raise
         finally:
             step.ended_s = self._helm.clock_s - self._began_s

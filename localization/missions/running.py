@@ -1,8 +1,9 @@
 """A mission from its first step to its report, whatever happens.
 
     done                        every step was
-    a word of a failure         a step failed, and the program did not catch it; or time, fence, LOST
-    error, interrupted          the robot or the file failed; Ctrl-C. Both are told in the report, and raised again
+    a word of a failure         a step failed, and the program did not catch it; or time, fence, LOST, caught or not
+    error, interrupted          the robot or the file failed; Ctrl-C, SIGTERM, SIGHUP. Both are told in the report, and
+                                raised again
 
 Rules: no options, no printing. The helm stops the robot.
 """
@@ -11,9 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from localization.missions.failures import StepFailed
+from localization.missions.failures import MissionOver, StepFailed
 from localization.missions.mission import Mission
 from localization.missions.report import DONE
+from nclient.leaving import Left
 
 
 def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
@@ -21,14 +23,21 @@ def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
     report = mission.report
     try:
         act(mission)
+        if mission.ended is not None:
+            raise mission.ended
         report.ending, report.reason = DONE, ""
-    except StepFailed as failure:
+    except (StepFailed, MissionOver) as failure:
         report.ending, report.reason = failure.ending, str(failure)
     except KeyboardInterrupt:
         report.ending, report.reason = "interrupted", "Ctrl-C"
+        raise
+    except Left as left:
+        report.ending, report.reason = "interrupted", left.signal_name
         raise
     except BaseException as error:
         report.ending, report.reason = "error", str(error) or type(error).__name__
         raise
     finally:
+        if isinstance(mission.ended, MissionOver):
+            report.ending, report.reason = mission.ended.ending, str(mission.ended)
         report.duration_s = mission.seen.clock_s

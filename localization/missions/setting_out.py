@@ -7,9 +7,9 @@ own has not gone by itself.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import astuple
 from typing import Final, NamedTuple
 
@@ -24,7 +24,7 @@ from localization.navigation import Speeds
 from localization.readers import constants, noise, opened, pose, positive, stds
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
-from nclient import Robot, WorldFileError
+from nclient import NomadError, Robot, WorldFileError
 from worlds.bodies import BODIES
 from worlds.files import load_world
 
@@ -66,19 +66,22 @@ class SetOut(NamedTuple):
     simulated: bool
 
     def close(self, report: Report) -> Report:
-        """The report with where the robot is at the end."""
+        """The report with where the robot is at the end; first of all it is stopped, whatever becomes of the report."""
+        with contextlib.suppress(NomadError):
+            self.robot.stop()
         belief = self.helm.sight.estimate.belief
         x, y, heading = (float(value) for value in self.helm.sight.estimate.pose)
         report.pose = x, y, heading
         sx, sy, turned = (float(value) for value in belief.std[:3])
         report.std = sx, sy, turned
-        if self.simulated and not self.robot.closed:
-            truth = self.robot.truth()
-            report.truth = truth.x_in, truth.y_in, truth.steering_rad
+        with contextlib.suppress(NomadError):
+            if self.simulated:
+                truth = self.robot.truth()
+                report.truth = truth.x_in, truth.y_in, truth.steering_rad
         return report
 
 
-@contextmanager
+@contextlib.contextmanager
 def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]:
     """Connect to the robot of the options, and begin to localize it; it stands at the end, however it ends."""
     world = load_world(_map_of(options, map_name))

@@ -21,7 +21,6 @@ import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from nclient.commands.leaving import left_in_order
 from nclient.commands.serving import tell
 from nclient.connect import address_or_default
 from nclient.errors import NomadError, ShellError
@@ -50,18 +49,17 @@ def run(options: argparse.Namespace) -> int:
     """Talk until all is said; the exit code."""
     opening = opening_of(address_or_default(options.address), Wanted())
     lines, name = _given(options)
-    with left_in_order():
-        session = Session(opening.backend(), time.sleep)
-        with session.robot:
-            if lines is not None:
-                return _do_all(session, lines, name)
-            watcher = Watcher(session, 0.0 if opening.scheme.in_process else LOOK_S)
-            keys = reader(lambda: session.terms, watcher.line, options.history or default_history(os.environ))
-            try:
-                return converse(session, keys, watcher)
-            finally:
-                watcher.close()
-                keys.close()
+    session = Session(opening.backend(), time.sleep)
+    with session.robot:
+        if lines is not None:
+            return _do_all(session, lines, name)
+        watcher = Watcher(session, 0.0 if opening.scheme.in_process else LOOK_S)
+        keys = reader(lambda: session.terms, watcher.line, options.history or default_history(os.environ))
+        try:
+            return converse(session, keys, watcher)
+        finally:
+            watcher.close()
+            keys.close()
 
 
 def converse(session: Session, keys: Reader, watcher: Watcher) -> int:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from localization import cli as localization_cli
+from localization.run import Run
 from nclient import ReplyTimeout, Robot, cli
+from nclient.leaving import Left
 from worlds.calibration import Calibration, Spread, calibration_text
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
@@ -202,3 +206,45 @@ def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pyt
 def test_an_unknown_start_is_for_the_finder_alone(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert localize(NOISY, *TO_GOAL, "--start", "unknown", *words) == 1
     assert "leave --resume and other methods out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: Left("SIGTERM")])
+def test_an_interrupted_run_is_saved_and_told(
+    ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def interrupted(robot: Robot, _: object, done: Run, *others: object) -> None:
+        drive(robot, _, done, *others)
+        raise ending()
+
+    drive: Callable[..., None] = localization_cli._drive
+    monkeypatch.setattr(localization_cli, "_drive", interrupted)
+    kept = tmp_path / "kept"
+    words = [NOISY, *TO_GOAL, "--time-limit", "1"]
+    assert localize(*words, "--save", str(kept)) in (130, 143)
+    assert "1 of 2 way-points reached" in capsys.readouterr().out
+    assert kept.exists()
+    assert localize(*words, "--save", str(tmp_path)) in (130, 143), "the ending stays what it was"
+    assert str(tmp_path) in capsys.readouterr().err
+
+
+def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def at_once(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(localization_cli, "_drive", at_once)
+    assert localize(NOISY, *TO_GOAL) == 130
+    assert capsys.readouterr().out == ""
+
+
+def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0") == 3
+    told = capsys.readouterr().out
+    assert "stopped: it presses against something 5 s long" in told
+    assert "bumpers 0" in told
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0", "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["stopped"].startswith("it presses against something")
+    assert result["duration_s"] < 40.0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,9 @@ from localization.missions.running import run_mission
 from localization.readers import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
 from nclient.cli import main
 from nclient.errors import MissionFileError, WorldFileError
+from nclient.leaving import Left
 
+ROOT = Path(__file__).parents[3]
 SIM = "sim:thesis_room?noisy=1&seed=1"
 
 
@@ -96,6 +100,7 @@ class _Seen(Mission):
 
     def __init__(self, report: Report) -> None:
         self.report = report
+        self.ended = None
 
     @property
     def seen(self) -> Any:
@@ -114,6 +119,7 @@ def fail(error: BaseException) -> Any:
     [
         (StepFailed("blocked", "no way"), "blocked", "no way"),
         (KeyboardInterrupt(), "interrupted", "Ctrl-C (KeyboardInterrupt)"),
+        (Left("SIGHUP"), "interrupted", "SIGHUP (Left)"),
         (MissionFileError("line 3"), "error", "line 3 (MissionFileError)"),
         (SystemExit(), "error", "SystemExit (SystemExit)"),
     ],
@@ -159,3 +165,14 @@ def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             main([name, "--help"])
         assert (module.__doc__ or "").splitlines()[0] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", sorted(point.name for point in entry_points(group="nomad.commands")))
+def test_help_keeps_rules_to_itself_and_names_files_that_are_there(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main([name, "--help"])
+    told = capsys.readouterr().out
+    assert "Rules:" not in told
+    assert all((ROOT / path).exists() for path in re.findall(r"docs/[\w/.]+\w", told))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from math import degrees, hypot
 from typing import Any
@@ -11,8 +12,9 @@ import pytest
 from localization.missions.failures import MissionOver, StepFailed
 from localization.missions.helm import Helm
 from localization.missions.mission import Mission
+from localization.missions.running import run_mission
 from localization.missions.settings import Settings
-from nclient.errors import ConnectionLost
+from nclient.errors import ConnectionLost, NomadError
 
 MakeHelm = Callable[..., Helm]
 BOX = [(36.0, -6.0), (44.0, -6.0), (44.0, 6.0), (36.0, 6.0)]
@@ -134,6 +136,55 @@ def test_a_fence_is_planned_within_and_left_by_nobody(helm_at: MakeHelm) -> None
     with pytest.raises(MissionOver, match=r"is outside of the fence") as over:
         outside.look(1.0)
     assert over.value.ending == "fence"
+
+
+@pytest.mark.parametrize("swallowed", [StepFailed, NomadError, Exception, BaseException])
+def test_the_end_of_a_mission_is_swallowed_by_no_program(helm_at: MakeHelm, swallowed: type[BaseException]) -> None:
+    mission = Mission(helm_at("thesis_room"), Settings(time_limit_s=2.0))
+    clocks: list[float] = []
+
+    def program(robot: Mission) -> None:
+        for goal in (40, 60):
+            with contextlib.suppress(swallowed):
+                robot.go_to(goal, 0)
+            clocks.append(robot.seen.clock_s)
+
+    run_mission(mission, program)
+    report = mission.report
+    assert (report.ending, report.reason) == ("timeout", "the mission's time is over: 2 s")
+    assert [step.ending for step in report.steps] == ["timeout"], "the second step was never begun"
+    assert len(set(clocks)) <= 1, "nothing was driven after the end"
+    with pytest.raises(MissionOver):
+        mission.look()
+
+
+def test_after_the_fence_every_verb_refuses(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", start="60,60,0,0")
+    robot = Mission(helm, Settings(fence_in=((-11.0, -11.0), (40.0, -11.0), (40.0, 40.0), (-11.0, 40.0))))
+    verbs: list[Callable[[], object]] = [
+        robot.look, lambda: robot.go_to(60, 50), lambda: robot.follow([(60, 50)]), lambda: robot.turn(90),
+        lambda: robot.wait_for(bool, 1.0), lambda: robot.patrol([(60, 50)]), lambda: robot.dock(60, 50, 0),
+    ]  # fmt: skip
+    for verb in verbs:
+        with pytest.raises(MissionOver, match="outside of the fence"):
+            verb()
+    robot.note("left the fence")
+    assert [step.verb for step in robot.report.steps] == ["look", "note"]
+
+
+def test_an_interruption_that_was_swallowed_still_ends_it(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+
+    def interrupt(_: object) -> bool:
+        raise KeyboardInterrupt
+
+    def program(robot: Mission) -> None:
+        with contextlib.suppress(BaseException):
+            robot.wait_for(interrupt, 3.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_mission(mission, program)
+    assert mission.report.ending == "interrupted"
 
 
 def test_one_step_at_a_time(helm_at: MakeHelm) -> None:

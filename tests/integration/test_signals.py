@@ -1,0 +1,79 @@
+"""SIGTERM and SIGHUP end a command that drives a robot as Ctrl-C does: it stands, what was asked for is written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from nclient import connect
+
+PATIENCE_S = 60.0
+NOMAD = str(Path(sys.executable).parent / "nomad")
+MISSION = "map = 'thesis_room'\n[[step]]\ndo = 'go_to'\nto_in = [80, 80]\n"
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """A robot of a daemon."""
+    command = [sys.executable, "-m", "nserver_emu", "thesis_room", "--port", "0", "--noisy", "--seed", "2"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            yield f"nserver://{process.stdout.readline().split()[2]}/1"
+        finally:
+            process.terminate()
+            process.wait(PATIENCE_S)
+
+
+def words_of(command: str, address: str, folder: Path) -> list[str]:
+    mission, written = folder / "far.toml", str(folder / "written")
+    mission.write_text(MISSION)
+    return {
+        "go": ["go", address, "--map", "thesis_room", "--to", "80,80"],
+        "mission": ["mission", str(mission), address, "--report", written],
+        "localize": ["localize", address, "--map", "thesis_room", "--waypoints", "80,80", "--save", written],
+        "calibrate": ["calibrate", address, "--world", "thesis_room", "--out", written],
+    }[command]
+
+
+@pytest.mark.parametrize(("command", "number", "code"), [
+    ("go", signal.SIGTERM, 143), ("go", signal.SIGHUP, 129), ("mission", signal.SIGTERM, 143),
+    ("mission", signal.SIGHUP, 129), ("localize", signal.SIGTERM, 143), ("localize", signal.SIGINT, 130),
+    ("calibrate", signal.SIGTERM, 143), ("calibrate", signal.SIGHUP, 129),
+])  # fmt: skip
+def test_a_signal_stops_the_robot_and_what_was_asked_for_is_written(
+    command: str, number: signal.Signals, code: int, address: str, tmp_path: Path
+) -> None:
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
+    line = [NOMAD, *words_of(command, address, tmp_path)]
+    with connect(address) as watching:
+        with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=plain) as process:
+            until_s = time.monotonic() + PATIENCE_S
+            while abs(watching.refresh().translation_in_s) + abs(watching.state.steering_rad_s) < 0.2:
+                assert time.monotonic() < until_s
+                time.sleep(0.02)
+            process.send_signal(number)
+            told, errors = process.communicate(timeout=PATIENCE_S)
+        assert (process.returncode, errors) == (code, "")
+        until_s = time.monotonic() + PATIENCE_S
+        while watching.refresh().moving:
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+    written = tmp_path / "written"
+    if command == "go":
+        assert "interrupted at (" in told
+    elif command == "mission":
+        assert json.loads(written.read_text())["ending"] == "interrupted"
+    elif command == "localize":
+        assert "0 of 1 way-points reached" in told
+        assert written.read_text()
+    else:
+        assert not written.exists(), "what half a square has shown is no model"
