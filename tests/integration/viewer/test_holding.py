@@ -22,8 +22,9 @@ def test_a_program_drives_nothing_until_it_is_released(browser: Browser) -> None
         page.wait(f"{HELD}.includes('3 commands to move ignored')")
         assert page.value(SPEED) == 0
         page.page.focus("#pad")
-        page.page.keyboard.press("w")
+        page.page.keyboard.down("w")
         page.wait("document.querySelector('#notice').innerText.includes('release it first')")
+        page.page.keyboard.up("w")
         page.page.focus("#corners")
         page.page.keyboard.press("Shift+R")
         assert page.page.input_value("#corners") == "R"
