@@ -26,6 +26,7 @@ from localization.obstruction import Obstruction
 from localization.publishing import Publisher, message
 from localization.readers import UNKNOWN, constants, noise, opened, point, positive, seconds, start, stds
 from localization.run import Moment, Run, Sighting
+from localization.sonars_taken import taken
 from localization.steadying import SteadyPose
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
@@ -154,8 +155,10 @@ def _drive(
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
     errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
     belief = resuming.belief(options, world, state) or _at_the_start(options, state, errs)
-    rays = options.sonars == "rays" if options.sonars else simulated
-    sonar = WIRE_SONAR if rays else ConeModel()
+    done.sonars = taken(options.sonars, simulated)
+    sonar = WIRE_SONAR if done.sonars.rays else ConeModel()
+    if done.sonars.line():
+        print(done.sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)

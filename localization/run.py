@@ -15,6 +15,7 @@ import numpy as np
 from localization.belief import Floats, add, difference
 from localization.localizer import Estimate
 from localization.observation import Refusal
+from localization.sonars_taken import AS_CONES, Taken, hint
 from localization.watch import Trust
 
 LONGEST_GAP_S = 0.5
@@ -67,11 +68,13 @@ class Moment(NamedTuple):
 
 @dataclass
 class Run:
-    """The moments of a run to `waypoints`; `stopped`: why it was given up before its time, "" where it was not."""
+    """The moments of a run to `waypoints`; `stopped`: why it was given up before its time, "" where it was not;
+    `sonars`: for what they are taken."""
 
     waypoints: list[tuple[float, float]]
     moments: list[Moment] = field(default_factory=list)
     stopped: str = ""
+    sonars: Taken = AS_CONES
 
     def add(self, moment: Moment) -> None:
         """The next moment."""
@@ -134,6 +137,7 @@ class Run:
             "reached": self.reached,
             "duration_s": round(self.duration_s, 3),
             "stopped": self.stopped or None,
+            "hint": self.hint() or None,
             "echoes_used": sum(echo.refusal is Refusal.NONE for echo in echoes),
             "echoes_refused": {
                 refusal.name.lower(): count
@@ -153,6 +157,10 @@ class Run:
             "odometry_end_error_in": float(self.odometry_errors_in()[-1]) if len(errors) else None,
         }
 
+    def hint(self) -> str:
+        """What to say where readings do not fit what the sonars are taken for."""
+        return hint(self.sonars, (echo for moment in self.moments for echo in moment.estimate.echoes))
+
     def verdict(self) -> str:
         """What became of it, in two or three lines."""
         result = self.summary()
@@ -168,6 +176,8 @@ class Run:
             )
         if self.stopped:
             lines.append(f"stopped: {self.stopped}")
+        if result["hint"]:
+            lines.append(result["hint"])
         if self.longest_gap_s > LONGEST_GAP_S:
             lines.append(
                 f"states came up to {self.longest_gap_s:.1f} s apart: the filter wants them within {LONGEST_GAP_S} s; "

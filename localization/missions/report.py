@@ -49,7 +49,8 @@ DONE = "done"
 
 @dataclass
 class Report:
-    """Of a mission: its steps, and how it ended as a whole; `pose` as estimated at the end, `truth` where known."""
+    """Of a mission: its steps, and how it ended as a whole; `pose` as estimated at the end, `truth` where known;
+    `hint`: where readings do not fit what the sonars are taken for."""
 
     title: str
     steps: list[Step] = field(default_factory=list)
@@ -59,6 +60,7 @@ class Report:
     pose: Pose | None = None
     std: Pose | None = None
     truth: Pose | None = None
+    hint: str = ""
 
     @property
     def done(self) -> bool:
@@ -77,6 +79,7 @@ class Report:
             "pose": _pose(self.pose),
             "std": _pose(self.std),
             "truth": _pose(self.truth),
+            "hint": self.hint or None,
             "steps": [_step(step) for step in self.steps],
         }
 
@@ -93,6 +96,7 @@ class Report:
         if self.truth:
             x, y, heading = self.truth
             lines.append(f"           in truth at ({x:.1f}, {y:.1f}) in, {degrees(heading):.0f} deg")
+        lines += [self.hint] * bool(self.hint)
         return "\n".join(lines)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import astuple
@@ -17,11 +18,13 @@ from localization.belief import independent
 from localization.cli import START_STD
 from localization.cone import ConeModel
 from localization.filters.table import METHODS
+from localization.localizer import Echo
 from localization.measurement import WIRE_SONAR
 from localization.missions.helm import Helm
 from localization.missions.report import Report
 from localization.navigation import Speeds
 from localization.readers import constants, noise, opened, pose, positive, stds
+from localization.sonars_taken import Taken, hint, taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
 from nclient import NomadError, Robot, WorldFileError
@@ -59,16 +62,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 class SetOut(NamedTuple):
-    """A helm, its robot, and whether that knows the truth."""
+    """A helm, its robot, whether that knows the truth, for what its sonars are taken, and all that was heard."""
 
     helm: Helm
     robot: Robot
     simulated: bool
+    sonars: Taken
+    echoes: list[Echo]
 
     def close(self, report: Report) -> Report:
         """The report with where the robot is at the end; first of all it is stopped, whatever becomes of the report."""
         with contextlib.suppress(NomadError):
             self.robot.stop()
+        report.hint = hint(self.sonars, self.echoes)
         belief = self.helm.sight.estimate.belief
         x, y, heading = (float(value) for value in self.helm.sight.estimate.pose)
         report.pose = x, y, heading
@@ -96,11 +102,15 @@ def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]
         belief = with_constants(
             independent([state.x_in, state.y_in, state.steering_rad], options.start_std), options.scale_std
         )
-        rays = options.sonars == "rays" if options.sonars else simulated
+        sonars = taken(options.sonars, simulated)
+        if sonars.line():
+            print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
         body = BODIES[options.body or robot.model.name]
-        known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if rays else ConeModel())
+        known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if sonars.rays else ConeModel())
         with Helm(robot, known, body, belief, time.sleep, options.method, options.speed) as helm:
-            yield SetOut(helm, robot, simulated)
+            out = SetOut(helm, robot, simulated, sonars, [])
+            helm.watchers.append(lambda sight: out.echoes.extend(sight.estimate.echoes))
+            yield out
 
 
 def _map_of(options: argparse.Namespace, map_name: str) -> str:

@@ -248,3 +248,22 @@ def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.C
     result = json.loads(capsys.readouterr().out)
     assert result["stopped"].startswith("it presses against something")
     assert result["duration_s"] < 40.0
+
+
+def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert localize(NOISY, *TO_GOAL) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("sonars are taken for exact rays, this being a simulation (of setup measured: --sonars c")
+    assert "do not believe this" not in told
+    measured = "sim:thesis_room?setup=measured&seed=1"
+    assert localize(measured, *TO_GOAL) == 0
+    told = capsys.readouterr().out
+    assert "refused: do not believe this" in told
+    assert "a real ring's cones are taken for rays (--sonars cones)" in told
+    assert localize(measured, *TO_GOAL, "--sonars", "cones") == 0
+    told = capsys.readouterr().out
+    assert "taken for" not in told
+    assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
+    assert json.loads(capsys.readouterr().out)["hint"] is None, "of few readings nothing is said"
