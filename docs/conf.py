@@ -11,7 +11,7 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 
 project = "nomad-nserver"
-author = "the nomad-nserver contributors"
+author = "the nomad-nserver authors"
 version = release = version_of("nomad-nserver")
 
 extensions = ["myst_parser"]

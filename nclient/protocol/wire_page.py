@@ -84,8 +84,8 @@ What goes over the wire for each command, in both languages. Made by `scripts/pr
 
 | | an Nserver, over TCP (port 7019) | a robot's own line (serial 38400 8N1, or TCP port 65001) |
 |---|---|---|
-| a frame | type and count (16 bits each), count words; high byte first | 01, length (low, high), type, data, checksum, 5C |
-| a number | a word: 32 bits, two's complement | u8, u16, u32, s16, s32: low byte first; the highest bit of s is the sign |
+| a frame | type, count (16 bits each), words; high byte first | 01, length (low, high), type, data, checksum, 5C |
+| a number | a word: 32 bits, two's complement | u8, u16, u32, s16, s32: low byte first, top bit of s is the sign |
 | length | in words | of type, data and checksum |
 | checksum | none | the sum of all bytes before it, the 01 included, modulo 256 |
 | an answer | the next frame of the connection | a frame of the command's own type; type 8, NAK, is a refusal |
