@@ -96,6 +96,16 @@ def test_a_real_robot(tmp_path: Path) -> None:
     assert "2 of 2 way-points reached" in localize
 
 
+def test_faults_and_recordings(tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(DOCS)
+    doctor, stop, recorded, dumped, replayed = [run(command, tmp_path) for command in commands("faults.md")]
+    assert re.search(r"^\w+ +line ", doctor, re.MULTILINE)
+    assert stop.startswith("stands still")
+    assert "gs" in dumped
+    assert "pose" in recorded
+    assert replayed == recorded
+
+
 @pytest.mark.parametrize("said", re.findall(r"^\| `([^`|]+)` \|", (DOCS / "real-robot.md").read_text().partition(
     "## Serial first aid")[2].partition("## Which system")[0], re.MULTILINE))  # fmt: skip
 def test_first_aid_quotes_what_is_said(said: str) -> None:
