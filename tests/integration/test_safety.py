@@ -88,18 +88,19 @@ def test_a_laptop_that_sleeps_leaves_a_robot_at_rest_that_stays_there_when_it_wa
     with robot_on_a_line(folder) as (line, eye):
         command = [sys.executable, "-c", DRIVES_AND_ASKS, f"{line}?tm_s=2&timeout_s=5"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
-            assert program.stdout is not None
-            program.stdout.readline()
-            assert moves(eye)
-            program.send_signal(signal.SIGSTOP)
-            until(lambda: not moves(eye))
-            woken_s = eye.truth().time_s
-            program.send_signal(signal.SIGCONT)
-            while float(program.stdout.readline()) < woken_s + 0.5:
-                pass  # the program asks on, and is answered
-            assert not moves(eye)
-            assert program.poll() is None
-            program.kill()
+            try:
+                assert program.stdout is not None
+                program.stdout.readline()
+                assert moves(eye)
+                program.send_signal(signal.SIGSTOP)
+                until(lambda: not moves(eye))
+                woken_s = eye.truth().time_s
+                program.send_signal(signal.SIGCONT)
+                while float(program.stdout.readline()) < woken_s + 0.5:
+                    pass  # the program asks on, and is answered
+                assert not moves(eye)
+            finally:
+                program.kill()
 
 
 @pytest.mark.parametrize("plan", [SILENCE, NOISE], ids=["nothing arrives", "nothing arrives whole"])
