@@ -22,6 +22,8 @@ html_theme = "furo"
 html_title = f"nomad-nserver {version}"
 html_show_sourcelink = False
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 
 
 def setup(app: Sphinx) -> None:
