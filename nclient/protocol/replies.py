@@ -86,6 +86,8 @@ class ReplyShape:
 
     def __init__(self, kind: str, **members: Any) -> None:
         self.kind = kind
+        self.layout: Mapping[str, Any] = members
+        """The members' constructs by name, in order."""
         self._members = [_member(name, subcon) for name, subcon in members.items()]
         self._masked = any(member.absent is not None for member in self._members)
         self._present: tuple[Mask | None, list[_Member]] = (None, [])

@@ -63,6 +63,7 @@ CHECKS = (
     Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
     Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", says=False),
     Check(("python", "-c", MACHINE_CODE), "loaded"),
+    Check(("python", "-c", "import furo, myst_parser, sphinx; print('builds')"), "builds", "docs", says=False),
 )  # fmt: skip
 """What is tried in every environment. Without an extra of its own a check works everywhere."""
 

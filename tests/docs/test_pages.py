@@ -1,0 +1,141 @@
+"""Every command and program of the guide's pages, as a reader would run them: real processes, real sockets, real time.
+
+The port 7019 and the cable /dev/ttyUSB0 are replaced by a free port and by an emulated robot's line. Blocks marked
+`console` are for other machines and are not run. `scripts/run` is the README's to test.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import runpy
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+LEFT_OUT = ("scripts/run", ". .venv/bin/activate")
+
+
+def blocks(page: str, kind: str) -> list[str]:
+    """Blocks of a kind, those in lists with their indentation taken away."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    found = re.findall(rf"^( *)```{kind}\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
+    return [re.sub(rf"^{indent}", "", block, flags=re.MULTILINE) for indent, block in found]
+
+
+def commands(page: str) -> list[str]:
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines() if line]
+    assert lines
+    return [line for line in lines if line not in LEFT_OUT]
+
+
+def run(command: str, folder: Path) -> str:
+    """What a command prints; it must succeed."""
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    bash, environment = ["bash", "-c", command], os.environ | {"PATH": path}
+    done = subprocess.run(bash, cwd=folder, env=environment, capture_output=True, text=True, timeout=180, check=False)
+    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+@contextlib.contextmanager
+def daemon(command: str, *more: str) -> Iterator[str]:
+    """The page's daemon on a free port; the port."""
+    words = [*shlex.split(command)[1:], "--port", "0", *more]
+    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        try:
+            port = program.stdout.readline().strip().rpartition(":")[2]
+            for _ in range(words.count("--serial-link")):
+                assert program.stdout.readline().startswith("listening serial")
+            yield port
+        finally:
+            program.send_signal(signal.SIGTERM)
+    assert program.returncode == 0
+
+
+def test_five_minutes(tmp_path: Path) -> None:
+    shell, start, *others = commands("start.md")
+    assert "x 24.0 in" in run(shell, tmp_path)
+    assert start.startswith("nserver ")
+    with daemon(start) as port:
+        state, localize = [run(command.replace("7019", port), tmp_path) for command in others]
+    assert "sonar" in state
+    assert "2 of 2 way-points reached" in localize
+
+
+def test_the_program_of_five_minutes(capsys: pytest.CaptureFixture[str]) -> None:
+    (program,) = blocks("start.md", "python")
+    exec(compile(program, "start.md", "exec"), {})
+    found = re.fullmatch(r"(\d+) in before the wall, (\d+) in from the start\n", capsys.readouterr().out)
+    assert found is not None
+    assert 10 <= int(found[1]) <= 21
+    assert int(found[2]) > 10
+
+
+def test_a_real_robot(tmp_path: Path) -> None:
+    ports, *others = commands("real-robot.md")
+    run(ports, tmp_path)
+    link = tmp_path / "line"
+    with daemon("nserver thesis_room --noisy", "--serial-link", str(link)):
+        said = [run(command.replace("/dev/ttyUSB0", str(link)), tmp_path) for command in others]
+    doctor, stop, shell, localize = said
+    assert "FAIL" not in doctor
+    assert stop.startswith("stands still")
+    assert re.search(r"x (5\.9|6\.\d) in", shell)
+    assert "2 of 2 way-points reached" in localize
+
+
+def test_faults_and_recordings(tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(DOCS)
+    doctor, stop, recorded, dumped, replayed = [run(command, tmp_path) for command in commands("faults.md")]
+    assert re.search(r"^\w+ +line ", doctor, re.MULTILINE)
+    assert stop.startswith("stands still")
+    assert "gs" in dumped
+    assert "pose" in recorded
+    assert replayed == recorded
+
+
+@pytest.mark.parametrize("said", re.findall(r"^\| `([^`|]+)` \|", (DOCS / "real-robot.md").read_text().partition(
+    "## Serial first aid")[2].partition("## Which system")[0], re.MULTILINE))  # fmt: skip
+def test_first_aid_quotes_what_is_said(said: str) -> None:
+    generic = said.replace("/dev/ttyUSB0", "{port}").replace("within 1 s", "within {")
+    places = [*(ROOT / "nclient").rglob("*.py")]
+    plain = generic.replace("a n150", "a {")
+    assert any(plain in place.read_text(encoding="utf-8") for place in places), generic
+
+
+def test_a_c_program(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "clib", tmp_path / "clib", ignore=shutil.ignore_patterns("build"))
+    (program,) = blocks("c-programs.md", "c")
+    (tmp_path / "hello.c").write_text(program)
+    make, compiled, started = commands("c-programs.md")
+    run(make, tmp_path)
+    run(compiled, tmp_path)
+    with daemon("nserver thesis_room") as port:
+        assert run(started.replace("7019", port), tmp_path) == "at 240, 0 tenths of an inch\n"
+
+
+def test_the_floors_are_those_of_the_contracts() -> None:
+    made = runpy.run_path(str(DOCS / "floors.py"))
+    assert made["page"]() == (DOCS / "architecture.md").read_text(), "run python docs/floors.py"
+    assert made["floors"]().count("\n") > 15
+
+
+def test_the_citation_is_of_this_version() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {project['version']}\n" in citation
+    assert f"\nlicense: {project['license']}\n" in citation
+    for key in ("cff-version", "message", "title", "authors"):  # what the format asks for
+        assert re.search(rf"^{key}:", citation, re.MULTILINE)

@@ -1,0 +1,69 @@
+"""The site as `scripts/docs` builds it: every warning an error, and nothing from elsewhere when a page is read."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+BUILD = ["-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet", "--builder", "html"]
+TAGS = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "object": "data"}
+
+
+class Fetched(HTMLParser):
+    """What a browser fetches for a page."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value for name, value in attrs if TAGS.get(tag) == name and value]
+
+
+def build(source: Path, site: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, *BUILD, str(source), str(site)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    done = build(DOCS, folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_every_page_is_there(site: Path) -> None:
+    pages = [page.relative_to(DOCS).with_suffix(".html") for page in DOCS.rglob("*.md")]
+    assert len(pages) > 30
+    assert [page for page in pages if not (site / page).exists()] == []
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    fetched = {address for page in site.rglob("*.html") for address in Fetched(page).addresses}
+    assert any(".css" in address for address in fetched)
+    assert [address for address in fetched if re.match(r"(\w+:)?//", address)] == []
+    styles = "".join(style.read_text(encoding="utf-8") for style in site.rglob("*.css"))
+    assert re.findall(r"""(?:@import\s+|url\()\s*["']?(?:\w+:)?//[^)\s]*""", styles) == []
+
+
+def test_a_link_to_nowhere_is_an_error(tmp_path: Path) -> None:
+    source = tmp_path / "docs"
+    source.mkdir()
+    (source / "conf.py").write_text((DOCS / "conf.py").read_text())
+    (source / "index.md").write_text("# A page\n\n[nowhere](nowhere.md)\n")
+    done = build(source, tmp_path / "site")
+    assert done.returncode == 1
+    assert "nowhere.md" in done.stderr
+
+
+def test_the_script_builds_it_the_same_way() -> None:
+    assert f"python {' '.join(BUILD)} docs" in (ROOT / "scripts" / "docs").read_text()
