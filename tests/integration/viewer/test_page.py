@@ -182,6 +182,7 @@ def test_a_press_chooses_a_robot_and_turns_or_places_none(browser: Browser) -> N
         page.wait("!nserver.map.following")
         page.page.click("#units")
         page.page.click("#window-robot > summary")
+        page.wait("localStorage.getItem('nserver window robot') === 'false'")
         page.page.reload()
         page.wait("window.nserver && nserver.metric && !document.querySelector('#window-robot').open")
 
