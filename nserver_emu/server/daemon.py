@@ -23,6 +23,7 @@ from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
 from nserver_emu.server.acquaintances import Acquaintances
 from nserver_emu.server.connection import Connection
+from nserver_emu.server.door import Door, Doorkeeper
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Host
@@ -55,6 +56,7 @@ class Daemon:
         self.host: Host = emulator if host is None else host
         self.recorder: AnyRecorder = OFF
         self.connections: set[Talker] = set()
+        self.door = Door()
         self.acquaintances = Acquaintances()
         self.faults = FaultDesk(time.monotonic) if faults is None else faults
         self.places: dict[str, str] = {}
@@ -111,7 +113,8 @@ class Daemon:
     async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
         try:
-            server = await asyncio.get_running_loop().create_server(who, host, port)
+            loop = asyncio.get_running_loop()
+            server = await loop.create_server(lambda: Doorkeeper(self.door, self._hosts, who), host, port)
         except OSError as error:
             raise ConnectionLost(
                 f"cannot listen on {host}:{port}: {error.strerror or error}; is another nserver running? "
@@ -120,10 +123,15 @@ class Daemon:
         self._servers.append(server)
         return int(server.sockets[0].getsockname()[1])
 
+    def _hosts(self) -> list[str]:
+        """The addresses of those who came by a socket."""
+        return [one.host for one in self.connections if isinstance(one, Connection)]
+
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
         clock = asyncio.get_running_loop().time
-        self.recorder = Recorder(LogWriter(path, header), lambda: self.emulator.simulation.time_s, clock)
+        log_writer = LogWriter(path, header, self.door.limits.log)
+        self.recorder = Recorder(log_writer, lambda: self.emulator.simulation.time_s, clock)
 
     async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
         """Let time pass until told to stop, or until a client that may ends it; then close everything.

@@ -14,7 +14,7 @@ import asyncio
 import contextlib
 import errno
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -22,20 +22,21 @@ from typing import TYPE_CHECKING, Final
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.errors import ConnectionLost
+from nserver_emu.server.access import LOOPBACK_NAME, is_loopback
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.entrance import (
-    LOOPBACK_NAME,
     REFUSED,
     Tokens,
     address,
     from_here,
-    is_loopback,
     known_host,
     new_tokens,
 )
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -75,13 +76,14 @@ class Viewing:
         self._bells: dict[Viewer, asyncio.Event] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._known = LOOPBACK_NAME
+        self._door = daemon.door
         self._runner: web.AppRunner | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Serve; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
         self._known = host.lower()
-        app = web.Application(client_max_size=MOST_TEXT)
+        app = web.Application(client_max_size=MOST_TEXT, middlewares=[self._at_the_door])
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
         app.router.add_get("/favicon.ico", _no_icon)
@@ -132,6 +134,14 @@ class Viewing:
         for bell in self._bells.values():
             bell.set()
 
+    @web.middleware
+    async def _at_the_door(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        host = request.remote or ""
+        if not self._door.access.admits(host):
+            self._door.turn_away(host, "that address is not allowed (--allow)")
+            raise web.HTTPForbidden(text="this address is not let in\n")
+        return await handler(request)
+
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
         if not known_host(request.host, self._known):
@@ -160,9 +170,16 @@ class Viewing:
         origin = request.headers.get("Origin", "")
         if not from_here(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"a page from {ascii(origin) if origin else 'nowhere'} is none of ours\n")
+        if len(self._sockets) >= self._door.limits.viewers:
+            self._door.turn_away(request.remote or "", "as many pages are open as may be (--limit-viewers)")
+            raise web.HTTPServiceUnavailable(text="as many pages are open as may be: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MOST_TEXT)
-        await socket.prepare(request)
-        self._sockets.add(socket)
+        self._sockets.add(socket)  # it counts from now on, not only once it is there
+        try:
+            await socket.prepare(request)
+        except BaseException:
+            self._sockets.discard(socket)
+            raise
         viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
         self._bells[viewer] = bell = asyncio.Event()
         viewer.ring = bell.set
