@@ -13,6 +13,7 @@ import argparse
 import asyncio
 import contextlib
 import logging
+import os
 import re
 import signal
 import sys
@@ -57,6 +58,7 @@ from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS,
 from nserver_emu.server.setup_files import OldSetup, read_setups
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
+from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer.options import add_options as add_viewer_options
@@ -149,11 +151,19 @@ async def _serve_with(
         ):
             for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control, *page):
                 print(line, flush=True)
+            manager = Manager(os.environ)
             with seldom_sought():
-                await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
+                async with announced(manager):
+                    await daemon.serve(stop, lambda: _end(manager, emulator, options.save))
     finally:
         await daemon.close()
     return ExitCode.DONE
+
+
+def _end(manager: Manager, emulator: Emulator, path: Path | None) -> None:
+    manager.tell(STOPPING)
+    if path:
+        snapshot.save(emulator, path)
 
 
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

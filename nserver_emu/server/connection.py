@@ -65,6 +65,8 @@ class Connection(Talker, asyncio.BufferedProtocol):
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
         self._behind.leave(self.session.visit)
+        self._daemon.gone_answered += self.session.answered
+        self._daemon.gone_refused += self.session.refused
         self._tape.close()
         self.session.closing = True
         log.info("%s: gone after %d refusals", self.session.name, self.session.refused)

@@ -57,6 +57,12 @@ class Daemon:
         self.recorder: AnyRecorder = OFF
         self.connections: set[Talker] = set()
         self.door = Door()
+        self.lost_s = 0.0
+        """Real time that was not made up for."""
+        self.ticked_s = 0.0
+        """When the clock went round last, as the loop has it."""
+        self.gone_answered = self.gone_refused = 0
+        """What those who are gone were answered, and refused."""
         self.acquaintances = Acquaintances()
         self.faults = FaultDesk(time.monotonic) if faults is None else faults
         self.places: dict[str, str] = {}
@@ -158,7 +164,7 @@ class Daemon:
         while not self.emulator.quitting:
             pace = self.emulator.pace
             await asyncio.sleep(0 if pace.runs_alone and pace.factor is None else TICK_S)
-            now = loop.time()
+            now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
 
@@ -168,6 +174,7 @@ class Daemon:
             self.step(FAST_STEP_S)
         elif pace.runs_alone and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
+                self.lost_s += elapsed_s - LONGEST_CATCH_UP_S
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
             self.step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
         elif pace.asked_s:

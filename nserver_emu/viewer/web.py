@@ -2,10 +2,12 @@
 
     GET /?token=T      the page              GET /page/NAME     its files (no secret in them)
     GET /ws?token=T    the websocket         POST /publish?token=T    what a localizer thinks (localization.py)
+    GET /health, /metrics                    how the daemon does (numbers.py)
 
-Rules: nothing without the token, of which there are two, to act and to look only (entrance.py). A websocket is opened
-by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere, by
-Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
+Rules: nothing without the token (but how the daemon does, from loopback), of which there are two, to act and to look
+only (entrance.py). A websocket is opened by a page that came from here: its Origin must be the Host asked. Nothing is
+loaded from elsewhere, by Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after
+FORGOTTEN_S at most.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from nserver_emu.viewer.entrance import (
     new_tokens,
 )
 from nserver_emu.viewer.hub import Hub, Viewer
+from nserver_emu.viewer.numbers import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
 
@@ -77,6 +80,7 @@ class Viewing:
         self._sockets: set[web.WebSocketResponse] = set()
         self._known = LOOPBACK_NAME
         self._door = daemon.door
+        self._daemon = daemon
         self._runner: web.AppRunner | None = None
         self._clock: asyncio.Task[None] | None = None
 
@@ -89,6 +93,8 @@ class Viewing:
         app.router.add_get("/favicon.ico", _no_icon)
         app.router.add_get("/ws", self._socket)
         app.router.add_post("/publish", self._publish)
+        app.router.add_get("/health", self._health)
+        app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
         await self._runner.setup()
@@ -156,6 +162,21 @@ class Viewing:
             raise web.HTTPForbidden(text=REFUSED, content_type="text/html")
         self._may(request)
         return web.FileResponse(PAGE / "index.html")
+
+    def _may_know(self, request: web.Request) -> None:
+        """Raises HTTPForbidden for who may not know how the daemon does."""
+        if not is_loopback(request.remote or "") or not known_host(request.host, self._known):
+            self._may(request)
+
+    async def _health(self, request: web.Request) -> web.StreamResponse:
+        self._may_know(request)
+        well, told = health(self._daemon, _now())
+        return web.json_response(told, status=HTTPStatus.OK if well else HTTPStatus.SERVICE_UNAVAILABLE)
+
+    async def _metrics(self, request: web.Request) -> web.StreamResponse:
+        self._may_know(request)
+        text = metrics(self._daemon, len(self.hub.viewers))
+        return web.Response(body=text.encode(), headers={"Content-Type": CONTENT_TYPE})
 
     async def _publish(self, request: web.Request) -> web.StreamResponse:
         if not self._may(request):
