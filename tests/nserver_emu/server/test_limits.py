@@ -158,8 +158,8 @@ def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest
         assert len(house.daemon.connections) == 2
         assert (await talker.ask("gs")).kind == "state"
 
-    at_home(Limits(idle=1), visit)
-    assert "said nothing for 1 s" in caplog.text
+    at_home(Limits(idle=2), visit)
+    assert "said nothing for 2 s" in caplog.text
 
 
 def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
