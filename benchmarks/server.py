@@ -25,7 +25,7 @@ def measure(rounds: int, calls: int) -> dict[str, float]:
     """Rates, 99th percentiles and their ratio."""
     gs = language.tcp_request(Call("gs"))
     connect = language.tcp_request(Call("connect_robot", (1, 1)))
-    daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    daemon = [sys.executable, "-m", "nserver_emu", "--port", "0", "--limit-rate", "0"]
     with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
         sides = {
             "nserver": Pinger(int(line.rpartition(":")[2]), gs, REPLY_SIZE, connect, CONNECT_REPLY_SIZE),

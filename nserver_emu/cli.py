@@ -13,6 +13,7 @@ import argparse
 import asyncio
 import contextlib
 import logging
+import os
 import re
 import signal
 import sys
@@ -36,12 +37,17 @@ from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.server import restore_options, snapshot
+from nserver_emu.server.access import access_of, warning
+from nserver_emu.server.access import add_options as add_access_options
 from nserver_emu.server.control import BY_NAME
 from nserver_emu.server.control_options import add_options as add_control_options
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
+from nserver_emu.server.door import Door
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.limits import add_options as add_limit_options
+from nserver_emu.server.limits import limits_of
 from nserver_emu.server.line_options import add_options as add_line_options
 from nserver_emu.server.line_options import at_port, open_lines
 from nserver_emu.server.line_options import refuse as refuse_lines
@@ -52,6 +58,7 @@ from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS,
 from nserver_emu.server.setup_files import OldSetup, read_setups
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
+from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer.options import add_options as add_viewer_options
@@ -123,6 +130,7 @@ async def _serve_with(
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
     daemon = Daemon(emulator, emulator.pace.factor, gateway, faults)
+    daemon.door = Door(limits_of(options), access_of(options))
     daemon.places |= real_options.places(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
@@ -130,6 +138,8 @@ async def _serve_with(
         _save_on_signal(emulator, options.save)
     try:
         port = await daemon.listen(options.bind, port)
+        if open_to := warning(options.bind, daemon.door.access):
+            log.warning("%s", open_to)
         if options.record:
             numbers = {"port": port, "requests_a_turn": REQUESTS_A_TURN, "real_robots": len(sides)}
             daemon.record(options.record, header(beginning, _now(), **numbers))
@@ -141,11 +151,19 @@ async def _serve_with(
         ):
             for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control, *page):
                 print(line, flush=True)
+            manager = Manager(os.environ)
             with seldom_sought():
-                await daemon.serve(stop, lambda: snapshot.save(emulator, options.save) if options.save else None)
+                async with announced(manager):
+                    await daemon.serve(stop, lambda: _end(manager, emulator, options.save))
     finally:
         await daemon.close()
     return ExitCode.DONE
+
+
+def _end(manager: Manager, emulator: Emulator, path: Path | None) -> None:
+    manager.tell(STOPPING)
+    if path:
+        snapshot.save(emulator, path)
 
 
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -163,7 +181,8 @@ def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
         options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
     )
     pace = Pace(options.speed, options.paused, options.lockstep)
-    allowed = Allowed(quit=options.allow_quit, control=options.allow_control)
+    limits = limits_of(options)
+    allowed = Allowed(options.allow_quit, options.allow_control, limits.obstacles, limits.graphics, limits.frame)
     return Beginning(setting, pace, allowed, options.restore, options.keeps_pace)
 
 
@@ -255,6 +274,8 @@ def _parser() -> Parser:
     add_line_options(parser)
     real_options.add_options(parser)
     add_control_options(parser)
+    add_access_options(parser)
+    add_limit_options(parser)
     add_viewer_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     logs.add_options(parser)

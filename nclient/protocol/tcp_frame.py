@@ -54,6 +54,16 @@ def reply_bounds(message_type: int) -> tuple[int, int] | None:
     return None if most is None else (1, most)
 
 
+def shorter(bounds: Bounds, most_words: int) -> Bounds:
+    """The same bounds, but no message longer than so many words."""
+
+    def shortened(message_type: int) -> tuple[int, int] | None:
+        found = bounds(message_type)
+        return None if found is None else (found[0], min(found[1], most_words))
+
+    return shortened
+
+
 def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: bool = False) -> bytes:
     """The bytes of a message. `payload`: its words as 32-bit bytes; `wide`: for or from a 64-bit client."""
     words = len(payload) // 4

@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import math
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -75,11 +76,13 @@ class Recording:
 class LogWriter:
     """Writes a recording; each line is on its way to the disk when `write` returns.
 
-    Raises RecordingError when the file cannot be made. `header`: what goes beside format and version.
+    Raises RecordingError when the file cannot be made. `header`: what goes beside format and version;
+    `most_bytes`: the line that would not fit any more is not written, nor any after it (0: no limit).
     """
 
-    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, header: Mapping[str, Any], most_bytes: int = 0) -> None:
         self.path = path
+        self._left = most_bytes or math.inf
         self.failed = False
         self._over = False
         self._lock = threading.Lock()
@@ -110,13 +113,20 @@ class LogWriter:
             try:
                 if self._file.closed:
                     self._file = self.path.open("a", encoding="utf-8")
-                self._file.write(json.dumps(whole, separators=(",", ":")) + "\n")
+                line = json.dumps(whole, separators=(",", ":")) + "\n"
+                self._left -= len(line)  # all of it ASCII
+                if self._left < 0:
+                    self._end("it is as long as it may be (--limit-log)")
+                    return
+                self._file.write(line)
                 self._file.flush()
             except OSError as error:
-                self.failed = True
-                log.error("%s: no longer recorded: %s; the run goes on, what was written can be read",
-                          self.path, error.strerror)
-                self._let_go()
+                self._end(str(error.strerror))
+
+    def _end(self, reason: str) -> None:
+        self.failed = True
+        log.error("%s: no longer recorded: %s; the run goes on, what was written can be read", self.path, reason)
+        self._let_go()
 
     def _let_go(self) -> None:
         with contextlib.suppress(OSError):  # what a full disk still owes cannot be written, and was told

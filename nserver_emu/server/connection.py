@@ -12,8 +12,10 @@ from nclient.faults.language import Language, TcpLanguage
 from nclient.protocol.models import N150
 from nclient.recording.follower import TCP
 from nserver_emu.server.acquaintances import FORGOTTEN_AFTER_S
+from nserver_emu.server.allowance import Allowance
+from nserver_emu.server.patience import Patience
 from nserver_emu.server.session import Acquaintance, Host, Session
-from nserver_emu.server.talker import READ_SIZE, Talker
+from nserver_emu.server.talker import READ_SIZE, REQUESTS_A_TURN, Talker
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -31,19 +33,29 @@ class Connection(Talker, asyncio.BufferedProtocol):
         self._behind: Host = daemon.host
         self._inbox = bytearray(READ_SIZE)
         self._met: Acquaintance | None = None
+        limits, now_s = daemon.door.limits, self._loop.time()
+        self._allowance = Allowance(limits.rate, REQUESTS_A_TURN, now_s) if limits.rate else None
+        self._patience = Patience(limits.idle, limits.stall, now_s)
+        self._look: asyncio.TimerHandle | None = None
+        self.host = ""
+        """The address that it came from."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
         peer = transport.get_extra_info("peername")
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        self._host = peer[0] if peer else ""
+        self.host = peer[0] if peer else ""
+        self._transport.set_write_buffer_limits(high=self._daemon.door.limits.write_queue)
         self._meet(f"{peer[0]}:{peer[1]}" if peer else "client")
         self._daemon.connections.add(self)
-        self._daemon.acquaintances.arrive(self, self._host)
+        self._daemon.acquaintances.arrive(self, self.host)
+        self._look_later()
         log.info("%s: connected", self.session.name)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._silence()
+        if self._look is not None:
+            self._look.cancel()
         self._daemon.connections.discard(self)
         if self.session.closing:
             self._daemon.acquaintances.leave(self, disconnected=True)
@@ -53,6 +65,8 @@ class Connection(Talker, asyncio.BufferedProtocol):
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
         self._behind.leave(self.session.visit)
+        self._daemon.gone_answered += self.session.answered
+        self._daemon.gone_refused += self.session.refused
         self._tape.close()
         self.session.closing = True
         log.info("%s: gone after %d refusals", self.session.name, self.session.refused)
@@ -62,6 +76,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
         return self._inbox
 
     def buffer_updated(self, nbytes: int) -> None:
+        self._patience.heard(self._loop.time())
         self._came(bytes(self._inbox[:nbytes]))
 
     def pause_writing(self) -> None:
@@ -75,10 +90,28 @@ class Connection(Talker, asyncio.BufferedProtocol):
     def close(self) -> None:
         self._transport.close()
 
+    def _look_later(self) -> None:
+        look_s = self._patience.look_s
+        self._look = None if look_s is None else self._loop.call_later(look_s, self._look_at)
+
+    def _look_at(self) -> None:
+        """Whether this one is still to be put up with."""
+        now_s, waiting = self._loop.time(), self.session.waiting
+        if waiting:
+            self._patience.heard(now_s)
+        stuck = self.blocked or (bool(self.session.unfinished) and not waiting)
+        reason = self._patience.overdue(now_s, self.session.answered, stuck)
+        if not reason:
+            self._look_later()
+            return
+        log.warning("%s: closed: %s", self.session.name, reason)
+        self._abort()
+
     def _meet(self, name: str) -> None:
         """Begin the conversation."""
         self.session = Session(
-            self._behind.answer, name, lambda wide: self._daemon.acquaintances.find(self, self._host, wide)
+            self._behind.answer, name, lambda wide: self._daemon.acquaintances.find(self, self.host, wide),
+            self._daemon.emulator.allowed.frame,
         )
         self._tape = self._daemon.recorder.open(name, TCP, N150)
 
@@ -86,7 +119,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
         super()._guarded(speak, by_time)
         if self.session.met != self._met:
             self._met = self.session.met
-            self._daemon.acquaintances.note(self, self._host, self._met)
+            self._daemon.acquaintances.note(self, self.host, self._met)
 
     def _language(self) -> Language:
         return TcpLanguage(None if self.session.met is None else self.session.met.wide)

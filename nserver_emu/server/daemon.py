@@ -23,6 +23,7 @@ from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
 from nserver_emu.server.acquaintances import Acquaintances
 from nserver_emu.server.connection import Connection
+from nserver_emu.server.door import Door, Doorkeeper
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.session import Host
@@ -55,6 +56,13 @@ class Daemon:
         self.host: Host = emulator if host is None else host
         self.recorder: AnyRecorder = OFF
         self.connections: set[Talker] = set()
+        self.door = Door()
+        self.lost_s = 0.0
+        """Real time that was not made up for."""
+        self.ticked_s = 0.0
+        """When the clock went round last, as the loop has it."""
+        self.gone_answered = self.gone_refused = 0
+        """What those who are gone were answered, and refused."""
         self.acquaintances = Acquaintances()
         self.faults = FaultDesk(time.monotonic) if faults is None else faults
         self.places: dict[str, str] = {}
@@ -111,7 +119,8 @@ class Daemon:
     async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
         try:
-            server = await asyncio.get_running_loop().create_server(who, host, port)
+            loop = asyncio.get_running_loop()
+            server = await loop.create_server(lambda: Doorkeeper(self.door, self._hosts, who), host, port)
         except OSError as error:
             raise ConnectionLost(
                 f"cannot listen on {host}:{port}: {error.strerror or error}; is another nserver running? "
@@ -120,10 +129,15 @@ class Daemon:
         self._servers.append(server)
         return int(server.sockets[0].getsockname()[1])
 
+    def _hosts(self) -> list[str]:
+        """The addresses of those who came by a socket."""
+        return [one.host for one in self.connections if isinstance(one, Connection)]
+
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
         clock = asyncio.get_running_loop().time
-        self.recorder = Recorder(LogWriter(path, header), lambda: self.emulator.simulation.time_s, clock)
+        log_writer = LogWriter(path, header, self.door.limits.log)
+        self.recorder = Recorder(log_writer, lambda: self.emulator.simulation.time_s, clock)
 
     async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
         """Let time pass until told to stop, or until a client that may ends it; then close everything.
@@ -150,7 +164,7 @@ class Daemon:
         while not self.emulator.quitting:
             pace = self.emulator.pace
             await asyncio.sleep(0 if pace.runs_alone and pace.factor is None else TICK_S)
-            now = loop.time()
+            now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
 
@@ -160,6 +174,7 @@ class Daemon:
             self.step(FAST_STEP_S)
         elif pace.runs_alone and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
+                self.lost_s += elapsed_s - LONGEST_CATCH_UP_S
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
             self.step(min(elapsed_s, LONGEST_CATCH_UP_S) * pace.factor)
         elif pace.asked_s:

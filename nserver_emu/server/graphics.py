@@ -15,6 +15,8 @@ from enum import StrEnum
 from itertools import takewhile
 from typing import Final, NamedTuple
 
+from nserver_emu.server.limits import Limits
+
 BLACK: Final = "Black"
 COLOURS: Final = (
     "Blue", "NavyBlue", "RoyalBlue", "SteelBlue", "CadetBlue", "Green", "SeaGreen", "ForestGreen", "DarkGreen",
@@ -22,10 +24,6 @@ COLOURS: Final = (
     "DeepPink", "Maroon",
 )  # fmt: skip
 """Colour number 1 is the first."""
-
-MOST_SHAPES: Final = 20_000
-"""Shapes kept; the oldest is forgotten for a new one, so that a client that draws for days fills no memory."""
-
 
 MOST_GONE: Final = 1000
 """Shapes that went of which it is known when; whoever looked last before that looks at all anew."""
@@ -93,28 +91,31 @@ class Graphics:
         come_then = [(number, shape) for shape, number in come if number <= until]
         return [number for number in gone if number <= drawn], come_then[::-1]
 
-    def draw(self, figure: Figure, numbers: tuple[int, ...], mode: int) -> None:
-        """Draw a line, an arc or a robot in a mode; modes out of range count as the nearest there is."""
+    def draw(self, figure: Figure, numbers: tuple[int, ...], mode: int, most: int = Limits().graphics) -> None:
+        """Draw a line, an arc or a robot in a mode; modes out of range count as the nearest there is.
+
+        `most`: shapes kept; the oldest is forgotten for a new one, so that who draws for days fills no memory.
+        """
         if figure is not Figure.ROBOT:
-            self._put(Shape(figure, numbers, *_line_mode(mode)))
+            self._put(Shape(figure, numbers, *_line_mode(mode)), most)
             return
-        self._put(Shape(figure, numbers, *_robot_mode(mode)))
+        self._put(Shape(figure, numbers, *_robot_mode(mode)), most)
         if mode == 2:
-            self._put(Shape(Figure.ARROW, numbers, BLACK, xor=False))
+            self._put(Shape(Figure.ARROW, numbers, BLACK, xor=False), most)
 
     def redraw(self, *layers: Layer) -> None:
         """A client wants these layers drawn anew."""
         for layer in layers:
             self.redrawn[layer] += 1
 
-    def _put(self, shape: Shape) -> None:
+    def _put(self, shape: Shape, most: int) -> None:
         self.drawn += 1
         if shape in self._shapes:
             self._take(shape)
             if shape.xor:
                 return
         self._shapes[shape] = self.drawn
-        if len(self._shapes) > MOST_SHAPES:
+        while len(self._shapes) > most:
             self._take(next(iter(self._shapes)))
 
     def _take(self, shape: Shape) -> None:

@@ -27,9 +27,6 @@ from nserver_emu.simulation.sighting import Sighting
 from worlds.geometry import area, crossing, inside, lengths, nearest_points
 from worlds.world import Polygon, StartPose
 
-MOST_OBSTACLES: Final = 1000
-"""More than anybody draws by hand; the next is refused."""
-
 MOST_ROBOTS_TOLD: Final = 341
 """What a reply to get_rpx can carry: 1 + 3 x 341 of 1024 words."""
 
@@ -52,7 +49,7 @@ def add_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
     polygon = _polygon(_corners(args))
     if not sound(polygon) or stands_in_a_robot(stage, polygon):
         return error_reply(BAD_VALUES)
-    if len(world.obstacles) >= MOST_OBSTACLES:
+    if len(world.obstacles) >= stage.allowed.obstacles:
         return error_reply(REFUSED)
     stage.simulation.change_world(world.with_obstacles((*world.obstacles, polygon)))
     return done()

@@ -130,7 +130,10 @@ class _DaemonAgain:
         wire, model = entry.more["wire"], model_named(entry.more["model"])
         if wire == TCP:
             self._acquaintances.arrive(name, host)
-            self._sessions[name] = Session(answer, name, lambda wide: self._acquaintances.find(name, host, wide))
+            self._sessions[name] = Session(
+                answer, name, lambda wide: self._acquaintances.find(name, host, wide),
+                self._emulator.allowed.frame,
+            )
             return
         robot_id = entry.more["robot_id"]
         terms = self._emulator.line_terms(robot_id)

@@ -29,9 +29,10 @@ from nclient.protocol.mask import Mask
 from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.state import STATE_SIZE
-from nclient.protocol.tcp_frame import Refused, TcpFrame, TcpFramer, request_bounds
+from nclient.protocol.tcp_frame import Refused, TcpFrame, TcpFramer, request_bounds, shorter
 from nclient.protocol.terms import Terms, tcp_terms
 from nserver_emu.server import first_bytes
+from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
 
@@ -118,6 +119,7 @@ class Conversation(ABC, Generic[Request]):
         self.closing = False
         """Whether the connection is to be closed, once what was given back is sent."""
         self.refused = 0
+        self.answered = 0
         self._answer = answer
         self._queue: deque[Request] = deque()
         self._later: tuple[str, Later] | None = None
@@ -157,6 +159,7 @@ class Conversation(ABC, Generic[Request]):
         while most > 0 and self.ready:
             replies += self._answer_one(self._queue.popleft())
             most -= 1
+            self.answered += 1
         return bytes(replies)
 
     def tick(self) -> bytes:
@@ -198,19 +201,20 @@ class Conversation(ABC, Generic[Request]):
 
 class Session(Conversation[TcpFrame | Refused]):
     """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before, of
-    the word width that the first bytes show (None: they do not)."""
+    the word width that the first bytes show (None: they do not); a request has `most_words` at most."""
 
     def __init__(
         self,
         answer: Answer,
         name: str = "client",
         acquaintance: Callable[[bool | None], Acquaintance | None] = lambda _: None,
+        most_words: int = Limits().frame,
     ) -> None:
         super().__init__(answer, name, Visit())
         self._acquaintance = acquaintance
         self._head: bytes | None = b""
         self._silent = False
-        self._framer = TcpFramer(request_bounds, gives_up=True)
+        self._framer = TcpFramer(shorter(request_bounds, most_words), gives_up=True)
 
     @property
     def unfinished(self) -> int:

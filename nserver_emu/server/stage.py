@@ -21,6 +21,7 @@ from nserver_emu.server.drivers import ALL_AXES, Drivers
 from nserver_emu.server.graphics import Graphics
 from nserver_emu.server.holds import Holds
 from nserver_emu.server.layers import layers
+from nserver_emu.server.limits import Limits
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.promises import Promises
 from nserver_emu.server.session import Later, Told, Visit
@@ -32,16 +33,21 @@ from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import World
 
+_LIMITS: Final = Limits()
 PIECE_PS: Final = PS_PER_S // 10
 """The longest time that passes before those who wait for it are asked, a tenth of a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class Allowed:
-    """What clients may do beyond driving robots: end the server (`quit`), change the time (`control`)."""
+    """What clients may do beyond driving robots: end the server (`quit`), change the time (`control`); and the limits
+    that decide answers (limits.py)."""
 
     quit: bool = False
     control: bool = False
+    obstacles: int = _LIMITS.obstacles
+    graphics: int = _LIMITS.graphics
+    frame: int = _LIMITS.frame
 
 
 class Stage:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from nclient.faults.language import Language
 from nclient.recording.recorder import OFF, Tape
+from nserver_emu.server.allowance import Allowance
 from nserver_emu.server.cable import Arrival, Cable
 from nserver_emu.server.faulty_cable import FaultyCable
 from nserver_emu.server.session import Conversation
@@ -44,6 +45,8 @@ class Talker(ABC):
         self._faulty = False
         self._delivering = False
         self._tape: Tape = OFF
+        self._allowance: Allowance | None = None
+        """How fast it is answered; None: as fast as it asks."""
         self.here = True
         """Whether there is anybody: a port may be open with nobody at its other end."""
         self.blocked = False
@@ -82,7 +85,13 @@ class Talker(ABC):
 
     def _answer(self) -> None:
         if not self.blocked and self._turn is None:
+            if self._owed_s():
+                self._pace()
+                return
+            before = self.session.answered
             self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
+            if self._allowance is not None:
+                self._allowance.spend(self.session.answered - before, self._loop.time())
         self._pace()
 
     def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
@@ -107,7 +116,9 @@ class Talker(ABC):
         """
         ready = self.session.ready and not self.blocked
         if ready and self._turn is None:
-            self._turn = self._loop.call_soon(self._next_turn)
+            owed_s = self._owed_s()
+            later = self._loop.call_later
+            self._turn = later(owed_s, self._next_turn) if owed_s else self._loop.call_soon(self._next_turn)
         full = self._cable is not None and self._cable.full
         self._listen(not (ready or self.blocked or full or self.session.crowded))
 
@@ -161,6 +172,10 @@ class Talker(ABC):
             if handle is not None:
                 handle.cancel()
         self._turn = self._alarm = None
+
+    def _owed_s(self) -> float:
+        """How long the next turn has to wait, for this one has asked too fast."""
+        return 0.0 if self._allowance is None else self._allowance.wait_s(self._loop.time())
 
     @abstractmethod
     def _language(self) -> Language:

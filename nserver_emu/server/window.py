@@ -56,5 +56,5 @@ REFRESHERS = {name: refresher(layers) for name, layers in _REDRAWN.items()}
 
 def _draw(stage: Stage, figure: Figure, args: tuple[int, ...]) -> Reply:
     *numbers, mode = args
-    stage.graphics.draw(figure, tuple(numbers), mode)
+    stage.graphics.draw(figure, tuple(numbers), mode, stage.allowed.graphics)
     return done()

@@ -20,8 +20,8 @@ from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
 from nclient.errors import NomadError
+from nserver_emu.server.access import LOOPBACK_NAME
 
-LOOPBACK_NAME: Final = "localhost"
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Addresses that mean all: somewhere out there to find the way out (RFC 5737, 3849: nobody), and the one way in."""
 _TOKEN: Final = re.compile(r"[A-Za-z0-9_-]{16,200}")
@@ -102,14 +102,6 @@ def known_host(host: str, served: str = LOOPBACK_NAME) -> bool:
     except ValueError:
         return False
     return True
-
-
-def is_loopback(host: str) -> bool:
-    """Whether nobody from another machine comes in where this is listened on."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host.lower() == LOOPBACK_NAME
 
 
 def address(host: str, port: int) -> str:

@@ -3,10 +3,12 @@
     GET /?token=T      the page              GET /page/NAME     its files (no secret in them)
     GET /              the page, of a tab that keeps its token to itself: a reload
     GET /ws?token=T    the websocket         POST /publish?token=T    what a localizer thinks (localization.py)
+    GET /health, /metrics                    how the daemon does (numbers.py)
 
-Rules: nothing of the simulation without the token, of which there are two, to act and to look only (entrance.py). A
-websocket is opened by a page that came from here: its Origin must be the Host asked. Nothing is loaded from elsewhere,
-by Content-Security-Policy too. A page that does not answer, or takes nothing, is forgotten after FORGOTTEN_S at most.
+Rules: nothing of the simulation without the token (how the daemon does may be known from loopback), of which there are
+two, to act and to look only (entrance.py). A websocket is opened by a page that came from here: its Origin must be the
+Host asked. Nothing is loaded from elsewhere, by Content-Security-Policy too. A page that does not answer, or takes
+nothing, is forgotten after FORGOTTEN_S at most.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import asyncio
 import contextlib
 import errno
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -23,20 +25,22 @@ from typing import TYPE_CHECKING, Final
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.errors import ConnectionLost
+from nserver_emu.server.access import LOOPBACK_NAME, is_loopback
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.entrance import (
-    LOOPBACK_NAME,
     REFUSED,
     Tokens,
     address,
     from_here,
-    is_loopback,
     known_host,
     new_tokens,
 )
 from nserver_emu.viewer.hub import Hub, Viewer
+from nserver_emu.viewer.numbers import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
+
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -76,18 +80,22 @@ class Viewing:
         self._bells: dict[Viewer, asyncio.Event] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._known = LOOPBACK_NAME
+        self._door = daemon.door
+        self._daemon = daemon
         self._runner: web.AppRunner | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Serve; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
         self._known = host.lower()
-        app = web.Application(client_max_size=MOST_TEXT)
+        app = web.Application(client_max_size=MOST_TEXT, middlewares=[self._at_the_door])
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/", self._page)
         app.router.add_get("/favicon.ico", _no_icon)
         app.router.add_get("/ws", self._socket)
         app.router.add_post("/publish", self._publish)
+        app.router.add_get("/health", self._health)
+        app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
         await self._runner.setup()
@@ -133,6 +141,14 @@ class Viewing:
         for bell in self._bells.values():
             bell.set()
 
+    @web.middleware
+    async def _at_the_door(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        host = request.remote or ""
+        if not self._door.access.admits(host):
+            self._door.turn_away(host, "that address is not allowed (--allow)")
+            raise web.HTTPForbidden(text="this address is not let in\n")
+        return await handler(request)
+
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
         self._check_host(request)
@@ -151,6 +167,21 @@ class Viewing:
             raise web.HTTPForbidden(text=REFUSED, content_type="text/html")
         return web.FileResponse(PAGE / "index.html")
 
+    def _may_know(self, request: web.Request) -> None:
+        """Raises HTTPForbidden for who may not know how the daemon does."""
+        if not is_loopback(request.remote or "") or not known_host(request.host, self._known):
+            self._may(request)
+
+    async def _health(self, request: web.Request) -> web.StreamResponse:
+        self._may_know(request)
+        well, told = health(self._daemon, _now())
+        return web.json_response(told, status=HTTPStatus.OK if well else HTTPStatus.SERVICE_UNAVAILABLE)
+
+    async def _metrics(self, request: web.Request) -> web.StreamResponse:
+        self._may_know(request)
+        text = metrics(self._daemon, len(self.hub.viewers))
+        return web.Response(body=text.encode(), headers={"Content-Type": CONTENT_TYPE})
+
     async def _publish(self, request: web.Request) -> web.StreamResponse:
         if not self._may(request):
             raise web.HTTPForbidden(text="this token only looks\n")
@@ -164,9 +195,16 @@ class Viewing:
         origin = request.headers.get("Origin", "")
         if not from_here(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"a page from {ascii(origin) if origin else 'nowhere'} is none of ours\n")
+        if len(self._sockets) >= self._door.limits.viewers:
+            self._door.turn_away(request.remote or "", "as many pages are open as may be (--limit-viewers)")
+            raise web.HTTPServiceUnavailable(text="as many pages are open as may be: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MOST_TEXT)
-        await socket.prepare(request)
-        self._sockets.add(socket)
+        self._sockets.add(socket)  # it counts from now on, not only once it is there
+        try:
+            await socket.prepare(request)
+        except BaseException:
+            self._sockets.discard(socket)
+            raise
         viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
         self._bells[viewer] = bell = asyncio.Event()
         viewer.ring = bell.set

@@ -96,3 +96,18 @@ def test_a_full_disk_is_told_once_and_the_run_goes_on(caplog: pytest.LogCaptureF
     assert [record.message for record in caplog.records] == [
         "/dev/full: no longer recorded: No space left on device; the run goes on, what was written can be read"
     ]
+
+
+def test_a_recording_that_is_as_long_as_it_may_be_ends_whole_and_says_so_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "run.jsonl"
+    log = LogWriter(path, {}, most_bytes=1000)
+    for number in range(100):
+        log.write(Entry(float(number), "out", "one", b"\0" * 10))
+    log.close()
+    assert 900 < path.stat().st_size <= 1000
+    recording = read_recording(path)
+    assert not recording.cut
+    assert [entry.time_s for entry in recording.entries] == [float(n) for n in range(len(recording.entries))]
+    assert caplog.text.count("it is as long as it may be (--limit-log)") == 1

@@ -65,19 +65,17 @@ def test_another_colour_erases_nothing(window: Graphics) -> None:
     assert [shape.colour for shape in window.shapes] == ["Blue", "NavyBlue"]
 
 
-def test_the_oldest_shape_makes_room(monkeypatch: pytest.MonkeyPatch, window: Graphics) -> None:
-    monkeypatch.setattr(graphics, "MOST_SHAPES", 3)
+def test_the_oldest_shape_makes_room(window: Graphics) -> None:
     for number in range(5):
-        window.draw(Figure.LINE, (number, 0, 0, 0), 1)
+        window.draw(Figure.LINE, (number, 0, 0, 0), 1, most=3)
     assert [shape.numbers[0] for shape in window.shapes] == [2, 3, 4]
 
 
-def test_what_changed_since_is_what_went_and_what_came(monkeypatch: pytest.MonkeyPatch, window: Graphics) -> None:
-    monkeypatch.setattr(graphics, "MOST_SHAPES", 3)
+def test_what_changed_since_is_what_went_and_what_came(window: Graphics) -> None:
     had: list[tuple[int, list[tuple[int, Shape]]]] = []
     for number in range(30):
         had.append((window.drawn, window.numbered))
-        window.draw(Figure.LINE, (number * number % 7, 0, 0, 0), 1 + number % 3)
+        window.draw(Figure.LINE, (number * number % 7, 0, 0, 0), 1 + number % 3, most=3)
     for drawn, shapes in had:
         changes = window.changes(drawn, window.drawn)
         assert changes is not None

@@ -7,8 +7,8 @@ import math
 import pytest
 from wire_client import WireClient, meet, simulation
 
-from nserver_emu.server import ground
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.stage import Allowed
 
 BOX = (400, -100, 600, -100, 600, 100, 400, 100)
 """A box ahead of the robot at the origin, in tenths: its near face is 40 in away."""
@@ -86,8 +86,8 @@ def test_what_is_no_obstacle_or_stands_in_a_robot_is_refused(
     assert emulator.simulation.world.obstacles == ()
 
 
-def test_obstacles_have_a_limit(monkeypatch: pytest.MonkeyPatch, client: WireClient) -> None:
-    monkeypatch.setattr(ground, "MOST_OBSTACLES", 2)
+def test_obstacles_have_a_limit(emulator: Emulator, client: WireClient) -> None:
+    emulator.allowed = Allowed(obstacles=2)
     replies = [client.ask("add_obstacle", 4, *BOX) for _ in range(3)]
     assert [reply.values for reply in replies] == [(0,), (0,), (5,)]
 

@@ -14,10 +14,11 @@ from viewed_daemon import HOST, served
 from wire_client import simulation
 
 from nserver_emu import cli
+from nserver_emu.server.access import is_loopback
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.viewer import entrance
-from nserver_emu.viewer.entrance import TokenFileError, Tokens, address, is_loopback, new_tokens, tokens_of
+from nserver_emu.viewer.entrance import TokenFileError, Tokens, address, new_tokens, tokens_of
 from nserver_emu.viewer.web import served as page_served
 
 ACT, WATCH = "a" * 16, "b" * 200

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import socket
 
 import aiohttp
@@ -11,8 +12,10 @@ from viewed_daemon import HOST, served
 from wire_client import simulation
 
 from nclient.errors import ConnectionLost
+from nserver_emu.server.access import Access
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.limits import Limits
 from nserver_emu.viewer.entrance import from_here, known_host
 from nserver_emu.viewer.protocol import DEAD_MAN_S
 from nserver_emu.viewer.web import PERIOD_S, Viewing, next_due
@@ -323,3 +326,47 @@ def test_pictures_are_twenty_a_second_on_the_whole_and_come_in_no_bursts() -> No
     due = next_due(due, now)
     assert due == now
     assert next_due(due, now) == now + PERIOD_S
+
+
+def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            here.daemon.door.limits = Limits(viewers=1)
+            query, headers = {"token": here.viewing.token}, {"Origin": here.origin}
+            async with here.page() as page:
+                with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+                    await here.web.ws_connect(f"{here.origin}/ws", params=query, headers=headers)
+                assert refusal.value.status == 503
+                await page.until(lambda message: message["type"] == "picture")
+            while here.viewing.hub.viewers:
+                await asyncio.sleep(0.005)
+            async with here.page() as page:
+                await page.until(lambda message: message["type"] == "picture")
+
+    asyncio.run(scenario())
+
+
+def test_who_only_asks_for_a_websocket_takes_no_place() -> None:
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            here.daemon.door.limits = Limits(viewers=1)
+            query, headers = {"token": here.viewing.token}, {"Origin": here.origin}
+            for _ in range(2):
+                async with here.web.get(f"{here.origin}/ws", params=query, headers=headers) as answer:
+                    assert answer.status == 400  # no upgrade was asked for
+
+    asyncio.run(scenario())
+
+
+def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nserver_emu.server.access.is_loopback", lambda _host: False)
+
+    async def scenario() -> None:
+        async with served(an_emulator()) as here:
+            here.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
+            for path in ("/", "/ws", "/page/main.js", "/health"):
+                async with here.web.get(f"{here.origin}{path}", params={"token": here.viewing.token}) as answer:
+                    assert (answer.status, await answer.text()) == (403, "this address is not let in\n")
+            assert here.daemon.door.turned_away == 4
+
+    asyncio.run(scenario())

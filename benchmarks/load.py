@@ -1,0 +1,157 @@
+"""What one hostile client costs the others: the 99th percentile of 200 clients at 10 Hz, without and with it.
+
+    python benchmarks/load.py [--rounds N] [--seconds S] [--clients N] [--hostile flood|stall|deaf] [--json]
+
+Target: p99 moves by no more than the larger of a factor of 2 and 2 ms, median of five rounds, for each kind:
+
+    flood   requests as fast as they are taken, replies read and thrown away
+    stall   half a request, then nothing, and again when it was closed
+    deaf    requests as fast as they are taken, no reply ever read
+
+The daemon, the clients and the hostile one are three processes. A client's round trip counts from when it was due to
+ask, so that a server that is late for one answer does not hide the next. Rounds without and with take turns. On a
+machine that others load the figures are theirs as much as ours: compare the two columns, not with another day's.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import socket
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Final
+
+from echo import started
+
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+
+FACTOR: Final = 2.0
+EXTRA_MS: Final = 2.0
+RATE_HZ: Final = 10.0
+HOST: Final = "127.0.0.1"
+HOSTILE: Final = ("flood", "stall", "deaf")
+CONNECT: Final = language.tcp_request(Call("connect_robot", (1, 1)))
+GS: Final = language.tcp_request(Call("gs"))
+CONNECT_REPLY_SIZE, REPLY_SIZE = 8, 4 + 4 * 49
+MANY: Final = 200
+"""Requests that a hostile client sends in one piece."""
+
+
+def bound_ms(alone_ms: float) -> float:
+    """The p99 that is still good, where it is so much without a hostile client."""
+    return max(FACTOR * alone_ms, alone_ms + EXTRA_MS)
+
+
+def p99(trips: list[float]) -> float:
+    """The 99th percentile."""
+    return statistics.quantiles(trips, n=100)[98]
+
+
+async def one_client(port: int, first_s: float, end_s: float) -> list[float]:
+    """Ask every tenth of a second from then until then, loop time; each trip in seconds from when it was due."""
+    loop = asyncio.get_running_loop()
+    reader, writer = await asyncio.open_connection(HOST, port)
+    writer.write(CONNECT)
+    await reader.readexactly(CONNECT_REPLY_SIZE)
+    trips, due_s = [], first_s
+    while due_s < end_s:
+        await asyncio.sleep(max(0.0, due_s - loop.time()))
+        writer.write(GS)
+        await reader.readexactly(REPLY_SIZE)
+        trips.append(loop.time() - due_s)
+        due_s += 1.0 / RATE_HZ
+    writer.close()
+    with contextlib.suppress(OSError):
+        await writer.wait_closed()
+    return trips
+
+
+async def ask(port: int, clients: int, seconds: float) -> list[float]:
+    """That many clients, evenly spread over the tenth of a second, for so long; all trips in seconds."""
+    begin_s = asyncio.get_running_loop().time() + 0.5 + 0.002 * clients  # all are connected by then
+    starts = [begin_s + number / clients / RATE_HZ for number in range(clients)]
+    found = await asyncio.gather(*(one_client(port, start_s, begin_s + seconds) for start_s in starts))
+    return [trip for trips in found for trip in trips]
+
+
+def be_hostile(kind: str, port: int) -> None:
+    """Be so until stopped; a connection that is closed is made again."""
+    while True:
+        with socket.create_connection((HOST, port)) as hostile, contextlib.suppress(OSError):
+            _once(kind, hostile)
+        time.sleep(0.01)
+
+
+def _once(kind: str, hostile: socket.socket) -> None:
+    """Until the daemon closes it, or no more can be sent."""
+    hostile.sendall(CONNECT)
+    if kind == "stall":
+        hostile.sendall(GS + GS[:3])
+        while hostile.recv(65536):
+            pass
+        return
+    hostile.setblocking(kind == "deaf")
+    while True:
+        with contextlib.suppress(BlockingIOError):
+            hostile.send(GS * MANY)
+        with contextlib.suppress(BlockingIOError):
+            if kind == "flood" and not hostile.recv(1 << 20):
+                return
+
+
+@contextlib.contextmanager
+def hostility(kind: str, port: int) -> Iterator[None]:
+    """A hostile client in a process of its own, while it lasts."""
+    with subprocess.Popen([sys.executable, __file__, "--be", kind, "--port", str(port)]) as process:
+        try:
+            time.sleep(0.5)
+            yield
+        finally:
+            process.terminate()
+
+
+def measure(kind: str, rounds: int, seconds: float, clients: int) -> dict[str, float | str | bool]:
+    """p99 without and with, in turns, ms; whether the median of the rounds keeps the bound."""
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    alone: list[float] = []
+    beside: list[float] = []
+    with started(command) as line:
+        port = int(line.rpartition(":")[2])
+        for _ in range(rounds):
+            alone.append(1000 * p99(asyncio.run(ask(port, clients, seconds))))
+            with hostility(kind, port):
+                beside.append(1000 * p99(asyncio.run(ask(port, clients, seconds))))
+    alone_ms, beside_ms = statistics.median(alone), statistics.median(beside)
+    return {"hostile": kind, "alone_p99_ms": alone_ms, "beside_p99_ms": beside_ms, "bound_ms": bound_ms(alone_ms),
+            "kept": beside_ms <= bound_ms(alone_ms), "rounds": rounds, "clients": clients}  # fmt: skip
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--clients", type=int, default=200)
+    parser.add_argument("--hostile", choices=HOSTILE, action="append", help="this kind alone (default: each)")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--be", choices=HOSTILE, help=argparse.SUPPRESS)
+    parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.be:
+        be_hostile(options.be, options.port)
+    for kind in options.hostile or HOSTILE:
+        found = measure(kind, options.rounds, options.seconds, options.clients)
+        print(json.dumps(found) if options.json else
+              f"{kind}: p99 {found['alone_p99_ms']:.2f} ms without, {found['beside_p99_ms']:.2f} ms with it "
+              f"(at most {found['bound_ms']:.2f}): {'kept' if found['kept'] else 'NOT KEPT'}")
+
+
+if __name__ == "__main__":
+    main()

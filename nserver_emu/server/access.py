@@ -1,0 +1,68 @@
+"""Who may connect, by address: `--allow ADDRESS[/BITS]`, as often as needed. Pure.
+
+Rules: without a rule, whoever reaches the port; with one, these networks and this machine itself. What is no address (a
+socket of the machine's own) is this machine. An IPv4 address that came by IPv6 is the IPv4 address.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+from dataclasses import dataclass
+from typing import Final
+
+Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+LOOPBACK_NAME: Final = "localhost"
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The networks that are let in; none: everybody."""
+
+    allowed: tuple[Network, ...] = ()
+
+    def admits(self, host: str) -> bool:
+        """Whether who comes from this address may."""
+        if not self.allowed or not host or is_loopback(host):
+            return True
+        address = ipaddress.ip_address(host.partition("%")[0])
+        mapped = getattr(address, "ipv4_mapped", None) or address
+        return any(mapped in network for network in self.allowed)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The option of this room."""
+    parser.add_argument("--allow", action="append", type=_network, default=[], metavar="ADDRESS[/BITS]",
+                        help="let in who comes from there, and from this machine, and nobody else; once more for "
+                        "another (default: whoever reaches the port)")
+
+
+def access_of(options: argparse.Namespace) -> Access:
+    """What the options say."""
+    return Access(tuple(options.allow))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether nobody from another machine is or comes in at this address."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host.lower() == LOOPBACK_NAME
+    return (getattr(address, "ipv4_mapped", None) or address).is_loopback
+
+
+def warning(host: str, access: Access) -> str:
+    """What to say of listening on this address; empty on loopback."""
+    if is_loopback(host):
+        return ""
+    who = f"whoever comes from {', '.join(map(str, access.allowed))}" if access.allowed else "anybody who reaches it"
+    remedy = "" if access.allowed else " --allow ADDRESS/BITS lets in fewer;"
+    return (f"open to the network at {host}: the protocol has no authentication and no encryption, and {who} may drive "
+            f"the robots;{remedy} ssh -L brings a port on loopback elsewhere (docs/limits.md)")
+
+
+def _network(text: str) -> Network:
+    try:
+        return ipaddress.ip_network(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"an address or a network such as 192.168.1.0/24: {error}") from None

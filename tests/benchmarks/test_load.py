@@ -1,0 +1,76 @@
+"""The parts of the benchmark of hostile clients: its bound, its clients, its hostility, its outcome."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+
+import load
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize(("alone", "bound"), [(0.5, 2.5), (2.0, 4.0), (3.0, 6.0), (0.0, 2.0)])
+def test_the_larger_of_a_factor_of_2_and_2_ms(alone: float, bound: float) -> None:
+    assert load.bound_ms(alone) == bound
+
+
+def test_the_percentile_is_numpys() -> None:
+    trips = [random.Random(1).expovariate(1.0) for _ in range(5000)]
+    assert load.p99(trips) == pytest.approx(np.percentile(trips, 99, method="weibull"))
+
+
+def test_a_late_answer_counts_from_when_it_was_due() -> None:
+    """A server that holds one answer back for 0.35 s is late for the ones that were due meanwhile, too."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readexactly(len(load.CONNECT))
+        writer.write(bytes(load.CONNECT_REPLY_SIZE))
+        for number in range(10):
+            await reader.readexactly(len(load.GS))
+            await asyncio.sleep(0.35 if number == 3 else 0.0)
+            writer.write(bytes(load.REPLY_SIZE))
+        writer.close()
+
+    async def scenario() -> list[float]:
+        server = await asyncio.start_server(serve, load.HOST, 0)
+        async with server:
+            now = asyncio.get_running_loop().time()
+            trips: list[float] = await load.one_client(server.sockets[0].getsockname()[1], now + 0.05, now + 1.0)
+        return trips
+
+    trips = asyncio.run(scenario())
+    assert len(trips) == 10
+    assert [trip >= 0.35 - 0.1 * late for late, trip in enumerate(trips[3:6])] == [True] * 3
+
+
+@pytest.mark.parametrize("kind", load.HOSTILE)
+def test_every_kind_is_measured(kind: str) -> None:
+    found = load.measure(kind, rounds=1, seconds=0.5, clients=5)
+    assert found["hostile"] == kind
+    assert float(found["alone_p99_ms"]) > 0.0
+    assert found["kept"] is (float(found["beside_p99_ms"]) <= float(found["bound_ms"]))
+
+
+@pytest.mark.parametrize("kind", ["flood", "deaf"])
+def test_the_hostile_one_asks_again_and_again(kind: str) -> None:
+    with socket.create_server((load.HOST, 0)) as server, load.hostility(kind, server.getsockname()[1]):
+        victim, _ = server.accept()
+        with victim:
+            victim.settimeout(60)
+            assert victim.recv(len(load.CONNECT), socket.MSG_WAITALL) == load.CONNECT
+            assert victim.recv(len(load.GS) * load.MANY, socket.MSG_WAITALL) == load.GS * load.MANY
+
+
+def test_the_stalled_one_stops_in_the_middle_and_comes_again() -> None:
+    with socket.create_server((load.HOST, 0)) as server, load.hostility("stall", server.getsockname()[1]):
+        for _ in range(2):
+            victim, _ = server.accept()
+            with victim:
+                victim.settimeout(60)
+                whole = load.CONNECT + load.GS + load.GS[:3]
+                assert victim.recv(len(whole), socket.MSG_WAITALL) == whole
+                victim.settimeout(0.05)
+                with pytest.raises(TimeoutError):
+                    victim.recv(1)

@@ -1,0 +1,82 @@
+"""A daemon on real sockets in the test's own loop, and plain clients that visit it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+
+from wire_client import simulation
+
+from nclient.protocol import language
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.models import N150
+from nclient.protocol.replies import Reply
+from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.terms import tcp_terms
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers import Emulator
+
+
+class Client:
+    """A plain asyncio client on a real socket."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+        self._framer = TcpFramer(reply_bounds, wide=False)
+        self._frames: list[TcpFrame] = []
+
+    async def ask(self, name: str, *args: int) -> Reply:
+        self.writer.write(language.tcp_request(Call(name, args)))
+        return await self.reply(name)
+
+    async def reply(self, name: str) -> Reply:
+        while not self._frames:
+            data = await self.reader.read(65536)
+            assert data, "the daemon closed the connection"
+            self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
+        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), tcp_terms(N150))
+
+
+class House:
+    """A daemon that listens, and the clients that came; they are seen out at the end."""
+
+    def __init__(self, daemon: Daemon, port: int) -> None:
+        self.daemon, self.port = daemon, port
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def knock(self, host: str = "127.0.0.1") -> Client:
+        reader, writer = await asyncio.open_connection(host, self.port)
+        self._writers.append(writer)
+        return Client(reader, writer)
+
+    async def call(self, host: str = "127.0.0.1") -> Client:
+        client = await self.knock(host)
+        assert (await client.ask("connect_robot", 1, 1)).values == (self.port,)
+        return client
+
+    async def see_out(self) -> None:
+        for writer in self._writers:
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+
+def with_daemon(
+    visit: Callable[[House], Awaitable[None]], speed: float | None = 1.0, emulator: Emulator | None = None
+) -> None:
+    async def evening() -> None:
+        daemon = Daemon(emulator or Emulator(simulation()), speed)
+        house = House(daemon, await daemon.listen("127.0.0.1", 0))
+        stop = asyncio.Event()
+        serving = asyncio.create_task(daemon.serve(stop))
+        try:
+            async with asyncio.timeout(120):  # no verdict on speed: a busy machine may take its time
+                await visit(house)
+        finally:
+            stop.set()
+            await serving
+            await house.see_out()
+        assert not daemon.connections
+
+    asyncio.run(evening())

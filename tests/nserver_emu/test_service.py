@@ -1,0 +1,86 @@
+"""What the service manager is told, over a real datagram socket; the unit that asks for it."""
+
+from __future__ import annotations
+
+import asyncio
+import configparser
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from nserver_emu.cli import whole_parser
+from nserver_emu.service import Manager, announced
+
+UNIT = Path(__file__).parents[2] / "packaging/nserver.service"
+
+
+@pytest.fixture(params=["path", "abstract"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    return str(tmp_path / "notify") if request.param == "path" else f"@nserver-test-{os.getpid()}"
+
+
+@pytest.fixture
+def manager(place: str) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(f"\0{place[1:]}" if place.startswith("@") else place)
+        listener.settimeout(60)
+        yield listener
+
+
+def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str) -> None:
+    environment = {**os.environ, "NOTIFY_SOCKET": place, "WATCHDOG_USEC": "200000"}
+    environment.pop("WATCHDOG_PID", None)
+    command = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert manager.recv(100) == b"READY=1"
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("listening nserver"), "ready comes after the doors are open"
+        assert [manager.recv(100) for _ in range(3)] == [b"WATCHDOG=1"] * 3
+        process.send_signal(signal.SIGTERM)
+        while (told := manager.recv(100)) == b"WATCHDOG=1":
+            pass
+        assert told == b"STOPPING=1"
+        assert process.wait(60) == 0
+
+
+@pytest.mark.parametrize(("environment", "feed_s"), [
+    ({}, 0.0), ({"WATCHDOG_USEC": "1000000"}, 0.0), ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "1000000"}, 0.5),
+    ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}, 0.0),
+    ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "soon"}, 0.0),
+])  # fmt: skip
+def test_the_watchdog_is_fed_where_it_is_asked_for(environment: dict[str, str], feed_s: float) -> None:
+    assert Manager(environment).feed_s == feed_s
+
+
+def test_a_manager_that_is_not_there_costs_one_word(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    manager = Manager({"NOTIFY_SOCKET": str(tmp_path / "nobody"), "WATCHDOG_USEC": "2000"})
+
+    async def scenario() -> None:
+        async with announced(manager):
+            await asyncio.sleep(0.02)
+
+    asyncio.run(scenario())
+    assert caplog.text.count("does not listen") == 1
+
+
+def test_the_unit_asks_for_what_the_daemon_does(tmp_path: Path) -> None:
+    unit = configparser.RawConfigParser(strict=False)
+    unit.optionxform = str  # type: ignore[assignment,method-assign]
+    unit.read(UNIT)
+    service = dict(unit["Service"])
+    assert (service["Type"], service["WatchdogSec"], service["NoNewPrivileges"]) == ("notify", "30", "yes")
+    options = shlex.split(service["Environment"])[0].partition("=")[2]
+    command = service["ExecStart"].replace("$NSERVER_OPTIONS", options)
+    for folder in ("${STATE_DIRECTORY}", "${RUNTIME_DIRECTORY}"):
+        command = command.replace(folder, str(tmp_path))
+    words = shlex.split(command)
+    assert words[0].endswith("/nserver")
+    found = whole_parser().parse_args(words[1:])
+    assert (found.files, found.log_format, found.control) == (["several_walls"], "json", tmp_path / "nserver.sock")
