@@ -53,7 +53,7 @@ def localize(lasting: Lasting, capsys: pytest.CaptureFixture[str]) -> Localize:
     def run(*words: str, world: str = "several_walls") -> tuple[int, str]:
         code = cli.main(["localize", "sim:", "--map", world, "--json", *words])
         out = capsys.readouterr()
-        return code, out.out + out.err
+        return code, out.out or out.err
 
     return run
 
