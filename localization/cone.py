@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.belief import HEADING, Floats, wrap_angle
+from localization.range_noise import RangeNoise
 from localization.reflectors import Reflectors
 from worlds.raycast import cast_rays
 
@@ -45,12 +46,11 @@ NEVER_BELOW: Final = log(1.0 / NEVER - 1.0) / LOGISTIC_SLOPE
 
 
 @dataclass(frozen=True, slots=True)
-class ConeModel:
+class ConeModel(RangeNoise):
     """A Polaroid ring by its datasheet, and what is believed of its bad readings.
 
     cone_rad                      whole angle of the cone
-    relative_std, floor_std_in    standard deviation of a range: a share of it, and the least; rounding_var_in2 besides
-    lowest_in, highest_in         readings at or beyond these are limits, no ranges
+    relative_std to highest_in    as range_noise says
     margin_db, margin_std_db      how much louder than just audible a wall close by is met head-on; its spread
     rim_loss_db                   lost at the rim of the cone, out and back
     way_loss_db_in                lost an inch of range
@@ -58,12 +58,10 @@ class ConeModel:
     bad_share                     of readings that no reflector of the map explains: spread evenly over all ranges
     """
 
-    cone_rad: float = radians(25.0)
-    relative_std: float = 0.01
-    floor_std_in: float = 0.05
     rounding_var_in2: float = 1.0 / 12.0
     lowest_in: float = 6.0
     highest_in: float = 255.0
+    cone_rad: float = radians(25.0)
     margin_db: float = 30.0
     margin_std_db: float = 2.0
     rim_loss_db: float = 12.0
@@ -76,17 +74,6 @@ class ConeModel:
     def bad_density(self) -> float:
         """Probability density of a bad reading, per inch."""
         return 1.0 / (self.highest_in - self.lowest_in)
-
-    def variance(self, ranges_in: Floats) -> Floats:
-        """Variance in in^2 of readings of `ranges_in`, any shape."""
-        std = np.maximum(self.relative_std * ranges_in, self.floor_std_in)
-        variance: Floats = std * std + self.rounding_var_in2
-        return variance
-
-    def variance_at(self, range_in: float) -> float:
-        """`variance` of a single range."""
-        std = max(self.relative_std * range_in, self.floor_std_in)
-        return std * std + self.rounding_var_in2
 
 
 class Returns(NamedTuple):

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.belief import HEADING, Floats
+from localization.range_noise import RangeNoise
 from worlds.first_wall import FirstWall
 from worlds.raycast import cast_rays
 
@@ -102,29 +103,8 @@ class WallMap:
 
 
 @dataclass(frozen=True, slots=True)
-class SonarModel:
-    """How a reading strays from the range, and which readings are no measurement.
-
-    Standard deviation `relative_std` of the range, at least `floor_std_in`; `rounding_var_in2` besides where readings
-    are rounded. Readings at or beyond `lowest_in` and `highest_in` say "no nearer" and "nothing".
-    """
-
-    relative_std: float = 0.01
-    floor_std_in: float = 0.05
-    rounding_var_in2: float = 0.0
-    lowest_in: float = -np.inf
-    highest_in: float = np.inf
-
-    def variance(self, ranges_in: Floats) -> Floats:
-        """Variance in in^2 of readings of `ranges_in`, any shape."""
-        std = np.maximum(self.relative_std * ranges_in, self.floor_std_in)
-        variance: Floats = std * std + self.rounding_var_in2
-        return variance
-
-    def variance_at(self, range_in: float) -> float:
-        """`variance` of a single range."""
-        std = max(self.relative_std * range_in, self.floor_std_in)
-        return std * std + self.rounding_var_in2
+class SonarModel(RangeNoise):
+    """How a reading of an exact ray strays from its range, and which readings are no measurement."""
 
 
 IDEAL_SONAR = SonarModel()

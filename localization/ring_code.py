@@ -40,7 +40,7 @@ class RingCode:
                 import numba.extending
             except ImportError:
                 return False
-            for helper in (ray.meeting, ray.meeting_before, first_row):
+            for helper in (ray.meeting, ray.meeting_before, first_row, sideways, meets_another, spread):
                 numba.extending.register_jitable(helper)
             self.run = cast(Loop, numba.njit(judge_ring))
         return self.run is not None
@@ -63,6 +63,40 @@ def first_row(x: float, y: float, dx: float, dy: float, walls: Floats) -> int:
         if met < nearest:
             nearest, hit = met, row
     return hit
+
+
+def sideways(cov: Floats, dx: float, dy: float, side: float, sigmas: float) -> tuple[float, float, float]:
+    """The pose's error of `sigmas` that carries a beam (dx, dy) farthest aside where it meets the wall: see gating."""
+    pull_x = cov[0, 2] * side - cov[0, 0] * dy + cov[0, 1] * dx
+    pull_y = cov[1, 2] * side - cov[1, 0] * dy + cov[1, 1] * dx
+    pull_t = cov[2, 2] * side - cov[2, 0] * dy + cov[2, 1] * dx
+    aside = pull_t * side - pull_x * dy + pull_y * dx
+    share = sigmas / sqrt(aside) if aside > 0.0 else 0.0
+    return share * pull_x, share * pull_y, share * pull_t
+
+
+def meets_another(
+    row: int, pose: Floats, pull: tuple[float, float, float], beam: tuple[float, float, float, float], walls: Floats
+) -> bool:
+    """Whether a beam (arm, direction) meets another wall than `row` from the poses `pull` to either side."""
+    arm_x, arm_y, dx, dy = beam
+    for sign in (1.0, -1.0):
+        turn_x, turn_y = cos(sign * pull[2]), sin(sign * pull[2])
+        from_x = pose[0] + sign * pull[0] + turn_x * arm_x - turn_y * arm_y
+        from_y = pose[1] + sign * pull[1] + turn_y * arm_x + turn_x * arm_y
+        if row != first_row(from_x, from_y, turn_x * dx - turn_y * dy, turn_y * dx + turn_x * dy, walls):
+            return True
+    return False
+
+
+def spread(cov: Floats, by_x: float, by_y: float, by_t: float) -> float:
+    """Variance of the expected range: h P h' for a row h of the Jacobian."""
+    variance: float = (
+        by_x * (by_x * cov[0, 0] + 2.0 * (by_y * cov[0, 1] + by_t * cov[0, 2]))
+        + by_y * (by_y * cov[1, 1] + 2.0 * by_t * cov[1, 2])
+        + by_t * by_t * cov[2, 2]
+    )
+    return variance
 
 
 def judge_ring(
@@ -107,21 +141,8 @@ def judge_ring(
         normal_x, normal_y = lines[row, 0], lines[row, 1]
         way = (lines[row, 2] - normal_x * (pose[0] + arm_x) - normal_y * (pose[1] + arm_y)) / slant
         point_x, point_y = arm_x + way * dx, arm_y + way * dy
-        side = dx * point_x + dy * point_y
-        pull_x = cov[0, 2] * side - cov[0, 0] * dy + cov[0, 1] * dx
-        pull_y = cov[1, 2] * side - cov[1, 0] * dy + cov[1, 1] * dx
-        pull_t = cov[2, 2] * side - cov[2, 0] * dy + cov[2, 1] * dx
-        aside = pull_t * side - pull_x * dy + pull_y * dx
-        share = sigmas / sqrt(aside) if aside > 0.0 else 0.0
-        same = True
-        for reach in (share, -share):
-            turn_x, turn_y = cos(reach * pull_t), sin(reach * pull_t)
-            from_x = pose[0] + reach * pull_x + turn_x * arm_x - turn_y * arm_y
-            from_y = pose[1] + reach * pull_y + turn_y * arm_x + turn_x * arm_y
-            same = same and row == first_row(
-                from_x, from_y, turn_x * dx - turn_y * dy, turn_y * dx + turn_x * dy, walls
-            )
-        if not same:
+        pull = sideways(cov, dx, dy, dx * point_x + dy * point_y, sigmas)
+        if meets_another(row, pose, pull, (arm_x, arm_y, dx, dy), walls):
             refusals[at] = AMBIGUOUS_WALL
             continue
         if abs(slant) < least_cosine:
@@ -131,12 +152,7 @@ def judge_ring(
         by_t = (normal_x * point_y - normal_y * point_x) / slant
         std = max(relative_std * (way - standoff_in), floor_std)
         off = readings_in[at] - (way - standoff_in)
-        spread = (
-            by_x * (by_x * cov[0, 0] + 2.0 * (by_y * cov[0, 1] + by_t * cov[0, 2]))
-            + by_y * (by_y * cov[1, 1] + 2.0 * by_t * cov[1, 2])
-            + by_t * by_t * cov[2, 2]
-        )
-        if not off * off <= threshold * (spread + std * std + rounding):
+        if not off * off <= threshold * (spread(cov, by_x, by_y, by_t) + std * std + rounding):
             refusals[at] = GATE
             continue
         refusals[at] = NONE

@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator
 from types import TracebackType
 from typing import Any
 
-from nclient import address as text
+import nclient.address as text
 from nclient.async_robot import AsyncRobot
 from nclient.backends.backend import Backend
 from nclient.errors import AddressError, ConnectionLost

@@ -15,8 +15,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from nclient import address as text
-from nclient import openers, wrappers
+import nclient.address as text
+import nclient.openers as openers
+import nclient.wrappers as wrappers
 from nclient.address import Address
 from nclient.backends import feeding, reconnecting, retrying
 from nclient.errors import AddressError
