@@ -2,6 +2,8 @@
 
     pytest --robot ADDRESS     the tests of tests/hardware alone, on a real robot
     pytest --restarts N        how often a daemon is killed, and its line pulled (tests/integration/test_restarts.py)
+    pytest -m "not long"       without what takes its time: programs, browsers, compilers, long sums
+    pytest --hypothesis-profile=roaming    other examples each time; without it they are the same each time
 """
 
 from __future__ import annotations
@@ -10,6 +12,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
+"""Folders whose tests are all marked `long`."""
+
+settings.register_profile("steady", derandomize=True)
+settings.register_profile("roaming", derandomize=False)
+settings.load_profile("steady")
 
 sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
@@ -31,7 +41,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With a robot, nothing but what is meant for it."""
+    """Whole folders are long; with a robot, nothing but what is meant for it."""
+    for item in items:
+        if item.path.relative_to(Path(__file__).parent).parts[0] in LONG:
+            item.add_marker(pytest.mark.long)
     if config.getoption("--robot"):
         others = [item for item in items if "hardware" not in item.path.parts]
         items[:] = [item for item in items if "hardware" in item.path.parts]

@@ -17,6 +17,8 @@ from envelope import SPEED_IN_S, Bench, Walk
 from nclient import RobotRefused
 from nclient.protocol.models import N200
 
+pytestmark = pytest.mark.long
+
 WAY_IN = 4.0
 SLOW_IN_S = 2.0
 ENCODER_IN, ENCODER_DEG = 0.3, 2.0

@@ -11,6 +11,8 @@ import pytest
 from nclient import cli
 from worlds.calibration import load_calibration
 
+pytestmark = pytest.mark.long
+
 DOCS = Path(__file__).parents[2] / "docs"
 
 

@@ -22,6 +22,8 @@ from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
 
+pytestmark = pytest.mark.long
+
 KINDS: dict[str, SonarModel | ConeModel] = {"ideal": EXACT_RAYS, "measured": ConeModel()}
 
 

@@ -12,6 +12,8 @@ import pytest
 
 from nclient.exit_codes import FAILURES, ExitCode, in_short, page
 
+pytestmark = pytest.mark.long
+
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
 NSERVER = [sys.executable, "-m", "nserver_emu"]
 SHELL = [*NOMAD, "shell", "sim:thesis_room?step_s=0.001", "-c", "State[0]; vm 10 0 0; sleep 80000"]

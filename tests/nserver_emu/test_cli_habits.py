@@ -16,6 +16,8 @@ from wire_client import WireClient
 
 from nserver_emu import cli
 
+pytestmark = pytest.mark.long
+
 END_S = 20
 
 

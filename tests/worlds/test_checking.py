@@ -9,6 +9,8 @@ from worlds.checking import Limits, findings, space
 from worlds.files import load_world, world_names
 from worlds.world import Polygon, StartPose, World
 
+pytestmark = pytest.mark.long
+
 RADIUS_IN = 9.0
 OUTLINE = Polygon(((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0)))
 

@@ -11,6 +11,8 @@ import pytest
 from nclient import cli
 from worlds.calibration import Calibration, calibration_text, load_calibration
 
+pytestmark = pytest.mark.long
+
 SMOOTH = "0.01,0.01,0.0003"
 SETUP = """
 base = "{base}"

@@ -18,6 +18,8 @@ from localization.experiments.trial import Runs, run
 from localization.measurement import meet, range_jacobian, rays, sight, wall_map
 from localization.motion import transition
 
+pytestmark = pytest.mark.long
+
 
 def short_course(filtered: bool = True) -> Course:
     """The first inches of figure 5.4, at the speed of 5.6."""

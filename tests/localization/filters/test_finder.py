@@ -22,6 +22,8 @@ from nclient.robot_state import Pose
 from worlds.bodies import N150
 from worlds.files import load_world
 
+pytestmark = pytest.mark.long
+
 ROOM = Surroundings(load_world("several_walls").walls, N150, QUIET, ConeModel(), clearance_in=N150.radius_in)
 SQUARE = Surroundings(load_world("thesis_room").walls, N150, QUIET, ConeModel(), clearance_in=N150.radius_in)
 START = (30.0, 60.0, 0.3)

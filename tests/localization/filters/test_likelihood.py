@@ -13,6 +13,8 @@ from localization.measurement import WIRE_SONAR
 from worlds.bodies import N150
 from worlds.files import load_world
 
+pytestmark = pytest.mark.long
+
 ROOM = load_world("several_walls").walls
 RAYS = RayLikelihood(ROOM, N150, WIRE_SONAR)
 CONES = ConeLikelihood(ROOM, N150, ConeModel())

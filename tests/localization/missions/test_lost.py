@@ -16,6 +16,8 @@ from localization.missions.settings import OnLost, Settings
 from localization.watch import Trust
 from nclient.robot_state import Pose
 
+pytestmark = pytest.mark.long
+
 MakeHelm = Callable[..., Helm]
 
 

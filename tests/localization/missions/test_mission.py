@@ -16,6 +16,8 @@ from localization.missions.running import run_mission
 from localization.missions.settings import Settings
 from nclient.errors import ConnectionLost, NomadError
 
+pytestmark = pytest.mark.long
+
 MakeHelm = Callable[..., Helm]
 BOX = [(36.0, -6.0), (44.0, -6.0), (44.0, 6.0), (36.0, 6.0)]
 

@@ -23,6 +23,8 @@ from nclient.robot_state import RobotState
 from worlds.bodies import N150
 from worlds.files import load_world
 
+pytestmark = pytest.mark.long
+
 WALLS = np.array(load_world("several_walls").walls)
 PLANNER = Planner(WALLS, N150.radius_in)
 WIDE = Planner(np.array(load_world("thesis_room").walls), N150.radius_in)

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 from nserver_emu.server.collision import Arc, Hit, arc_hit, line_hit
 
+pytestmark = pytest.mark.long
+
 GRID = st.integers(-40, 40)
 WALL = st.tuples(GRID, GRID, GRID, GRID).filter(lambda w: w[:2] != w[2:])
 WALLS = st.lists(WALL, min_size=1, max_size=6)

@@ -25,6 +25,8 @@ from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
 from worlds.world import StartPose
 
+pytestmark = pytest.mark.long
+
 GS = language.tcp_request(Call("gs"))
 
 

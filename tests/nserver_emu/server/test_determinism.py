@@ -15,6 +15,8 @@ from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
 
+pytestmark = pytest.mark.long
+
 REPLIES = 10_000
 SCRIPT = Path(__file__).with_name("lockstep_run.py")
 

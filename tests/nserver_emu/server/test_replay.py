@@ -40,6 +40,8 @@ from nserver_emu.server.talker import REQUESTS_A_TURN
 from worlds.files import load_world
 from worlds.writing import world_text
 
+pytestmark = pytest.mark.long
+
 LOCKSTEP = Beginning(Setting(noisy=True, seed=5), Pace(lockstep_s=0.1), Allowed())
 THREE = Setting(
     world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, setup="measured",

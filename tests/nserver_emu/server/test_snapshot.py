@@ -17,6 +17,8 @@ from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.setting import Setting
 from worlds.world import StartPose
 
+pytestmark = pytest.mark.long
+
 BOX = (4, 400, -100, 600, -100, 600, 100, 400, 100)
 
 

@@ -21,6 +21,8 @@ from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.world import Polygon, StartPose, World
 
+pytestmark = pytest.mark.long
+
 TOUCHING = 2.0 * N150.body.radius_in
 TOUCHING_N200 = N150.body.radius_in + N200.body.radius_in
 

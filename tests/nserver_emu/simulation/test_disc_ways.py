@@ -20,6 +20,8 @@ from worlds.bodies import N150
 from worlds.geometry import FloatArray
 from worlds.world import StartPose, World
 
+pytestmark = pytest.mark.long
+
 MODEL = Polaroid()
 ROUND = replace(MODEL, skin_loss_db=inf, margin_std_db=0.0)
 """Discs as smooth mirrors only."""

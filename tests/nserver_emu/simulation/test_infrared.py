@@ -13,6 +13,8 @@ from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sighting import Eye, Sighting
 from worlds.bodies import N200
 
+pytestmark = pytest.mark.long
+
 HERE = Eye(0.0, 0.0, 0.0)
 ALL = tuple(range(16))
 

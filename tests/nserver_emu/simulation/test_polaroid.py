@@ -17,6 +17,8 @@ from nserver_emu.simulation.sonar import SonarRing
 from worlds.bodies import N150
 from worlds.geometry import FloatArray, nearest_points
 
+pytestmark = pytest.mark.long
+
 MODEL = Polaroid()
 LOUD = replace(MODEL, margin_db=1e6, edge_loss_db=inf)
 """Hears every way off walls, and no edge."""

@@ -11,6 +11,8 @@ from localization.experiments.lost import trial
 from localization.experiments.lost.trial import Case, Kind, drive
 from localization.watch import Watch
 
+pytestmark = pytest.mark.long
+
 EXACT = Case(Kind.CALM, "several_walls", SCENARIOS["exact"], 3, 12.0)
 
 
