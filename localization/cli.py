@@ -67,7 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
                         help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
-                             "with bad readings among them (default: rays of a simulation, cones of a robot)")
+                             "with bad readings among them (default: as the setup of a sim: address has them, rays of "
+                             "other simulations, cones of a robot)")
     parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
                              "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
@@ -155,7 +156,7 @@ def _drive(
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
     errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
     belief = resuming.belief(options, world, state) or _at_the_start(options, state, errs)
-    done.sonars = taken(options.sonars, simulated)
+    done.sonars = taken(options.sonars, simulated, options.address)
     sonar = WIRE_SONAR if done.sonars.rays else ConeModel()
     if done.sonars.line():
         print(done.sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)

@@ -29,6 +29,7 @@ from localization.measurement import WIRE_SONAR
 from localization.planning.course import waypoints
 from localization.planning.roadmap import Roadmap
 from localization.readers import noise, numbers, opened, pose, positive, stds
+from localization.sonars_taken import taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient import Robot
 from worlds.bodies import BODIES
@@ -76,7 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="exact rays or a real ring's cones (default: rays of a simulation, cones of a robot)")
+                        help="exact rays or a real ring's cones (default: as the setup of a sim: address has them, rays "
+                             "of other simulations, cones of a robot)")
     parser.add_argument("--time-limit", type=positive, default=3600.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")  # fmt: skip
@@ -86,7 +88,10 @@ def run(options: argparse.Namespace) -> int:
     """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
     world = load_world(options.world)
     robot, simulated = opened(options.address)
-    fit = Fit(rays=options.sonars == "rays" if options.sonars else simulated)
+    sonars = taken(options.sonars, simulated, options.address)
+    fit = Fit(sonars.rays)
+    if sonars.line():
+        print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     with robot:
         made = _drive(robot, world, options, fit)
     if made is None:

@@ -53,7 +53,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="how readings are understood (default: rays of a simulation, cones of a robot)")
+                        help="how readings are understood (default: as the setup of a sim: address has them, rays of other "
+                             "simulations, cones of a robot)")
     parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, as in `nomad localize`")
     parser.add_argument("--method", choices=METHODS, default=METHOD,
@@ -102,7 +103,7 @@ def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]
         belief = with_constants(
             independent([state.x_in, state.y_in, state.steering_rad], options.start_std), options.scale_std
         )
-        sonars = taken(options.sonars, simulated)
+        sonars = taken(options.sonars, simulated, options.address)
         if sonars.line():
             print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
         body = BODIES[options.body or robot.model.name]
