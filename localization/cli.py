@@ -17,6 +17,7 @@ from pathlib import Path
 
 from localization import resuming
 from localization.belief import Belief, independent
+from localization.body_taken import body_of
 from localization.calibrated import with_wheels
 from localization.cone import ConeModel
 from localization.filters.table import DEFAULT_METHOD, METHODS, finder
@@ -57,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
-    parser.add_argument("--body", choices=sorted(BODIES), help="the robot's model (default: as its address says)")
+    parser.add_argument("--body", choices=sorted(BODIES),
+                        help="the robot's model, where its address does not tell it (default n150)")
     parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
                         help="top speed in in/s (default %(default)s)")
     parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
@@ -107,9 +109,9 @@ def run(options: argparse.Namespace) -> int:
         require_matplotlib()
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
-    options.body = options.body or robot.model.name
     done = Run(points)
     with robot:
+        options.body = body_of(options.body, robot.model.name, options.address)
         try:
             _drive(robot, world, done, options, simulated, publisher)
         except (KeyboardInterrupt, Left):

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from localization.belief import independent
+from localization.body_taken import body_of
 from localization.calibration.estimator import CalibratingFilter
 from localization.calibration.fit import Fit
 from localization.calibration.found import calibration_in, table
@@ -61,7 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="where the robot stands now, inches and degrees (default: what its encoders say)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.5,0.5,1.15)")
-    parser.add_argument("--body", choices=sorted(BODIES), default="n150", help="the robot's model (default n150)")
+    parser.add_argument("--body", choices=sorted(BODIES),
+                        help="the robot's model, where its address does not tell it (default n150)")
     parser.add_argument("--square", type=_square, metavar="X,Y,SIDE",
                         help="the square: lower left corner and side in inches (default: the largest with room)")
     parser.add_argument("--laps", type=_count, metavar="N",
@@ -77,8 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="exact rays or a real ring's cones (default: as the setup of a sim: address has them, rays "
-                             "of other simulations, cones of a robot)")
+                        help="exact rays or a real ring's cones (default: as the setup of a sim: address has them, "
+                             "rays of other simulations, cones of a robot)")
     parser.add_argument("--time-limit", type=positive, default=3600.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")  # fmt: skip
@@ -93,6 +95,7 @@ def run(options: argparse.Namespace) -> int:
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     with robot:
+        options.body = body_of(options.body, robot.model.name, options.address)
         made = _drive(robot, world, options, fit)
     if made is None:
         print(f"given up after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit")
