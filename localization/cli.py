@@ -17,6 +17,7 @@ from pathlib import Path
 
 from localization import resuming
 from localization.belief import Belief, independent
+from localization.body_taken import body_of
 from localization.calibrated import with_wheels
 from localization.cone import ConeModel
 from localization.filters.table import DEFAULT_METHOD, METHODS, finder
@@ -57,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
-    parser.add_argument("--body", choices=sorted(BODIES), help="the robot's model (default: as its address says)")
+    parser.add_argument("--body", choices=sorted(BODIES),
+                        help="the robot's model, where its address does not tell it (default n150)")
     parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
                         help="top speed in in/s (default %(default)s)")
     parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
@@ -67,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
                         help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
-                             "with bad readings among them (default: rays of a simulation, cones of a robot)")
+                             "with bad readings among them (default: as the setup of a sim: address has them, rays of "
+                             "other simulations, cones of a robot)")
     parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
                              "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
@@ -106,9 +109,9 @@ def run(options: argparse.Namespace) -> int:
         require_matplotlib()
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
-    options.body = options.body or robot.model.name
     done = Run(points)
     with robot:
+        options.body = body_of(options.body, robot.model.name, options.address)
         try:
             _drive(robot, world, done, options, simulated, publisher)
         except (KeyboardInterrupt, Left):
@@ -155,7 +158,7 @@ def _drive(
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
     errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
     belief = resuming.belief(options, world, state) or _at_the_start(options, state, errs)
-    done.sonars = taken(options.sonars, simulated)
+    done.sonars = taken(options.sonars, simulated, options.address)
     sonar = WIRE_SONAR if done.sonars.rays else ConeModel()
     if done.sonars.line():
         print(done.sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)

@@ -1,16 +1,24 @@
-"""What --sonars left out comes to: rays of a simulation, cones of a robot; said aloud, and doubted by what is heard.
+"""What --sonars left out comes to: what the robot is, where that can be known; else a guess that is said and doubted.
 
-A simulation does not tell whether its sonars are rays (setups ideal, noisy) or a real ring's cones (setup measured), so
-rays are a guess. Rules: values and words; whether readings fit is calibration's fit to say.
+    sim:                as its setup hears: exact rays (ideal, noisy, worn) or a real ring's cones (measured)
+    other simulations   rays, for a server does not tell its setup: a guess, said aloud, doubted by what is heard
+    robots              cones
+
+Rules: values and words; a setup is read from the address and its file alone. Whether readings fit is calibration's fit
+to say.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from localization.calibration.fit import Fit
 from localization.localizer import Echo
+from nclient.address import parsed
+from nclient.connect import address_or_default
 
 FEWEST: Final = 30
 """Of fewer readings chance alone makes a bad fit."""
@@ -30,11 +38,37 @@ class Taken(NamedTuple):
 
 
 AS_CONES: Final = Taken(rays=False, guessed=False)
+SIMULATION: Final = "sim"
+RING_SETUPS: Final = ("measured",)
+"""The named setups whose sonars hear like a real ring."""
+RING_MODEL: Final = "polaroid"
+"""What a setup's file calls such sonars."""
 
 
-def taken(option: str | None, simulated: bool) -> Taken:
-    """By the option `--sonars` (rays, cones or left out) and what is at the other end."""
-    return Taken(simulated if option is None else option == "rays", option is None)
+def taken(option: str | None, simulated: bool, address: str | None = None) -> Taken:
+    """By the option `--sonars` (rays, cones or left out), what is at the other end, and its address (None: the
+    default's)."""
+    if option is not None:
+        return Taken(option == "rays", guessed=False)
+    told = rays_told_by(address_or_default(address))
+    return Taken(simulated, guessed=True) if told is None else Taken(told, guessed=False)
+
+
+def rays_told_by(address: str) -> bool | None:
+    """Whether an address says that sonars are exact rays; None where it says nothing of it."""
+    there = parsed(address)
+    if there.scheme != SIMULATION:
+        return None
+    setup = there.options.get("setup", "")
+    if not setup.endswith(".toml"):
+        return setup not in RING_SETUPS
+    try:
+        values: dict[str, Any] = tomllib.loads(Path(setup).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return None
+    sonar = values.get("sonar", {})
+    model = sonar.get("model") if isinstance(sonar, dict) else None
+    return values.get("base") not in RING_SETUPS if model is None else model != RING_MODEL
 
 
 def hint(sonars: Taken, echoes: Iterable[Echo]) -> str:

@@ -12,20 +12,25 @@ import sys
 import time
 from dataclasses import asdict, astuple
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from localization.belief import independent
+from localization.body_taken import body_of
 from localization.calibration.estimator import CalibratingFilter
 from localization.calibration.fit import Fit
 from localization.calibration.found import calibration_in, table
 from localization.calibration.guided import run as guided
+from localization.calibration.precision import missing, noise_in
+from localization.calibration.rounds import Rounds
 from localization.calibration.square import Driver, Go, NoSquareError, Square, Task, is_clear, largest_square, tasks
 from localization.cone import ConeModel
 from localization.measurement import WIRE_SONAR
 from localization.planning.course import waypoints
 from localization.planning.roadmap import Roadmap
 from localization.readers import noise, numbers, opened, pose, positive, stds
+from localization.sonars_taken import taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient import Robot
 from worlds.bodies import BODIES
@@ -37,6 +42,7 @@ START_STD = (0.5, 0.5, 0.02)
 """How well the robot is placed at the start: inches, inches, radians."""
 TOLD_EVERY_S = 10.0
 UNFIT = 4
+MOST_LAPS = 8
 SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 
@@ -56,10 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="where the robot stands now, inches and degrees (default: what its encoders say)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.5,0.5,1.15)")
-    parser.add_argument("--body", choices=sorted(BODIES), default="n150", help="the robot's model (default n150)")
+    parser.add_argument("--body", choices=sorted(BODIES),
+                        help="the robot's model, where its address does not tell it (default n150)")
     parser.add_argument("--square", type=_square, metavar="X,Y,SIDE",
                         help="the square: lower left corner and side in inches (default: the largest with room)")
-    parser.add_argument("--laps", type=_count, default=2, metavar="N", help="laps each way (default %(default)s)")
+    parser.add_argument("--laps", type=_count, metavar="N",
+                        help="laps each way (default: until all is known to a thirtieth of itself, or of what is "
+                             f"typical, but {MOST_LAPS} at most)")
     parser.add_argument("--spins", type=_count, default=1, metavar="N",
                         help="full turns on the spot at each corner, for the turn's scale (default %(default)s)")
     parser.add_argument("--speed", type=positive, default=SPEED_IN_S, metavar="IN_S",
@@ -70,7 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="exact rays or a real ring's cones (default: rays of a simulation, cones of a robot)")
+                        help="exact rays or a real ring's cones (default: as the setup of a sim: address has them, "
+                             "rays of other simulations, cones of a robot)")
     parser.add_argument("--time-limit", type=positive, default=3600.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")  # fmt: skip
@@ -80,34 +90,48 @@ def run(options: argparse.Namespace) -> int:
     """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
     world = load_world(options.world)
     robot, simulated = opened(options.address)
-    fit = Fit(rays=options.sonars == "rays" if options.sonars else simulated)
+    sonars = taken(options.sonars, simulated, options.address)
+    fit = Fit(sonars.rays)
+    if sonars.line():
+        print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     with robot:
-        found = _drive(robot, world, options, fit)
-    if found is None:
+        options.body = body_of(options.body, robot.model.name, options.address)
+        made = _drive(robot, world, options, fit)
+    if made is None:
         print(f"given up after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit")
         print(fit.line())
         return 3
+    found, laps = made
     if not options.json:
-        print(f"{table(found)}\n{fit.line()}")
+        print(f"{table(found)}\n{_verdict(found, fit, laps)}")
     if not fit.good:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return UNFIT
     if options.out:
-        said = f"nomad calibrate, in {world.name}: {options.laps} laps each way, {options.spins} turns a corner"
+        said = f"nomad calibrate, in {world.name}: {laps} laps each way, {options.spins} turns a corner"
         options.out.write_text(calibration_text(options.body, found, said), encoding="utf-8")
     if options.json:
-        print(json.dumps({**asdict(found), "nis": fit.nis, "refused_share": fit.refused_share}))
+        print(json.dumps({**asdict(found), "nis": fit.nis, "refused_share": fit.refused_share, "laps": laps,
+                          "known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}))  # fmt: skip
     return 0
 
 
-def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) -> Calibration | None:
+def _drive(
+    robot: Robot, world: World, options: argparse.Namespace, fit: Fit
+) -> tuple[Calibration, int] | None:
+    """What was found, and in how many laps each way; None where time ran out."""
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
     body = BODIES[options.body]
     known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeModel())
     method = CalibratingFilter(known, independent(np.array(start), options.start_std))
-    driver = Driver(_tasks(world, body.radius_in, start, options), options.speed, math.radians(options.turn_speed))
+    square = _square_of(world, body.radius_in, start, options)
+    first = _tasks(world, body.radius_in, start, square, options)
+    again = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
+    rounds = Rounds(again, 1 if options.laps is not None else MOST_LAPS,
+                    lambda: not (fit.good and missing(calibration_in(method.belief))))  # fmt: skip
+    driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), rounds.more)
     told_s = began_s = state.clock_s or 0.0
     for progress in guided(robot, known, method, driver, time.sleep):
         clock_s = progress.estimate.clock_s
@@ -117,19 +141,42 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) ->
         if not options.json and clock_s >= told_s + TOLD_EVERY_S:
             told_s = clock_s
             print(_line(clock_s - began_s, driver, calibration_in(method.belief)), flush=True)
-    return calibration_in(method.belief)
+    return calibration_in(method.belief), rounds.begun if options.laps is None else options.laps
 
 
-def _tasks(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> list[Task]:
-    """To the square, and round it. Raises NoSquareError, or NoWayError where there is no way to it."""
-    here = (start[0], start[1])
-    square = options.square or largest_square(world, radius_in, here)
+class _First(NamedTuple):
+    """The way to the square and the first laps; the corner where those begin and end."""
+
+    tasks: list[Task]
+    corner: Go
+
+
+def _square_of(world: World, radius_in: float, start: tuple[float, ...], options: argparse.Namespace) -> Square:
+    """The one asked for, or the largest. Raises NoSquareError."""
+    square: Square = options.square or largest_square(world, radius_in, (start[0], start[1]))
     if not is_clear(square, world, radius_in):
         raise NoSquareError(f"the square {tuple(square)} comes too near to walls: choose another, or leave it out")
-    first, *rest = tasks(square, here, options.laps, options.spins)
-    assert isinstance(first, Go)
-    way = Roadmap(world.walls, radius_in).path(here, (first.x_in, first.y_in))
-    return [*(Go(*point) for point in waypoints(way)), *rest]
+    return square
+
+
+def _tasks(
+    world: World, radius_in: float, start: tuple[float, ...], square: Square, options: argparse.Namespace
+) -> _First:
+    """To the square, and round it. Raises NoWayError where there is no way to it."""
+    here = (start[0], start[1])
+    corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
+    assert isinstance(corner, Go)
+    way = Roadmap(world.walls, radius_in).path(here, (corner.x_in, corner.y_in))
+    return _First([*(Go(*point) for point in waypoints(way)), *rest], corner)
+
+
+def _verdict(found: Calibration, fit: Fit, laps: int) -> str:
+    """How far it is to be believed, in words."""
+    short = missing(found)
+    if not short or not fit.good:
+        return fit.line()
+    told = f"after {laps} laps each way {', '.join(short)} could be known better: more --laps, or a larger room"
+    return f"{told}\n{fit.line()}"
 
 
 def _line(passed_s: float, driver: Driver, found: Calibration) -> str:

@@ -7,7 +7,8 @@
 
 A range grows by the offsets one for one, and by the ring's turn as by the heading: only where the turn puts the ring,
 not where the robot then drives. So the ring's turn is told from the heading by driving, one sonar's offset from
-another's by turning the ring, the offset of all from the way by walls on both sides.
+another's by turning the ring, the offset of all from the way by walls on both sides. Of a real ring, whose ranges
+hardly depend on the angle, its turn is told by which walls its sonars hear at all (aim).
 
 Rules: a Filter (filters.method). What a reading may be of is a sense's to say; mixture of hypotheses as in mixture.py,
 with derivatives by the longer state.
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import radians
+from math import radians, sqrt
 from typing import Final
 
 import numpy as np
@@ -25,6 +26,7 @@ import numpy.typing as npt
 
 from localization import chi_square
 from localization.belief import HEADING, Belief, Floats, add
+from localization.calibration.aim import Aiming, Look
 from localization.cone import ConeModel
 from localization.filters.method import Judgement
 from localization.filters.sense import Sense, sense_of
@@ -62,6 +64,9 @@ class CalibratingFilter:
         self._lowest_in, self._highest_in = known.sonar.lowest_in, known.sonar.highest_in
         self._variance: Callable[[Floats], Floats] = known.sonar.variance
         self._sense = _tolerant(known.walls, known)
+        self._aiming = None
+        if isinstance(known.sonar, ConeModel):
+            self._aiming = Aiming(known.walls, known.body, known.sonar)
         self._threshold = chi_square.quantile(GATE_PROBABILITY, 1)
 
     @property
@@ -85,6 +90,8 @@ class CalibratingFilter:
 
     def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
         """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
+        if reading_in > self._lowest_in:
+            self._aim(sonar, turret_offset_rad, reading_in)
         if not self._lowest_in < reading_in < self._highest_in:
             return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
         mean = self.belief.mean
@@ -125,6 +132,24 @@ class CalibratingFilter:
         best = int(np.argmax(share))
         refusal = Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
         return Judgement(refusal, float(innovation[best]), float(nis[best]), bad_share)
+
+    def _aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
+        """What is heard at all tells where the sonar looks: heading and ring together."""
+        mean, cov = self.belief.mean, self.belief.cov
+        pull = cov[:, HEADING] + cov[:, RING_TURN]
+        variance = float(pull[HEADING] + pull[RING_TURN])
+        if self._aiming is None or variance <= 0.0:
+            return
+        offset = [OFFSET, OWN + sonar]
+        read_in = reading_in if reading_in >= self._highest_in else reading_in - float(mean[offset].sum())
+        spread_in2 = float(cov[0, 0] + cov[1, 1] + cov[np.ix_(offset, offset)].sum())
+        x, y, heading = mean[:POSE].tolist()
+        ring_rad = turret_offset_rad + float(mean[RING_TURN])
+        off_rad, share = self._aiming.after(
+            Look((x, y, heading), sonar, ring_rad, sqrt(variance), read_in, spread_in2)
+        )
+        gain = pull / variance
+        self.belief = Belief(add(mean, gain * off_rad), cov - np.outer(gain, pull) * (1.0 - share))
 
     def _looking(self) -> Belief:
         """The belief over where the robot is and where its ring looks: the heading as uncertain as both together."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from localization.belief import Belief
 from localization.calibration.estimator import OFFSET, OWN, RING_TURN, SIZE
+from localization.calibration.precision import numbers
 from localization.systematic import Constant
 from worlds.calibration import Calibration, Spread
 
@@ -35,18 +36,20 @@ def calibration_in(belief: Belief) -> Calibration:
 
 
 def table(found: Calibration) -> str:
-    """For people: each number with its standard deviation."""
+    """For people: each number with its standard deviation, and how well that is known of what it is."""
     return "\n".join(_rows(found))
 
 
 def _rows(found: Calibration) -> Iterator[str]:
-    spread = found.spread
+    way, turn, drift, ring, *sonars = numbers(found)
     yield f"{'':24}{'found':>12}{'± std':>12}"
-    yield f"{'way, true / counted':24}{found.way_scale:12.4f}{spread.way_scale:12.4f}"
-    yield f"{'turn, true / counted':24}{found.turn_scale:12.4f}{spread.turn_scale:12.4f}"
-    yield f"{'drift, rad/in':24}{found.drift_rad_in:12.5f}{spread.drift_rad_in:12.5f}"
-    yield f"{'ring turned, deg':24}{degrees(found.turned_rad):12.2f}{degrees(spread.turned_rad):12.2f}"
-    for sonar, (offset, std) in enumerate(zip(found.offsets_in, spread.offsets_in, strict=True)):
-        yield f"{f'sonar {sonar:2d} reads more, in':24}{offset:12.2f}{std:12.2f}"
+    yield _row("way, true / counted", 1.0 + way.off, way.std, 4, way.words)
+    yield _row("turn, true / counted", 1.0 + turn.off, turn.std, 4, turn.words)
+    yield _row("drift, rad/in", drift.off, drift.std, 5, drift.words)
+    yield _row("ring turned, deg", degrees(ring.off), degrees(ring.std), 2, ring.words)
+    for sonar in sonars:
+        yield _row(f"sonar {sonar.name.removeprefix('sonar '):>2} reads more, in", sonar.off, sonar.std, 2, sonar.words)
 
 
+def _row(name: str, value: float, std: float, places: int, words: str) -> str:
+    return f"{name:24}{value:12.{places}f}{std:12.{places}f}   {words}"

@@ -10,7 +10,7 @@ Ways are long and turns many, both ways round: errors of scale add up, those tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import cos, hypot, pi, tau
 from typing import Final, NamedTuple
 
@@ -121,10 +121,12 @@ def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> l
 
 
 class Driver:
-    """From task to task."""
+    """From task to task. `more`: asked for tasks when all are done, until there are none."""
 
-    def __init__(self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float) -> None:
-        self._tasks = list(tasks)
+    def __init__(
+        self, tasks: Sequence[Task], speed_in_s: float, turn_rad_s: float, more: Callable[[], Sequence[Task]] = tuple
+    ) -> None:
+        self._tasks, self._more = list(tasks), more
         self._speed_in_s, self._turn_rad_s = speed_in_s, turn_rad_s
         self.done = 0
         """How many tasks are behind."""
@@ -134,7 +136,7 @@ class Driver:
 
     @property
     def count(self) -> int:
-        """How many tasks there are."""
+        """How many tasks are known of by now."""
         return len(self._tasks)
 
     def command(self, pose: Floats) -> Command | None:
@@ -149,6 +151,8 @@ class Driver:
                 return command
             self.done += 1
             self._aimed, self._turned_rad = False, 0.0
+            if self.done == len(self._tasks):
+                self._tasks += self._more()
         return None
 
     def _spin(self, task: Spin) -> Command | None:

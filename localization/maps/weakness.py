@@ -2,11 +2,14 @@
 
     J     the Fisher information about (x, y, heading) of one round of all sixteen sonars from there, the mean over
           HEADINGS directions of the ring within its symmetry of 22.5 degrees
-    P'    = ((P + Q)^-1 + J)^-1      ROUNDS times from START_STD (Tichavsky, Muravchik, Nehorai 1998, F = I)
-    Q     what the odometry loses from one round to the next at `speed_in_s`, in no direction more than another
+    P'    = ((F P F' + Q)^-1 + J)^-1     ROUNDS times from START_STD (Tichavsky, Muravchik, Nehorai 1998)
+    F     the motion's derivative: on the way of a round an error of the heading becomes one of the place, aside
+    Q     what the odometry loses on that way at `speed_in_s`
 
-The bound is of a robot that drives about there for a minute and a half: no filter without bias can know its place
-better, and a good one comes near. What the ring cannot see, such as the way along a corridor, grows with the way.
+The bound is of a robot that drives straight on for a minute and a half, through a room that looks all the way as it
+does from there: no filter without bias can know its place or its heading better, whichever of WAYS directions it
+drives, and a good one comes near. Driving tells the heading, which ranges alone tell badly. What the ring cannot see,
+such as the way along a corridor, grows with the way.
 
 Rules: pure. Rays count where they meet a wall steeply enough and within range; cones by the chance of each echo.
 """
@@ -23,12 +26,13 @@ from localization.belief import HEADING, Floats
 from localization.cone import ConeModel, Ear, cone_returns
 from localization.gating import STRICT
 from localization.measurement import SonarModel, SonarRing, WallMap, meet, range_jacobian, rays, ring, sight, wall_map
-from localization.motion import OdometryNoise
+from localization.motion import OdometryNoise, step_jacobian, step_variance
 from localization.reflectors import Reflectors, reflectors
 from localization.surroundings import Surroundings
 from worlds.bodies import SONARS
 
 HEADINGS: Final = 4
+WAYS: Final = 8
 ROUNDS: Final = 100
 ROUND_S: Final = 0.96
 START_STD: Final = (24.0, 24.0, 0.5)
@@ -36,44 +40,50 @@ _HEADING_STD_RAD: Final = 0.01
 
 
 class Weakness(NamedTuple):
-    """Of n places (n, 2) in inches: the bound `cov` (n, 3, 3)."""
+    """Of n places (n, 2) in inches: the bound `cov` (n, 3, 3) on the way on which the place is known best, and standard
+    deviations `heading_rad` (n,) on that on which the heading is."""
 
     places: Floats
     cov: Floats
+    heading_rad: Floats
 
     @property
     def worst_in(self) -> Floats:
         """Standard deviations (n,) of the position along its worst direction, inches."""
-        worst: Floats = np.sqrt(np.linalg.eigvalsh(self.cov[:, :HEADING, :HEADING])[:, -1])
-        return worst
-
-    @property
-    def heading_rad(self) -> Floats:
-        """Standard deviations (n,) of the heading, radians."""
-        std: Floats = np.sqrt(self.cov[:, HEADING, HEADING])
-        return std
+        return _worst_in(self.cov)
 
 
 def weakness(known: Surroundings, places: Floats, speed_in_s: float = 5.0) -> Weakness:
     """The bound at places (n, 2), inches."""
     information = np.mean([_of_round(known, places, turned) for turned in _turns()], axis=0)
-    lost = _lost(known.odometry, speed_in_s * ROUND_S)
-    precision: Floats = np.tile(np.diag(1.0 / np.square(START_STD)), (len(places), 1, 1))
+    ways = np.arange(WAYS) * (tau / WAYS)
+    covs = np.stack([_driven(known.odometry, information, speed_in_s * ROUND_S, way_rad) for way_rad in ways])
+    best = np.argmin(_worst_in(covs), axis=0)
+    heading: Floats = np.sqrt(covs[..., HEADING, HEADING].min(axis=0))
+    return Weakness(places, covs[best, np.arange(len(places))], heading)
+
+
+def _driven(odometry: OdometryNoise, information: Floats, way_in: float, way_rad: float) -> Floats:
+    """P (n, 3, 3) after ROUNDS of `way_in` in a direction, each of which tells `information` (n, 3, 3)."""
+    step = np.array([way_in, 0.0])
+    by_pose, by_step = step_jacobian(np.array([0.0, 0.0, way_rad]), step)
+    lost = (by_step * step_variance(step, odometry)) @ by_step.T
+    cov: Floats = np.tile(np.diag(np.square(START_STD)), (len(information), 1, 1))
     for _ in range(ROUNDS):
-        precision = np.linalg.inv(np.linalg.inv(precision) + lost) + information
-    cov = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-    return Weakness(places, 0.5 * (cov + cov.swapaxes(-1, -2)))
+        cov = np.linalg.inv(np.linalg.inv(by_pose @ cov @ by_pose.T + lost) + information)
+        cov = 0.5 * (cov + cov.swapaxes(-1, -2))
+    return cov
+
+
+def _worst_in(covs: Floats) -> Floats:
+    """Standard deviations (...) of the position along its worst direction, of covariances (..., 3, 3)."""
+    worst: Floats = np.sqrt(np.linalg.eigvalsh(covs[..., :HEADING, :HEADING])[..., -1])
+    return worst
 
 
 def _turns() -> Floats:
     turns: Floats = np.arange(HEADINGS, dtype=np.float64) * (tau / SONARS / HEADINGS)
     return turns
-
-
-def _lost(odometry: OdometryNoise, way_in: float) -> Floats:
-    """Q (3, 3) of a way in any direction."""
-    place = odometry.translation_std**2 * way_in / 2.0
-    return np.diag([place, place, odometry.drift_std**2 * way_in])
 
 
 def _of_round(known: Surroundings, places: Floats, heading_rad: float) -> Floats:

@@ -246,16 +246,25 @@ class Mission:
     def _dock(self, place: Point, heading_rad: float) -> None:
         before = place[0] - DOCK_IN * cos(heading_rad), place[1] - DOCK_IN * sin(heading_rad)
         self._drive([before], heading_rad, 1.0)
-        pose: Floats = self._helm.sight.estimate.pose
-        way = straight((float(pose[0]), float(pose[1])), place)
-        follower = Follower([Stretch((way,))], self._helm.limits.capped(DOCK_IN_S))
-        while not follower.finished and not self._helm.sight.state.touching:
-            self._helm.period(follower.command(self._helm.sight.estimate.pose))
-        self._halt()
+        while not self._drive_in(place):
+            self._find_again(self._helm.sight.estimate.verdict.reason)
+            self._drive([before], heading_rad, 1.0)
         x, y, _ = self._helm.sight.estimate.pose
         off = hypot(x - place[0], y - place[1])
         if off > 1.0 + 2.0 * DOCKED_IN:
             raise StepFailed("touched", f"touched something {off:.1f} in before the dock")
+
+    def _drive_in(self, place: Point) -> bool:
+        """The last foot into a dock, until there or touching; False where the robot is LOST on it."""
+        pose: Floats = self._helm.sight.estimate.pose
+        way = straight((float(pose[0]), float(pose[1])), place)
+        follower = Follower([Stretch((way,))], self._helm.limits.capped(DOCK_IN_S))
+        while not follower.finished and not self._helm.sight.state.touching:
+            if self._helm.sight.estimate.verdict.trust is Trust.LOST:
+                break
+            self._helm.period(follower.command(self._helm.sight.estimate.pose))
+        self._halt()
+        return self._helm.sight.estimate.verdict.trust is not Trust.LOST
 
     def _find_again(self, reason: str) -> None:
         """On LOST: as the settings say; returns once the place is known. Raises MissionOver."""

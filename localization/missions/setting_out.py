@@ -15,6 +15,7 @@ from dataclasses import astuple
 from typing import Final, NamedTuple
 
 from localization.belief import independent
+from localization.body_taken import body_of
 from localization.cli import START_STD
 from localization.cone import ConeModel
 from localization.filters.table import METHODS
@@ -46,14 +47,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                              "(default: what they say)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
-    parser.add_argument("--body", choices=sorted(BODIES), help="the robot's model (default: the address')")
+    parser.add_argument("--body", choices=sorted(BODIES),
+                        help="the robot's model, where its address does not tell it (default n150)")
     parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
                         help="top speed in in/s (default %(default)s)")
     parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
                         help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="how readings are understood (default: rays of a simulation, cones of a robot)")
+                        help="how readings are understood (default: as the setup of a sim: address has them, rays of "
+                             "other simulations, cones of a robot)")
     parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, as in `nomad localize`")
     parser.add_argument("--method", choices=METHODS, default=METHOD,
@@ -93,6 +96,7 @@ def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]
     world = load_world(_map_of(options, map_name))
     robot, simulated = opened(options.address)
     with robot:
+        body = BODIES[body_of(options.body, robot.model.name, options.address)]
         state = robot.refresh()
         if options.start:
             x, y, heading = options.start
@@ -102,10 +106,9 @@ def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]
         belief = with_constants(
             independent([state.x_in, state.y_in, state.steering_rad], options.start_std), options.scale_std
         )
-        sonars = taken(options.sonars, simulated)
+        sonars = taken(options.sonars, simulated, options.address)
         if sonars.line():
             print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
-        body = BODIES[options.body or robot.model.name]
         known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if sonars.rays else ConeModel())
         with Helm(robot, known, body, belief, time.sleep, options.method, options.speed) as helm:
             out = SetOut(helm, robot, simulated, sonars, [])

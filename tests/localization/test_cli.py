@@ -251,8 +251,10 @@ def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.C
 
 
 def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """As of a server, which does not tell its setup."""
+    monkeypatch.setattr("localization.sonars_taken.rays_told_by", lambda _: None)
     assert localize(NOISY, *TO_GOAL) == 0
     told = capsys.readouterr().out
     assert told.startswith("sonars are taken for exact rays, this being a simulation (of setup measured: --sonars c")
@@ -267,3 +269,12 @@ def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
     assert "taken for" not in told
     assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
     assert json.loads(capsys.readouterr().out)["hint"] is None, "of few readings nothing is said"
+
+
+def test_a_measured_ring_has_cones_without_being_told(capsys: pytest.CaptureFixture[str]) -> None:
+    results = []
+    for words in ([], ["--sonars", "cones"]):
+        assert localize("sim:thesis_room?setup=measured&seed=1", *TO_GOAL, "--json", *words) == 0
+        results.append(json.loads(capsys.readouterr().out))
+    assert results[0] == results[1]
+    assert results[0]["hint"] is None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from localization.belief import independent
+from localization.calibration.aim import Aiming, Look
 from localization.calibration.estimator import CONSTANTS_STD, OFFSET, OWN, RING_TURN, SIZE, CalibratingFilter
 from localization.calibration.found import calibration_in, table
 from localization.cone import ConeModel
@@ -29,7 +30,8 @@ START = independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.01])
 NOTHING_BESIDES = (*CONSTANTS_STD[:3], *(0.0,) * (SIZE - 6))
 
 
-def test_with_faultless_sonars_it_is_the_kalman_filter_of_the_shorter_state() -> None:
+def test_with_faultless_sonars_it_is_the_kalman_filter_of_the_shorter_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Aiming, "after", lambda *_: (0.0, 1.0))
     chance = np.random.default_rng(4)
     for known in (RAYS, CONES):
         long = CalibratingFilter(known, START, NOTHING_BESIDES)
@@ -71,6 +73,39 @@ def test_its_gain_is_that_of_derivatives_by_finite_differences(sonar: int) -> No
     gain = before.cov @ slope / spread
     np.testing.assert_allclose(method.belief.mean - before.mean, gain * 0.2, rtol=1e-4, atol=1e-8)
     np.testing.assert_allclose(method.belief.cov, before.cov - np.outer(gain, gain) * spread, rtol=1e-4, atol=1e-8)
+
+
+def test_where_a_sonar_looks_is_that_of_heading_and_ring_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Conditioning on their sum, by the block formulas; what is not known to differ stays so."""
+    looks: list[Look] = []
+
+    def after(_: Aiming, look: Look) -> tuple[float, float]:
+        looks.append(look)
+        return 0.01, 0.25
+
+    monkeypatch.setattr(Aiming, "after", after)
+    method = CalibratingFilter(CONES, START)
+    before = method.belief
+    assert method.hear(3, 0.2, 255.0).refusal is Refusal.LIMIT
+    assert looks[0].std_rad == pytest.approx(np.hypot(0.01, CONSTANTS_STD[4]))
+    assert (looks[0].offset_rad, looks[0].reading_in) == (0.2, 255.0)
+    sum_of = np.zeros(SIZE)
+    sum_of[[2, RING_TURN]] = 1.0
+    change = method.belief.mean - before.mean
+    assert sum_of @ change == pytest.approx(0.01)
+    assert change[RING_TURN] / change[2] == pytest.approx(CONSTANTS_STD[4] ** 2 / 0.01**2)
+    assert sum_of @ method.belief.cov @ sum_of == pytest.approx(0.25 * sum_of @ before.cov @ sum_of)
+    pull = before.cov @ sum_of
+    np.testing.assert_allclose(
+        method.belief.cov, before.cov - 0.75 * np.outer(pull, pull) / (sum_of @ pull), rtol=1e-9, atol=1e-15
+    )
+    method.hear(3, 0.2, 40.0)
+    assert looks[1].reading_in == pytest.approx(40.0)
+    method.hear(3, 0.2, 6.0)
+    assert len(looks) == 2
+    sure = CalibratingFilter(CONES, independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.0]), NOTHING_BESIDES)
+    sure.hear(3, 0.2, 40.0)
+    assert len(looks) == 2
 
 
 def test_what_is_no_range_or_none_of_the_map_is_refused() -> None:
@@ -118,5 +153,5 @@ def test_it_finds_what_it_was_given_and_knows_how_well() -> None:
 def test_the_table_tells_every_number_with_its_spread() -> None:
     lines = table(calibration_in(CalibratingFilter(RAYS, START).belief)).splitlines()
     assert len(lines) == 5 + 16
-    assert lines[1].split() == ["way,", "true", "/", "counted", "1.0000", "0.0500"]
-    assert lines[-1].split()[-2:] == ["0.00", "2.06"]
+    assert lines[1].split() == ["way,", "true", "/", "counted", "1.0000", "0.0500", "within", "noise", "of", "zero"]
+    assert lines[-1].split()[-6:] == ["0.00", "2.06", "within", "noise", "of", "zero"]

@@ -8,12 +8,15 @@ from math import hypot, pi
 
 import pytest
 
+from localization.groping import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm, Sight
-from localization.missions.lost import DRIVE_IN_S, WAY_IN, _driving
+from localization.missions.lost import _searching
 from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
-from localization.watch import Trust
+from localization.navigation import PERIOD_S
+from localization.planning.following import Velocities
+from localization.watch import Trust, Verdict
 from nclient.robot_state import Pose
 
 pytestmark = pytest.mark.long
@@ -88,16 +91,42 @@ def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHel
     assert abs((truth.steering_rad + pi) % (2 * pi) - pi) < 0.15
 
 
-def test_a_search_drives_where_there_is_room_and_back_from_a_touch(helm_at: MakeHelm) -> None:
+def test_a_search_gropes_and_is_set_back_by_a_touch(helm_at: MakeHelm) -> None:
     helm = helm_at("thesis_room", "45,45,0,0")
-    commands = _driving(helm)
-    gone = [next(commands) for _ in range(3)]
-    assert {command.translation_in_s for command in gone} == {DRIVE_IN_S}
-    start = helm.sight.state.x_in
-    for command in commands:
+    groping, commands = Groping(PERIOD_S), _searching(helm)
+    for _ in range(round(LOOK_RAD / TURN_RAD_S / PERIOD_S) + 5):
+        command = next(commands)
+        assert tuple(command) == groping.command(helm.sight.state)
         helm.period(command)
-    assert helm.sight.state.x_in - start == pytest.approx(WAY_IN, abs=1.5)
-    touching = replace(helm.sight.state, raw=(*helm.sight.state.raw[:33], 1, *helm.sight.state.raw[34:]))
-    helm.sight = helm.sight._replace(state=touching)
-    back = [command.translation_in_s for command in _driving(helm)]
-    assert back == [0.0, *[-DRIVE_IN_S] * 15]
+    assert command.translation_in_s == DRIVE_IN_S
+    free = helm.sight
+    helm.sight = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
+    assert helm.sight.state.touching
+    back = [next(commands)]
+    helm.sight = free
+    back += [next(commands) for _ in range(14)]
+    assert back == [Velocities(-DRIVE_IN_S, 0.0)] * 15
+    assert next(commands) == Velocities(0.0, TURN_RAD_S)
+
+
+def test_lost_on_the_last_foot_into_a_dock_it_stands_and_begins_anew(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", "5,5,0,0")
+    mission = Mission(helm, Settings(on_lost=OnLost.STOP))
+    lost: list[Sight] = []
+
+    def on_the_last_foot(sight: Sight) -> None:
+        """For two seconds no place is believed, and the pose is that of nowhere."""
+        if sight.estimate.pose[0] > 41.0 and len(lost) < 20:
+            lost.append(sight)
+            nowhere = replace(sight.estimate, verdict=Verdict(Trust.LOST, "nothing fits"))
+            helm.sight = sight._replace(estimate=nowhere)
+
+    helm.watchers.insert(0, on_the_last_foot)
+    mission.dock(50, 5, 0)
+    assert len(lost) == 20
+    assert {sight.state.translation_in_s for sight in lost[10:]} == {0.0}
+    truth = helm.robot.truth()
+    assert hypot(truth.x_in - 50, truth.y_in - 5) < 1.0
+    words = [words for _, words in mission.report.steps[0].notes]
+    assert words[0] == "lost: nothing fits"
+    assert words[1].startswith("found again after")

@@ -1,0 +1,49 @@
+"""The calibration benchmark: one robot, little asked, and its sums."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import calibration
+import pytest
+
+
+def said(off: float) -> dict[str, Any]:
+    """A robot of which everything is found too large by that share, each known to a hundredth."""
+    true = calibration.robot(3)
+    stds = dict.fromkeys(("way_scale", "turn_scale", "drift_rad_in", "turned_rad"), 0.01)
+    more = 1.0 + off
+    return {
+        "way_scale": 1.0 + more * (true.way_scale - 1.0),
+        "turn_scale": 1.0 + more * (true.turn_scale - 1.0),
+        "drift_rad_in": more * true.drift_rad_in,
+        "offsets_in": [more * offset for offset in true.offsets_in],
+        "turned_rad": more * true.turned_rad,
+        "spread": {**stds, "offsets_in": [0.01] * 16},
+    }
+
+
+def test_shares_and_counts() -> None:
+    true = calibration.robot(3)
+    outcomes = [calibration.outcome(3, true, said(off)) for off in (0.05, -0.2)]
+    assert outcomes[0].shares == pytest.approx([0.05] * 6)
+    assert outcomes[1].sigmas[0] == pytest.approx(-0.2 * (true.way_scale - 1.0) / 0.01)
+    lines = calibration.table(outcomes).splitlines()
+    assert lines[2].startswith("| root mean square | 14.6% | 14.6%")
+    assert lines[4] == "| runs within 10 % | 1 | 1 | 1 | 1 | 1 | 1 |"
+
+
+def test_robots_differ_and_err_as_told() -> None:
+    robots = [calibration.robot(seed) for seed in range(30)]
+    assert all(0.03 <= abs(robot.way_scale - 1.0) <= 0.06 for robot in robots)
+    assert all(1.0 <= abs(offset) <= 2.0 for robot in robots for offset in robot.offsets_in)
+    assert {robot.turned_rad > 0.0 for robot in robots} == {True, False}
+
+
+def test_a_run_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--", "--sonars", "cones", "--laps", "0", "--square", "5,5,80"]
+    assert calibration.main(["--seeds", "1", "--first", "4", "--json", *words]) == 0
+    (outcome,) = json.loads(capsys.readouterr().out)
+    assert outcome["seed"] == 4
+    assert len(outcome["shares"]) == 6
