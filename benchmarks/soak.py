@@ -1,6 +1,6 @@
 """Whether a daemon lasts: 24 simulated hours, three robots, noise, faults on every line, clients coming and going.
 
-    scripts/soak [--hours 24] [--visitors 6] [--seed 1] [--every 30] [--out FILE.json]
+    scripts/soak [--hours 24] [--visitors 2] [--rest 1] [--seed 1] [--every 30] [--out FILE.json]
 
 Target: memory within 5 % after the first hour, clock and steps the same, no task and no descriptor left over.
 
@@ -31,6 +31,7 @@ from soak_visitors import KINDS, MODELS, House, ask_owner
 
 QUIET_S: Final = 60.0
 """Real time that a daemon may take to notice that all are gone."""
+AUTOSAVE_S: Final = 5
 LOOK_S: Final = 0.2
 LOOKS: Final = 3
 """Descriptors are counted so often: the fewest are there to stay, others belong to whoever asked for the numbers."""
@@ -57,6 +58,16 @@ name = "the plug is pulled"
 do = "hang_up"
 every = 600
 """
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """So many visitors at a time, each resting so many real seconds from visit to visit; a count every so many
+    simulated ones."""
+
+    visitors: int
+    rest_s: float
+    every_s: float
 
 
 @dataclass
@@ -106,6 +117,7 @@ def running(folder: Path, seed: int) -> Iterator[Daemon]:
         sys.executable, "-m", "nserver_emu", "several_walls", *robots, "--setup", "worn", "--seed", str(seed),
         "--port", "0", "--speed", "max", "--robotd", "0@1", "--serial-link", f"{link}@2",
         "--faults", str(folder / "faults.toml"), "--control", str(control), "--viewer", "0",
+        "--save", str(folder / "saved.json"), "--autosave", str(AUTOSAVE_S),
     ]  # fmt: skip
     pipe = subprocess.PIPE
     with log.open("w") as stderr, subprocess.Popen(command, stdout=pipe, stderr=stderr, text=True) as process:
@@ -125,14 +137,14 @@ def _port(place: str) -> int:
     return int(place.rpartition(":")[2])
 
 
-async def soak(daemon: Daemon, hours: float, visitors: int, every_s: float, rng: random.Random) -> list[Sample]:
+async def soak(daemon: Daemon, hours: float, wanted: Wanted, rng: random.Random) -> list[Sample]:
     """The samples of a run: before anybody came, then every so many simulated seconds."""
     samples = [await _quiet(daemon)]
     while samples[-1].simulated_s < 3600 * hours:
-        until_s = min(samples[-1].simulated_s + every_s, 3600 * hours)
+        until_s = min(samples[-1].simulated_s + wanted.every_s, 3600 * hours)
         go_on = asyncio.Event()
-        chances = [random.Random(rng.random()) for _ in range(visitors)]
-        going = [asyncio.create_task(_visits(daemon.house, chance, go_on)) for chance in chances]
+        chances = [random.Random(rng.random()) for _ in range(wanted.visitors)]
+        going = [asyncio.create_task(_visits(daemon.house, chance, wanted.rest_s, go_on)) for chance in chances]
         while (await asyncio.to_thread(daemon.numbers))["simulated_seconds"] < until_s:
             await asyncio.sleep(LOOK_S)
         go_on.set()
@@ -142,13 +154,14 @@ async def soak(daemon: Daemon, hours: float, visitors: int, every_s: float, rng:
     return samples
 
 
-async def _visits(house: House, rng: random.Random, enough: asyncio.Event) -> None:
+async def _visits(house: House, rng: random.Random, rest_s: float, enough: asyncio.Event) -> None:
     """One after the other: every kind in its turn, in an order of chance; once in any case."""
     rounds = 0
     while not enough.is_set():
         for kind in rng.sample(sorted(KINDS), len(KINDS)):
             if not (rounds and enough.is_set()):
                 await house.visit(kind, rng)
+                await asyncio.sleep(rng.uniform(0.0, 2.0 * rest_s))
         rounds += 1
 
 
@@ -179,11 +192,11 @@ async def _struck(house: House) -> int:
     return sum(faults["struck"].values())
 
 
-def run(hours: float, visitors: int, every_s: float, seed: int) -> tuple[list[Sample], House, list[Finding]]:
+def run(hours: float, wanted: Wanted, seed: int) -> tuple[list[Sample], House, list[Finding]]:
     """The whole run, and what was found."""
     with tempfile.TemporaryDirectory(prefix="soak") as name:
         with running(Path(name), seed) as daemon:
-            samples = asyncio.run(soak(daemon, hours, visitors, every_s, random.Random(seed)))
+            samples = asyncio.run(soak(daemon, hours, wanted, random.Random(seed)))
             struck = asyncio.run(_struck(daemon.house))
         found = [*verdict(samples, hours), *visited(daemon.house.visits, struck, list(KINDS)),
                  *ended(daemon.process.returncode, daemon.complaints())]  # fmt: skip
@@ -196,12 +209,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run, print, judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=24.0, help="simulated hours (default %(default)s)")
-    parser.add_argument("--visitors", type=int, default=6, help="at a time (default %(default)s)")
+    parser.add_argument("--visitors", type=int, default=2, help="at a time (default %(default)s)")
+    parser.add_argument("--rest", type=float, default=1.0, help="real seconds from visit to visit, in the mean (1)")
     parser.add_argument("--every", type=float, default=30.0, help="simulated minutes from count to count (30)")
     parser.add_argument("--seed", type=int, default=1, help="of noise and visitors (default %(default)s)")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write samples, visits and findings to a file")
     options = parser.parse_args(arguments)
-    samples, house, found = run(options.hours, options.visitors, 60 * options.every, options.seed)
+    wanted = Wanted(options.visitors, options.rest, 60 * options.every)
+    samples, house, found = run(options.hours, wanted, options.seed)
     for finding in found:
         print(f"{'kept  ' if finding.kept else 'BROKEN'} {finding.what}: {finding.value:.6g} (asked: {finding.bound})")
     if options.out:

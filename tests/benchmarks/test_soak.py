@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import soak
 from soak_verdict import POOL, Finding, Sample, ended, verdict, visited
-from soak_visitors import KINDS
+from soak_visitors import KINDS, House
 
 GOOD = [
     Sample(real_s=float(hour), simulated_s=3600.0 * hour, steps=36000 * hour, rss_kib=rss, descriptors=9, threads=2,
@@ -33,7 +34,7 @@ def test_a_good_run() -> None:
     (3, {"descriptors": 10}, "descriptors left over"),
     (3, {"threads": 3 + POOL}, "threads at the end"),
 ])  # fmt: skip
-def test_what_is_broken(where: int, change: dict[str, float], what: str) -> None:
+def test_what_is_broken(where: int, change: dict[str, Any], what: str) -> None:
     samples = [*GOOD]
     samples[where] = replace(samples[where], **change)
     assert broken(verdict(samples, 3)) == [what]
@@ -56,7 +57,7 @@ def test_how_it_ends() -> None:
 def test_a_broken_number_is_told_and_is_the_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    house = soak.House(0, 0, "", "", "")
+    house = House(0, 0, "", "", "")
     for kept in (True, False):
         found = [Finding("tasks left over", 0 if kept else 2, "0", kept)]
         monkeypatch.setattr(soak, "run", lambda *_, told=found: (GOOD, house, told))
@@ -66,7 +67,7 @@ def test_a_broken_number_is_told_and_is_the_exit_code(
 
 def test_a_slice_of_some_minutes() -> None:
     """Everything but memory, of which the first minutes say nothing."""
-    samples, house, found = soak.run(hours=1 / 60, visitors=2, every_s=60.0, seed=2)
+    samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=60.0), seed=2)
     assert samples[0].steps < samples[-1].steps
     assert set(house.visits) == set(KINDS)
     assert [what for what in broken(found) if what != "memory"] == []
