@@ -29,6 +29,8 @@ from typing import Any, Final
 from soak_verdict import Finding, Sample, ended, verdict, visited
 from soak_visitors import KINDS, MODELS, House, ask_owner
 
+from nclient.leaving import left_in_order
+
 QUIET_S: Final = 60.0
 """Real time that a daemon may take to notice that all are gone."""
 AUTOSAVE_S: Final = 5
@@ -216,7 +218,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write samples, visits and findings to a file")
     options = parser.parse_args(arguments)
     wanted = Wanted(options.visitors, options.rest, 60 * options.every)
-    samples, house, found = run(options.hours, wanted, options.seed)
+    with left_in_order():  # a run that is ended leaves no daemon behind
+        samples, house, found = run(options.hours, wanted, options.seed)
     for finding in found:
         print(f"{'kept  ' if finding.kept else 'BROKEN'} {finding.what}: {finding.value:.6g} (asked: {finding.bound})")
     if options.out:
