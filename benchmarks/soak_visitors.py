@@ -49,7 +49,8 @@ ROBOTD_MODEL, SERIAL_MODEL = MODELS[0], MODELS[1]
 
 @dataclass
 class House:
-    """Where the daemon is reached, and what its visitors met. `failed`: visits that a fault ended."""
+    """Where the daemon is reached, and what its visitors met. `failed`: visits that a fault ended; `now_s`: its clock
+    when that was looked at last."""
 
     nserver: int
     robotd: int
@@ -58,6 +59,7 @@ class House:
     page: str
     visits: dict[str, int] = field(default_factory=dict)
     failed: dict[str, int] = field(default_factory=dict)
+    now_s: float = 0.0
 
     async def visit(self, kind: str, rng: random.Random) -> None:
         """One visit of that kind; a fault of a line ends it, and is counted."""
