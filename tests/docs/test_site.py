@@ -53,7 +53,7 @@ def test_the_notebook_was_run_and_the_filter_is_better_than_odometry_and_knows_h
     assert len(re.findall(r'<img alt="[^"]*" src="[^"]+\.png"', page)) == 2
     said = html.unescape(re.sub(r"<[^>]+>", "", page))
     assert "2 of 2 way-points reached" in said
-    (told,) = re.findall(r"estimate is (\S+) in off .*?alone is (\S+) in off.*?mean NEES (\S+);", said, re.DOTALL)
+    (told,) = re.findall(r"mate is ([\d.]+) in off .*?alone is ([\d.]+) in off.*?mean NEES ([\d.]+);", said, re.DOTALL)
     estimate_in, odometry_in, nees = map(float, told)
     assert estimate_in < 0.6 < odometry_in
     assert 1.0 < nees < 6.0
