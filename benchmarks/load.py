@@ -8,9 +8,12 @@ Target: p99 moves by no more than the larger of a factor of 2 and 2 ms, median o
     stall   half a request, then nothing, and again when it was closed
     deaf    requests as fast as they are taken, no reply ever read
 
-The daemon, the clients and the hostile one are three processes. A client's round trip counts from when it was due to
-ask, so that a server that is late for one answer does not hide the next. Rounds without and with take turns. On a
-machine that others load the figures are theirs as much as ours: compare the two columns, not with another day's.
+The daemon, the clients and the hostile one are three processes. All clients are connected before the first asks; a
+round trip counts from when it was due, so that a server that is late for one answer does not hide the next. The hostile
+one waits for its socket and not in a loop, so that it takes the server's time and not the machine's; it says when it
+has begun, and a round in which it ended does not count but fails. Rounds without and with take turns. On a machine that
+others load the figures are theirs as much as ours: compare the two columns, not with another day's. The exit code is 1
+where a bound is not kept.
 """
 
 from __future__ import annotations
@@ -19,12 +22,13 @@ import argparse
 import asyncio
 import contextlib
 import json
+import select
 import socket
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from echo import started
@@ -40,6 +44,7 @@ HOSTILE: Final = ("flood", "stall", "deaf")
 CONNECT: Final = language.tcp_request(Call("connect_robot", (1, 1)))
 GS: Final = language.tcp_request(Call("gs"))
 CONNECT_REPLY_SIZE, REPLY_SIZE = 8, 4 + 4 * 49
+BEGUN: Final = "begun"
 MANY: Final = 200
 """Requests that a hostile client sends in one piece."""
 
@@ -54,12 +59,21 @@ def p99(trips: list[float]) -> float:
     return statistics.quantiles(trips, n=100)[98]
 
 
-async def one_client(port: int, first_s: float, end_s: float) -> list[float]:
-    """Ask every tenth of a second from then until then, loop time; each trip in seconds from when it was due."""
-    loop = asyncio.get_running_loop()
+Client = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def connected(port: int) -> Client:
+    """A client that has its robot."""
     reader, writer = await asyncio.open_connection(HOST, port)
     writer.write(CONNECT)
     await reader.readexactly(CONNECT_REPLY_SIZE)
+    return reader, writer
+
+
+async def asking(client: Client, first_s: float, end_s: float) -> list[float]:
+    """Ask every tenth of a second from then until then, loop time; each trip in seconds from when it was due."""
+    loop = asyncio.get_running_loop()
+    reader, writer = client
     trips, due_s = [], first_s
     while due_s < end_s:
         await asyncio.sleep(max(0.0, due_s - loop.time()))
@@ -75,9 +89,11 @@ async def one_client(port: int, first_s: float, end_s: float) -> list[float]:
 
 async def ask(port: int, clients: int, seconds: float) -> list[float]:
     """That many clients, evenly spread over the tenth of a second, for so long; all trips in seconds."""
-    begin_s = asyncio.get_running_loop().time() + 0.5 + 0.002 * clients  # all are connected by then
+    there = [await connected(port) for _ in range(clients)]
+    begin_s = asyncio.get_running_loop().time() + 0.5
     starts = [begin_s + number / clients / RATE_HZ for number in range(clients)]
-    found = await asyncio.gather(*(one_client(port, start_s, begin_s + seconds) for start_s in starts))
+    asked = zip(there, starts, strict=True)
+    found = await asyncio.gather(*(asking(client, start_s, begin_s + seconds) for client, start_s in asked))
     return [trip for trips in found for trip in trips]
 
 
@@ -91,28 +107,34 @@ def be_hostile(kind: str, port: int) -> None:
 
 def _once(kind: str, hostile: socket.socket) -> None:
     """Until the daemon closes it, or no more can be sent."""
-    hostile.sendall(CONNECT)
+    hostile.sendall(CONNECT + (GS + GS[:3] if kind == "stall" else GS * MANY))
+    print(BEGUN, flush=True)
     if kind == "stall":
-        hostile.sendall(GS + GS[:3])
         while hostile.recv(65536):
             pass
         return
-    hostile.setblocking(kind == "deaf")
+    hostile.setblocking(False)
+    listens = [hostile] if kind == "flood" else []
     while True:
-        with contextlib.suppress(BlockingIOError):
+        readable, writable, _ = select.select(listens, [hostile], [])
+        if writable:
             hostile.send(GS * MANY)
-        with contextlib.suppress(BlockingIOError):
-            if kind == "flood" and not hostile.recv(1 << 20):
-                return
+        if readable and not hostile.recv(1 << 20):
+            return
 
 
 @contextlib.contextmanager
 def hostility(kind: str, port: int) -> Iterator[None]:
-    """A hostile client in a process of its own, while it lasts."""
-    with subprocess.Popen([sys.executable, __file__, "--be", kind, "--port", str(port)]) as process:
+    """A hostile client in a process of its own, from when it has begun. Raises RuntimeError where it ends by itself."""
+    command = [sys.executable, __file__, "--be", kind, "--port", str(port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
-            time.sleep(0.5)
+            assert process.stdout is not None
+            if process.stdout.readline().strip() != BEGUN:
+                raise RuntimeError(f"no {kind}")
             yield
+            if process.poll() is not None:
+                raise RuntimeError(f"the {kind} ended by itself: {process.returncode}")
         finally:
             process.terminate()
 
@@ -133,8 +155,8 @@ def measure(kind: str, rounds: int, seconds: float, clients: int) -> dict[str, f
             "kept": beside_ms <= bound_ms(alone_ms), "rounds": rounds, "clients": clients}  # fmt: skip
 
 
-def main() -> None:
-    """Measure and print."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; 1 where a bound is not kept."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=5.0)
@@ -143,15 +165,18 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--be", choices=HOSTILE, help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.be:
         be_hostile(options.be, options.port)
+    kept = True
     for kind in options.hostile or HOSTILE:
         found = measure(kind, options.rounds, options.seconds, options.clients)
+        kept = kept and bool(found["kept"])
         print(json.dumps(found) if options.json else
               f"{kind}: p99 {found['alone_p99_ms']:.2f} ms without, {found['beside_p99_ms']:.2f} ms with it "
               f"(at most {found['bound_ms']:.2f}): {'kept' if found['kept'] else 'NOT KEPT'}")
+    return 0 if kept else 1
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

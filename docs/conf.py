@@ -14,7 +14,10 @@ project = "nomad-nserver"
 author = "the nomad-nserver authors"
 version = release = version_of("nomad-nserver")
 
-extensions = ["myst_parser"]
+extensions = ["myst_nb"]  # Markdown, and notebooks that are run anew each time
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
 myst_heading_anchors = 3
 nitpicky = True
 

@@ -36,16 +36,16 @@ from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
-from nserver_emu.server import restore_options, snapshot
+from nserver_emu.server import autosave, restore_options
 from nserver_emu.server.access import access_of, warning
 from nserver_emu.server.access import add_options as add_access_options
+from nserver_emu.server.autosave import SaveFile, autosaved
 from nserver_emu.server.control import BY_NAME
 from nserver_emu.server.control_options import add_options as add_control_options
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import LOOPBACK, Daemon, stop_on_signals
 from nserver_emu.server.door import Door
 from nserver_emu.server.fault_desk import FaultDesk
-from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.limits import add_options as add_limit_options
 from nserver_emu.server.limits import limits_of
 from nserver_emu.server.line_options import add_options as add_line_options
@@ -94,6 +94,7 @@ def main(argv: list[str] | None = None) -> int:
     real_options.refuse(parser, options)
     refuse_viewer(parser, options)
     restore_options.refuse(parser, options, words)
+    autosave.refuse(parser, options)
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     logs.begin(options)
     try:
@@ -134,8 +135,9 @@ async def _serve_with(
     daemon.places |= real_options.places(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
-    if options.save:
-        _save_on_signal(emulator, options.save)
+    file = SaveFile(emulator, options.save) if options.save else None
+    if file:
+        _save_on_signal(file)
     try:
         port = await daemon.listen(options.bind, port)
         if open_to := warning(options.bind, daemon.door.access):
@@ -148,22 +150,23 @@ async def _serve_with(
             controlled(daemon, options) as control,
             viewed(daemon, options) as page,
             kept(gateway, daemon, options.shadow_every),
+            autosaved(file, options.autosave),
         ):
             for line in (f"listening nserver {at_port(options.bind, port)}", *lines, *control, *page):
-                print(line, flush=True)
+                logs.tell(line)
             manager = Manager(os.environ)
             with seldom_sought():
                 async with announced(manager):
-                    await daemon.serve(stop, lambda: _end(manager, emulator, options.save))
+                    await daemon.serve(stop, lambda: _end(manager, file))
     finally:
         await daemon.close()
     return ExitCode.DONE
 
 
-def _end(manager: Manager, emulator: Emulator, path: Path | None) -> None:
+def _end(manager: Manager, file: SaveFile | None) -> None:
     manager.tell(STOPPING)
-    if path:
-        snapshot.save(emulator, path)
+    if file:
+        file.save()
 
 
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -202,12 +205,12 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _save_on_signal(emulator: Emulator, path: Path) -> None:
+def _save_on_signal(file: SaveFile) -> None:
     """SIGUSR1 saves the simulation as it is, where the system has that signal."""
 
     def save() -> None:
         try:
-            snapshot.save(emulator, path)
+            file.save()
         except SnapshotError as error:
             log.error("not saved: %s", error)
 
@@ -260,7 +263,7 @@ def _parser() -> Parser:
     parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
                         "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
                         "are its own")
-    parser.add_argument("--save", type=Path, metavar="FILE", help="save the simulation at the end and at SIGUSR1")
+    autosave.add_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="write down all that is said, with what it takes to have it said again")
     parser.add_argument("--replay", type=Path, metavar="FILE",

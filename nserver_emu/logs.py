@@ -5,16 +5,23 @@
 
 Rules: options and forms only; who logs what is each room's own. `template` is the same for all lines of one kind, so
 that they can be counted; what a room adds by `extra=` stands beside it. The line stays one line whatever it says.
+Where stderr or stdout is a disk that is full the daemon goes on: lines that were lost are counted, and told of when
+lines can be written again.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import logging
+import os
 import sys
 from datetime import UTC, datetime
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+log = logging.getLogger(__name__)
 
 TEXT, JSON = "text", "json"
 LEVELS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
@@ -34,7 +41,7 @@ def begin(options: argparse.Namespace) -> None:
     """Log as the options say, Python's own warnings as well; not where a program that hosts us has its own way."""
     if logging.getLogger().handlers:
         return
-    handler = logging.StreamHandler(sys.stderr)
+    handler = Lines(_unbuffered(sys.stderr))
     handler.setFormatter(JsonLines() if options.log_format == JSON else TextLines())
     logging.basicConfig(level=level_of(options), handlers=[handler])
     logging.captureWarnings(True)
@@ -45,6 +52,54 @@ def level_of(options: argparse.Namespace) -> int:
     if options.log_level:
         return LEVELS[options.log_level]
     return (logging.WARNING, logging.INFO, logging.DEBUG)[min(options.verbose, 2)]
+
+
+def tell(line: str) -> None:
+    """A line on stdout for programs; where it cannot be written, those who serve go on without."""
+    try:
+        print(line, flush=True)
+    except OSError as error:
+        log.error("stdout cannot be written: %s; the daemon goes on; what it had to say: %s", error.strerror, line)
+        with Path(os.devnull).open("w") as nowhere:  # what is still kept back goes there at the end
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def _unbuffered(stream: TextIO) -> TextIO:
+    """The same place, with nothing kept back: a line is written or it is not."""
+    try:
+        raw = io.FileIO(stream.fileno(), "w", closefd=False)
+    except OSError:  # it is no file: whoever put it there reads it himself
+        return stream
+    return io.TextIOWrapper(raw, stream.encoding, "backslashreplace", write_through=True)
+
+
+class Lines(logging.StreamHandler[TextIO]):
+    """Lines on a stream that may refuse them for a while."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__(stream)
+        self.lost = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write it, and before it how many were lost."""
+        if self.lost:
+            message = logging.makeLogRecord({
+                "name": __name__, "levelno": logging.WARNING, "levelname": "WARNING",
+                "msg": "%d lines of this log were lost: it could not be written", "args": (self.lost,),
+            })  # fmt: skip
+            before = self.lost
+            super().emit(message)
+            if self.lost > before:
+                return
+            self.lost = 0
+        super().emit(record)
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging calls it so
+        """A line that cannot be written is counted; a fault in what is logged is shown as ever."""
+        if isinstance(sys.exception(), OSError):
+            self.lost += 1
+        else:
+            super().handleError(record)
 
 
 def tell_failure(options: argparse.Namespace, error: Exception) -> None:

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.errors import RecordingError
+from nclient.unwritable import remedy, unwritable
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +90,7 @@ class LogWriter:
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
-            raise RecordingError(f"{path}: cannot be written ({error.strerror}); name a file that can be") from error
+            raise RecordingError(unwritable(path, error)) from error
         self._line({"format": FORMAT, "version": VERSION} | dict(header))
 
     def write(self, entry: Entry) -> None:
@@ -121,11 +122,11 @@ class LogWriter:
                 self._file.write(line)
                 self._file.flush()
             except OSError as error:
-                self._end(str(error.strerror))
+                self._end(f"{error.strerror}; {remedy(error)}, and begin another recording")
 
     def _end(self, reason: str) -> None:
         self.failed = True
-        log.error("%s: no longer recorded: %s; the run goes on, what was written can be read", self.path, reason)
+        log.error("%s: no longer recorded; the run goes on, what was written can be read: %s", self.path, reason)
         self._let_go()
 
     def _let_go(self) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import RecordingError
+from nclient.unwritable import unwritable
 from nserver_emu.gateway.shadow import Shadow
 
 _COLUMNS: Final = ("count", "mean", "std", "max", "last", "one_sided")
@@ -20,7 +21,7 @@ def write(shadow: Shadow, address: str, path: Path) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordingError(f"{path}: the report of the shadow cannot be written: {error.strerror}") from error
+        raise RecordingError(unwritable(path, error, "the report of the shadow")) from error
 
 
 def as_json(shadow: Shadow, address: str) -> str:

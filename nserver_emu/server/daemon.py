@@ -61,6 +61,8 @@ class Daemon:
         """Real time that was not made up for."""
         self.ticked_s = 0.0
         """When the clock went round last, as the loop has it."""
+        self.steps = 0
+        """How often time was made to pass."""
         self.gone_answered = self.gone_refused = 0
         """What those who are gone were answered, and refused."""
         self.acquaintances = Acquaintances()
@@ -191,6 +193,7 @@ class Daemon:
 
     def step(self, dt_s: float) -> None:
         """Let simulated time pass."""
+        self.steps += 1
         self.recorder.stepped(dt_s)
         self.emulator.pass_time(dt_s)
 

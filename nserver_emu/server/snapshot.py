@@ -26,6 +26,7 @@ from typing import Any, Final
 import numpy as np
 
 from nclient.errors import SnapshotError
+from nclient.unwritable import unwritable
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.state_reply import state_slots
 from nserver_emu.simulation.simulation import Simulation
@@ -45,18 +46,40 @@ _TRIED_S: Final = 0.1
 
 
 def save(emulator: Emulator, path: Path) -> None:
-    """Write a snapshot; whoever reads the file meanwhile has the old one or the new one, never half of one.
+    """Write a snapshot. Raises SnapshotError where it cannot be written."""
+    write(dumps(emulator), path, path.with_name(f".{path.name}.{os.getpid()}"))
 
-    Raises SnapshotError where it cannot be written.
+
+def write(text: str, path: Path, unfinished: Path) -> None:
+    """Put a snapshot's text into a file: whoever reads it meanwhile, or after the power failed, has the old one or the
+    new one, never half of one. `unfinished`: what it is called until it is whole, in the same folder.
+
+    Raises SnapshotError where it cannot be written; the old one is still there.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        unfinished.write_text(dumps(emulator), encoding="utf-8")
+        if path.exists() and not path.is_file():  # a device, a pipe: nothing may take its place
+            path.write_text(text, encoding="utf-8")
+            return
+        with unfinished.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
         unfinished.replace(path)
+        _settle(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             unfinished.unlink()
-        raise SnapshotError(f"{path}: cannot be written: {error.strerror}") from error
+        raise SnapshotError(unwritable(path, error)) from error
+
+
+def _settle(folder: Path) -> None:
+    """The new name is on the disk, too, where the system opens folders."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
 
 
 def restore(emulator: Emulator, path: Path) -> None:

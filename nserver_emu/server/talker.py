@@ -51,6 +51,8 @@ class Talker(ABC):
         """Whether there is anybody: a port may be open with nobody at its other end."""
         self.blocked = False
         """Whether what is said is not taken at present."""
+        self._held_back = False
+        """Whether it is not read from because too much was on its way when that was looked at last."""
         self._turn: asyncio.Handle | None = None
         self._alarm: asyncio.TimerHandle | None = None
         self._moment_s: float | None = None
@@ -119,8 +121,8 @@ class Talker(ABC):
             owed_s = self._owed_s()
             later = self._loop.call_later
             self._turn = later(owed_s, self._next_turn) if owed_s else self._loop.call_soon(self._next_turn)
-        full = self._cable is not None and self._cable.full
-        self._listen(not (ready or self.blocked or full or self.session.crowded))
+        self._held_back = self._cable is not None and self._cable.full
+        self._listen(not (ready or self.blocked or self._held_back or self.session.crowded))
 
     def _next_turn(self) -> None:
         self._turn = None
@@ -134,7 +136,7 @@ class Talker(ABC):
         cable = self._cable
         if self._delivering or cable is None:
             return
-        was_full, self._delivering = cable.full, True
+        was_full, self._delivering = cable.full, True  # or it gets full by answers on the way, and empty again
         try:
             while arrival := cable.arrived(self._loop.time()):
                 self._arrived(arrival)
@@ -144,7 +146,7 @@ class Talker(ABC):
             self._alarm.cancel()
         due_s = cable.due_s
         self._alarm = None if due_s is None else self._loop.call_at(due_s, self._deliver)
-        if was_full:
+        if was_full or self._held_back:
             self._pace()
 
     def _arrived(self, arrival: Arrival) -> None:

@@ -28,8 +28,8 @@ class Number(NamedTuple):
     value: float
 
 
-def numbers(daemon: Daemon, viewers: int) -> Iterator[Number]:
-    """Everything that is counted."""
+def numbers(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Number]:
+    """Everything that is counted; `viewers`: pages that are open, `tasks`: what the loop has under way."""
     emulator, here = daemon.emulator, [one for one in daemon.connections if one.here]
     answered = daemon.gone_answered + sum(one.session.answered for one in here)
     refused = daemon.gone_refused + sum(one.session.refused for one in here)
@@ -42,16 +42,18 @@ def numbers(daemon: Daemon, viewers: int) -> Iterator[Number]:
     yield Number("obstacles", GAUGE, "Obstacles in the world.", len(emulator.simulation.world.obstacles))
     yield Number("shapes", GAUGE, "Client graphics that are kept.", len(emulator.graphics.shapes))
     yield Number("simulated_seconds", GAUGE, "The simulation's clock.", emulator.simulation.time_s)
+    yield Number("steps_total", COUNTER, "How often simulated time was made to pass.", daemon.steps)
     yield Number("paused", GAUGE, "1 while simulated time stands.", int(emulator.pace.paused))
     yield Number("lost_seconds_total", COUNTER, "Real time that the simulation did not catch up on.", daemon.lost_s)
+    yield Number("tasks", GAUGE, "Asynchronous tasks, the one that answers this among them.", tasks)
 
 
-def metrics(daemon: Daemon, viewers: int) -> str:
+def metrics(daemon: Daemon, viewers: int, tasks: int) -> str:
     """The text that Prometheus reads."""
     return "".join(
         f"# HELP nserver_{one.name} {one.help}\n# TYPE nserver_{one.name} {one.kind}\n"
         f"nserver_{one.name} {one.value!r}\n"
-        for one in numbers(daemon, viewers)
+        for one in numbers(daemon, viewers, tasks)
     )
 
 

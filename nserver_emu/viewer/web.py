@@ -179,7 +179,7 @@ class Viewing:
 
     async def _metrics(self, request: web.Request) -> web.StreamResponse:
         self._may_know(request)
-        text = metrics(self._daemon, len(self.hub.viewers))
+        text = metrics(self._daemon, len(self.hub.viewers), len(asyncio.all_tasks()))
         return web.Response(body=text.encode(), headers={"Content-Type": CONTENT_TYPE})
 
     async def _publish(self, request: web.Request) -> web.StreamResponse:

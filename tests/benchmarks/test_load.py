@@ -37,7 +37,8 @@ def test_a_late_answer_counts_from_when_it_was_due() -> None:
         server = await asyncio.start_server(serve, load.HOST, 0)
         async with server:
             now = asyncio.get_running_loop().time()
-            trips: list[float] = await load.one_client(server.sockets[0].getsockname()[1], now + 0.05, now + 1.0)
+            client = await load.connected(server.sockets[0].getsockname()[1])
+            trips: list[float] = await load.asking(client, now + 0.05, now + 1.0)
         return trips
 
     trips = asyncio.run(scenario())
@@ -60,7 +61,25 @@ def test_the_hostile_one_asks_again_and_again(kind: str) -> None:
         with victim:
             victim.settimeout(60)
             assert victim.recv(len(load.CONNECT), socket.MSG_WAITALL) == load.CONNECT
-            assert victim.recv(len(load.GS) * load.MANY, socket.MSG_WAITALL) == load.GS * load.MANY
+            for _ in range(3):
+                assert victim.recv(len(load.GS) * load.MANY, socket.MSG_WAITALL) == load.GS * load.MANY
+
+
+def test_a_round_without_its_hostile_one_fails() -> None:
+    with socket.create_server((load.HOST, 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(RuntimeError, match="no flood"), load.hostility("flood", port):
+        raise AssertionError("nobody listens there")
+
+
+@pytest.mark.parametrize(("beside_ms", "code"), [(3.0, 0), (3.1, 1)])
+def test_a_bound_that_is_not_kept_is_the_exit_code(
+    beside_ms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = {"alone_p99_ms": 1.0, "beside_p99_ms": beside_ms, "bound_ms": 3.0, "kept": beside_ms <= 3.0}
+    monkeypatch.setattr(load, "measure", lambda *_: found)
+    assert load.main(["--hostile", "deaf"]) == code
+    assert ("NOT KEPT" in capsys.readouterr().out) is bool(code)
 
 
 def test_the_stalled_one_stops_in_the_middle_and_comes_again() -> None:

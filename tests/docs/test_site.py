@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 import subprocess
 import sys
@@ -45,6 +46,17 @@ def test_every_page_is_there(site: Path) -> None:
     pages = [page.relative_to(DOCS).with_suffix(".html") for page in DOCS.rglob("*.md")]
     assert len(pages) > 30
     assert [page for page in pages if not (site / page).exists()] == []
+
+
+def test_the_notebook_was_run_and_the_filter_is_better_than_odometry_and_knows_how_wrong_it_is(site: Path) -> None:
+    page = (site / "notebook" / "localize.html").read_text(encoding="utf-8")
+    assert len(re.findall(r'<img alt="[^"]*" src="[^"]+\.png"', page)) == 2
+    said = html.unescape(re.sub(r"<[^>]+>", "", page))
+    assert "2 of 2 way-points reached" in said
+    (told,) = re.findall(r"mate is ([\d.]+) in off .*?alone is ([\d.]+) in off.*?mean NEES ([\d.]+);", said, re.DOTALL)
+    estimate_in, odometry_in, nees = map(float, told)
+    assert estimate_in < 0.6 < odometry_in
+    assert 1.0 < nees < 6.0
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import io
 import json
 import logging
 import subprocess
@@ -129,6 +131,52 @@ def test_every_line_of_a_daemon_is_an_object() -> None:
     lines = [json.loads(line) for line in told.splitlines()]
     assert "paused, and no client can resume: --allow-control lets them" in [line["message"] for line in lines]
     assert {"%s: connected", "%s: gone after %d refusals"} <= {line["template"] for line in lines}
+
+
+class Disk(io.StringIO):
+    """A file on a disk that is full for a while."""
+
+    full = False
+
+    def write(self, text: str) -> int:
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(text)
+
+
+def test_lines_that_could_not_be_written_are_counted_and_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    disk = Disk()
+    handler = logs.Lines(disk)
+    handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    as_a_process_begins().addHandler(handler)
+    room = logging.getLogger("room")
+    for number in range(6):
+        disk.full = number in (1, 2, 3)
+        room.warning("line %d", number)
+    assert disk.getvalue().splitlines() == [
+        "WARNING line 0", "WARNING 3 lines of this log were lost: it could not be written", "WARNING line 4",
+        "WARNING line 5",
+    ]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_fault_in_what_is_logged_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    as_a_process_begins().addHandler(logs.Lines(Disk()))
+    logging.getLogger("room").warning("%d", "no number")
+    assert "Logging error" in capsys.readouterr().err
+
+
+def test_stdout_that_cannot_be_written_is_told_of(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open("/dev/full", "w") as full:  # noqa: PTH123 - a device, by its name
+        monkeypatch.setattr("sys.stdout", full)
+        logs.tell("listening here")
+        logs.tell("listening there")
+    assert caplog.messages == [
+        "stdout cannot be written: No space left on device; the daemon goes on; what it had to say: listening here"
+    ]
+    assert capfd.readouterr().out == ""
 
 
 def test_a_level_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:

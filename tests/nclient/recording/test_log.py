@@ -94,7 +94,8 @@ def test_a_full_disk_is_told_once_and_the_run_goes_on(caplog: pytest.LogCaptureF
         writer.close()
     assert writer.failed
     assert [record.message for record in caplog.records] == [
-        "/dev/full: no longer recorded: No space left on device; the run goes on, what was written can be read"
+        "/dev/full: no longer recorded; the run goes on, what was written can be read: No space left on device; make "
+        "room on that disk, or name a file on another, and begin another recording"
     ]
 
 

@@ -56,6 +56,14 @@ def test_a_file_that_cannot_be_written_is_told_at_once(tmp_path: Path) -> None:
         connect(f"sim:thesis_room?record={tmp_path}/no/run.log")
 
 
+def test_a_disk_that_is_full_costs_the_recording_and_not_the_run(caplog: pytest.LogCaptureFixture) -> None:
+    with connect("sim:thesis_room?record=/dev/full") as robot:
+        robot.move(translation_in=5)
+        assert robot.wait_until_still(timeout_s=20).x_in == pytest.approx(5, abs=0.2)
+    assert [record.message.partition(":")[0] for record in caplog.records] == ["/dev/full"]
+    assert "begin another recording" in caplog.text
+
+
 def test_a_connection_made_anew_goes_on_in_the_same_file(tmp_path: Path) -> None:
     opening = opening_of(f"sim:thesis_room?record={tmp_path}/run.log", Wanted())
     for _ in range(2):

@@ -87,3 +87,6 @@ def test_a_report_is_json_or_csv_by_its_name(tmp_path: Path) -> None:
     assert {name: float(rows[0][name]) for name in expected} == pytest.approx(expected)
     with pytest.raises(RecordingError, match="cannot be written"):
         report.write(shadow, "", tmp_path)
+    full = "/dev/full: the report of the shadow cannot be written: No space left on device; make room on that disk"
+    with pytest.raises(RecordingError, match=full):
+        report.write(shadow, "", Path("/dev/full"))

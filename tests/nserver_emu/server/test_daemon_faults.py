@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
-from wire_client import simulation
+from wire_client import ORIGIN, simulation
 
 from nclient.faults.kinds import Corrupt, Delay, Drop, Nak
 from nclient.faults.plan import Direction, Plan, Rule, When
@@ -15,6 +15,9 @@ from nclient.protocol.commands import Call
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.simulation import Simulation
+from worlds.files import load_world
 
 REQUEST = frozenset({Direction.REQUEST})
 
@@ -46,9 +49,11 @@ class Client:
 Knock = Callable[..., Awaitable[Client]]
 
 
-def with_daemon(plan: Plan | None, visit: Callable[[Daemon, Knock], Awaitable[None]]) -> None:
+def with_daemon(
+    plan: Plan | None, visit: Callable[[Daemon, Knock], Awaitable[None]], world: Simulation | None = None
+) -> None:
     async def evening() -> None:
-        daemon = Daemon(Emulator(simulation()))
+        daemon = Daemon(Emulator(world or simulation()))
         port = await daemon.listen("127.0.0.1", 0)
         if plan is not None:
             daemon.faults.put(plan, daemon.lines())
@@ -85,6 +90,25 @@ def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> 
         assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
 
     with_daemon(late, visit)
+
+
+def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_being_read() -> None:
+    """Twenty answers with a laser's columns are more than may be on the way, and none of them is late."""
+    plan = Plan((Rule("late", (Delay(0.01),), commands=("get_rc",)),))
+    laser = Simulation(load_world("thesis_room"))
+    laser.add_robot(1, ORIGIN, N200)
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        client = await knock()
+        client.send(*[Call("gs")] * 20)
+        assert await client.types(20) == [80] * 20
+        client.send(Call("st"))
+        assert await client.types(1) == [80]
+        await client.close()
+        while daemon.connections:
+            await asyncio.sleep(0.005)
+
+    with_daemon(plan, visit, laser)
 
 
 @pytest.mark.parametrize("wide", [False, True])

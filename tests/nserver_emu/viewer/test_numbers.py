@@ -20,13 +20,22 @@ LINE = re.compile(r"# HELP [a-z_]+ \S.*|# TYPE [a-z_]+ (gauge|counter)|[a-z_]+ -
 
 def test_the_text_is_prometheus() -> None:
     daemon = Daemon(Emulator(simulation()))
-    lines = metrics(daemon, 3).splitlines()
+    lines = metrics(daemon, 3, 7).splitlines()
     assert all(LINE.fullmatch(line) for line in lines)
     assert "nserver_viewers 3" in lines
     assert "nserver_robots 1" in lines
-    found = list(numbers(daemon, 3))
+    assert "nserver_tasks 7" in lines
+    found = list(numbers(daemon, 3, 7))
     assert len({one.name for one in found}) == len(found) == len(lines) / 3
     assert all(one.name.endswith("_total") is (one.kind == "counter") for one in found)
+
+
+def test_steps_are_counted_with_the_time_they_took() -> None:
+    daemon = Daemon(Emulator(simulation()))
+    for _ in range(5):
+        daemon.step(0.2)
+    told = {one.name: one.value for one in numbers(daemon, 0, 0)}
+    assert (told["steps_total"], told["simulated_seconds"]) == (5, 1.0)
 
 
 def test_a_clock_that_stands_is_not_well() -> None:

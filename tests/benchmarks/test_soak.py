@@ -1,0 +1,73 @@
+"""The endurance run: what its verdict takes for broken, and a slice with a real daemon and every kind of visitor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import soak
+from soak_verdict import POOL, Finding, Sample, ended, verdict, visited
+from soak_visitors import KINDS, House
+
+GOOD = [
+    Sample(real_s=float(hour), simulated_s=3600.0 * hour, steps=36000 * hour, rss_kib=rss, descriptors=9, threads=2,
+           tasks=6, answers=hour, shapes=0, obstacles=0)
+    for hour, rss in enumerate((50_000, 100_000, 104_900, 104_000))
+]  # fmt: skip
+
+
+def broken(found: list[Finding]) -> list[str]:
+    return [finding.what.split(",")[0] for finding in found if not finding.kept]
+
+
+def test_a_good_run() -> None:
+    assert broken(verdict(GOOD, 3)) == []
+    assert verdict(GOOD, 3)[1].value == pytest.approx(4.9)
+
+
+@pytest.mark.parametrize(("where", "change", "what"), [
+    (2, {"rss_kib": 105_100}, "memory"),
+    (2, {"steps": 72001}, "clock less steps"),
+    (3, {"simulated_s": 10800.0001}, "clock less steps"),
+    (2, {"tasks": 7}, "tasks left over"),
+    (3, {"descriptors": 10}, "descriptors left over"),
+    (3, {"threads": 3 + POOL}, "threads at the end"),
+])  # fmt: skip
+def test_what_is_broken(where: int, change: dict[str, Any], what: str) -> None:
+    samples = [*GOOD]
+    samples[where] = replace(samples[where], **change)
+    assert broken(verdict(samples, 3)) == [what]
+
+
+def test_a_run_that_ended_early() -> None:
+    assert broken(verdict(GOOD, 4)) == ["simulated hours"]
+
+
+def test_a_run_without_life_proves_nothing() -> None:
+    assert broken(visited({"a": 3, "b": 1}, 1, ["a", "b"])) == []
+    assert broken(visited({"a": 3}, 0, ["a", "b"])) == ["visits", "faults that struck"]
+
+
+def test_how_it_ends() -> None:
+    assert broken(ended(0, 0)) == []
+    assert broken(ended(-9, 1)) == ["exit code", "faults of its own"]
+
+
+def test_a_broken_number_is_told_and_is_the_exit_code(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    house = House(0, 0, "", "", "")
+    for kept in (True, False):
+        found = [Finding("tasks left over", 0 if kept else 2, "0", kept)]
+        monkeypatch.setattr(soak, "run", lambda *_, told=found: (GOOD, house, told))
+        assert soak.main([]) == (0 if kept else 1)
+        assert capsys.readouterr().out.startswith("kept   tasks" if kept else "BROKEN tasks left over: 2 (asked: 0)")
+
+
+def test_a_slice_of_some_minutes() -> None:
+    """Everything but memory, of which the first minutes say nothing."""
+    samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=60.0), seed=2)
+    assert samples[0].steps < samples[-1].steps
+    assert set(house.visits) == set(KINDS)
+    assert [what for what in broken(found) if what != "memory"] == []

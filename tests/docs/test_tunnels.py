@@ -1,0 +1,117 @@
+"""The tunnels of docs/security.md: TLS as the page says it, with stunnel at both ends; SSH's line as ssh reads it."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import shutil
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from nclient import connect
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+
+PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text(encoding="utf-8")
+PATIENCE_S = 60.0
+TLS_ALERT = b"\x15"
+STUNNEL = shutil.which("stunnel4") or "stunnel"
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"^```{kind}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+@contextlib.contextmanager
+def running(*command: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=cwd) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+def listening(port: int) -> None:
+    """Until somebody listens there."""
+    end_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end_s:
+        with contextlib.suppress(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port)):
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"nobody listens at {port}")
+
+
+def answered(port: int, keys: ssl.SSLContext | None) -> bytes:
+    """What comes back to a CONNECT over TLS, or over plain TCP; nothing where the other end lets go."""
+    plain = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
+    with plain, contextlib.suppress(OSError), keys.wrap_socket(plain) if keys else plain as way:
+        way.sendall(language.tcp_request(Call("connect_robot", (1, 1))))
+        return way.recv(8)
+    return b""
+
+
+@pytest.fixture(scope="module")
+def ports(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, int, Path]]:
+    """Both ends and a daemon: the port of the lab's end, of the program's, and the folder of the keys."""
+    folder = tmp_path_factory.mktemp("tunnel")
+    *keys, _ = blocks("sh")
+    for command in keys:
+        subprocess.run(["bash", "-c", command], cwd=folder, capture_output=True, check=True)
+    ends = {re.match(r"; (\w+\.conf)\n", text)[1]: text for text in blocks("ini")}  # type: ignore[index]
+    daemon = [sys.executable, "-m", "nserver_emu", "--port", "0"]
+    with contextlib.ExitStack() as stack:
+        nserver = stack.enter_context(running(*daemon, cwd=folder))
+        assert nserver.stdout is not None
+        inner, outer, near = int(nserver.stdout.readline().rpartition(":")[2]), free_port(), free_port()
+        lab = ends["lab.conf"].replace("0.0.0.0:7020", f"127.0.0.1:{outer}").replace(":7019", f":{inner}")
+        me = ends["me.conf"].replace("lab.example:7020", f"127.0.0.1:{outer}").replace(":7019", f":{near}")
+        assert "702" not in lab.replace(str(outer), "")
+        for name, text, port in (("lab.conf", lab, outer), ("me.conf", me, near)):
+            (folder / name).write_text(text)
+            stack.enter_context(running(STUNNEL, name, cwd=folder))
+            listening(port)
+        yield outer, near, folder
+
+
+def test_a_program_drives_through_the_tunnel(ports: tuple[int, int, Path]) -> None:
+    _, near, _ = ports
+    with connect(f"nserver://localhost:{near}/1") as robot:
+        robot.move(translation_in=2)
+        assert robot.wait_until_still(timeout_s=20).x_in == pytest.approx(2.0)
+    nomad, *words = blocks("sh")[-1].strip().replace("7019", str(near)).split()
+    command = [str(Path(sys.executable).with_name(nomad)), *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "2.0" in done.stdout
+
+
+def test_who_has_no_key_that_the_lab_knows_gets_no_word(ports: tuple[int, int, Path]) -> None:
+    outer, _, folder = ports
+    keyless = ssl.create_default_context(cafile=str(folder / "lab.pem"))
+    keyless.check_hostname = False
+    known = ssl.create_default_context(cafile=str(folder / "lab.pem"))
+    known.check_hostname = False
+    known.load_cert_chain(folder / "me.pem", folder / "me.key")
+    assert answered(outer, known)[:2] == b"\0\x52", "the same with the key: CONNECT's reply"
+    assert answered(outer, keyless) == b""
+    assert answered(outer, None)[:1] in (b"", TLS_ALERT)
+
+
+def test_the_line_of_ssh_forwards_what_the_page_says() -> None:
+    (line,) = [block for block in blocks("console") if "ssh" in block]
+    _, ssh, *words = line.split()
+    said = subprocess.run([ssh, "-G", *words], capture_output=True, text=True, check=True).stdout
+    assert "localforward 7019 [127.0.0.1]:7019" in said
+    assert "\nhostname lab\n" in said
