@@ -10,7 +10,6 @@ one. Whatever is wrong is an EstimateFileError that names the file and the key.
 from __future__ import annotations
 
 import json
-from math import isfinite
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -24,6 +23,8 @@ from nclient.errors import EstimateFileError
 
 FORMAT: Final = "nomad estimate 1"
 KEYS: Final = ("format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov")
+FARTHEST: Final = 1e12
+"""No second, inch or radian of a run, and no square of one, is farther from 0."""
 SMALLEST_EIGENVALUE: Final = -1e-9
 """Rounding may leave a covariance that is zero somewhere a little below it."""
 
@@ -81,8 +82,8 @@ def _numbers(path: Path, key: str, values: dict[str, Any], shape: tuple[int, ...
         found = np.array(values[key], dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
         _fail(path, key, f"expected {wanted}")
-    if found.shape != shape or not all(map(isfinite, found.ravel().tolist())):
-        _fail(path, key, f"expected {wanted}")
+    if found.shape != shape or not all(abs(number) <= FARTHEST for number in found.ravel().tolist()):
+        _fail(path, key, f"expected {wanted}, none beyond {FARTHEST:g}")
     return found
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import http.client
 import json
 import logging
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -46,6 +47,21 @@ def message(robot: int, moment: Moment, turret_rad: float, waypoints: Sequence[t
     }  # fmt: skip
 
 
+def waypoints_in(answer: bytes) -> tuple[Points, int]:
+    """The way-points that a page answers, none where they were cleared, and how often they were set.
+
+    Raises ValueError for whatever is no such answer.
+    """
+    try:
+        said = json.loads(answer)
+        wanted = [(float(x), float(y)) for x, y in said["waypoints"] or ()]
+        if not all(map(math.isfinite, (number for point in wanted for number in point))):
+            raise ValueError("a way-point that is no number")
+        return wanted, int(said["set"])
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"no answer of a page: {type(error).__name__}: {error}") from None
+
+
 class Publisher:
     """The way to one page; `clock`: seconds that only grow. Raises AddressError for a URL that is none of a page's."""
 
@@ -72,10 +88,9 @@ class Publisher:
         if self._lost_s is not None and self._clock() - self._lost_s < AGAIN_S:
             return None
         try:
-            answer = self._post(json.dumps(said | {"began": True} if first else said))
-            before, self._set = self._set, int(answer["set"])
-            wanted = [(float(x), float(y)) for x, y in answer["waypoints"] or ()]
-        except (OSError, http.client.HTTPException, ValueError, KeyError, TypeError) as error:
+            wanted, number = waypoints_in(self._post(json.dumps(said | {"began": True} if first else said)))
+            before, self._set = self._set, number
+        except (OSError, http.client.HTTPException, ValueError) as error:
             self._lose(error)
             return None
         if self._lost_s is not None:
@@ -95,14 +110,13 @@ class Publisher:
         """Let go of the connection. Twice is fine."""
         self._connection.close()
 
-    def _post(self, text: str) -> dict[str, Any]:
+    def _post(self, text: str) -> bytes:
         self._connection.request("POST", self._path, text, {"Content-Type": "application/json"})
         response = self._connection.getresponse()
-        body = response.read().decode()
+        body = response.read()
         self._connection.timeout = TIMEOUT_S
         if self._connection.sock is not None:
             self._connection.sock.settimeout(TIMEOUT_S)
         if response.status != http.client.OK:
-            raise ValueError(body.strip() or str(response.status))
-        found: dict[str, Any] = json.loads(body)
-        return found
+            raise ValueError(body.decode(errors="replace").strip() or str(response.status))
+        return body

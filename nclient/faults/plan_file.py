@@ -47,6 +47,8 @@ def read_plan(path: Path) -> str:
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
         raise FaultPlanError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise FaultPlanError(f"{str(path)!r}: cannot be read: {error}") from None
     if len(data) > MOST_BYTES:
         raise FaultPlanError(f"{path}: is too large for a plan of faults")
     try:

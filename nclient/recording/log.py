@@ -153,6 +153,8 @@ def read_recording(path: Path) -> Recording:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise RecordingError(f"{str(path)!r}: cannot be read ({error})") from None
     return parse_recording(text, str(path))
 
 
@@ -168,7 +170,7 @@ def parse_recording(text: str, name: str) -> Recording:
 def _header(line: str, name: str) -> dict[str, Any]:
     try:
         header = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         header = None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise RecordingError(f'{name}, line 1: no recording; one begins with {{"format": "{FORMAT}", ...}}, as '
@@ -194,7 +196,7 @@ def _entries(lines: list[str], name: str, remarks: list[str]) -> Iterator[Entry]
 def _entry(line: str, number: int, name: str) -> Entry:
     try:
         return _read_entry(json.loads(line), number)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         raise RecordingError(
             f"{name}, line {number}: no entry of a recording ({type(error).__name__}: {error}); mend it or take it out"
         ) from None
@@ -205,7 +207,8 @@ def _read_entry(whole: dict[str, Any], number: int) -> Entry:
     if kind not in (_DIRECTIONS if "dir" in whole else _EVENTS):
         raise ValueError(f"nothing is {kind!r}")
     more = {key: value for key, value in whole.items() if key not in _NAMED}
-    return Entry(
-        float(whole["t"]), kind, str(whole.get("connection", "")), bytes.fromhex(whole.get("bytes", "")),
-        tuple(whole.get("decoded", ())), more, number,
-    )  # fmt: skip
+    time_s, decoded = float(whole["t"]), tuple(whole.get("decoded", ()))
+    if not math.isfinite(time_s) or not all(isinstance(found, dict) for found in decoded):
+        raise ValueError("t is seconds, decoded a list of objects")
+    connection, data = str(whole.get("connection", "")), bytes.fromhex(whole.get("bytes", ""))
+    return Entry(time_s, kind, connection, data, decoded, more, number)

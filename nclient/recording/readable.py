@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from nclient.errors import RecordingError
 from nclient.recording.log import IN, OUT, TIME, Entry
 
 _POSE: Final = ((34, "x"), (35, "y"), (36, "steer"), (37, "turret"))
@@ -27,7 +28,10 @@ Found = Mapping[str, Any]
 
 
 def lines_of(entry: Entry, with_bytes: bool = False) -> Iterator[str]:
-    """The lines for one entry, none where only time passed. `with_bytes`: the bytes, too."""
+    """The lines for one entry, none where only time passed. `with_bytes`: the bytes, too.
+
+    Raises RecordingError where `decoded` is not as a recorder writes it.
+    """
     start = f"{entry.time_s:10.3f}  {entry.connection + ' ' if entry.connection else ''}"
     if entry.kind not in _ARROWS:
         if entry.kind != TIME:
@@ -35,9 +39,18 @@ def lines_of(entry: Entry, with_bytes: bool = False) -> Iterator[str]:
             yield " ".join((f"{start}--", entry.kind, *what))
         return
     for found in entry.decoded:
-        yield f"{start}{_ARROWS[entry.kind]} {told(found)}"
+        yield f"{start}{_ARROWS[entry.kind]} {_told_of(entry, found)}"
     if with_bytes and entry.data:
         yield f"{start}{_ARROWS[entry.kind]} [{entry.data.hex(' ')}]"
+
+
+def _told_of(entry: Entry, found: Found) -> str:
+    """Frames out of a file may be anybody's."""
+    try:
+        return told(found)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
+        raise RecordingError(f"line {entry.line}: `decoded` is not as a recorder writes it ({error!r:.80}); "
+                             "take it out of that line, the bytes are enough") from None
 
 
 def told(found: Found) -> str:

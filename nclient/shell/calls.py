@@ -6,7 +6,6 @@ through before its first line is done.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +23,8 @@ from nclient.suggesting import did_you_mean
 _END = 255
 """What ends a firing order."""
 _THOUSANDTHS = 1000
+_FARTHEST = 2**63
+"""More than any command takes, and less than where floats end."""
 
 
 def call_of(order: Order, terms: Terms, smask: Sequence[int], pid: int) -> Call:
@@ -104,8 +105,8 @@ def _laid_open(name: str, values: tuple[Value, ...]) -> tuple[int | float, ...]:
         if isinstance(value, str):
             raise ShellError(f"{name}: a number is wanted, not {value!r}")
         numbers.extend(value if isinstance(value, tuple) else (value,))
-    if not all(map(math.isfinite, numbers)):
-        raise ShellError(f"{name}: finite numbers are wanted, not {_shown(values)}")
+    if not all(abs(number) <= _FARTHEST for number in numbers):
+        raise ShellError(f"{name}: finite numbers are wanted, of 64 bits at most, not {_shown(values):.60}")
     return tuple(numbers)
 
 

@@ -29,6 +29,7 @@ _TOKEN = re.compile(
     |(?P<mark>[,;(){}\[\]=]))""",
     re.VERBOSE,
 )
+_MOST_DIGITS = 9
 _OPENS = {"(": ")", "{": "}", "[": "]"}
 
 
@@ -124,14 +125,18 @@ def _element(array: str, tokens: list[_Token]) -> Element:
     match [(token.kind, token.text) for token in tokens]:
         case []:
             return Element(array)
-        case [("mark", "["), ("number", index), ("mark", "]"), *rest] if index.isdecimal():
+        case [("mark", "["), ("number", index), ("mark", "]"), *rest] if _is_place(index):
             match rest:
                 case []:
                     return Element(array, int(index))
-                case [("mark", "="), ("number", value)] if array == "Smask" and value.isdecimal():
+                case [("mark", "="), ("number", value)] if array == "Smask" and _is_place(value):
                     return Element(array, int(index), int(value))
     example = "Smask[17] = 0" if array == "Smask" else f"{array} or {array}[0]"
     raise ShellError(f"{array}: it is written {example}")
+
+
+def _is_place(text: str) -> bool:
+    return text.isdecimal() and len(text) <= _MOST_DIGITS
 
 
 def _number(text: str) -> int | float:

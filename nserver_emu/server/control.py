@@ -284,10 +284,10 @@ def _obstacle(served: Served, argument: object) -> Said:
 def _number(argument: object, least: float, most: float, wanted: str) -> float:
     try:
         value = float(argument) if isinstance(argument, int | float | str) and argument is not True else math.nan
-    except ValueError:
+    except (ValueError, OverflowError):
         value = math.nan
     if not least <= value <= most:
-        raise ControlError(f"{wanted} from {least:g} to {most:g}, not {argument!r}")
+        raise ControlError(f"{wanted} from {least:g} to {most:g}, not {argument!r:.60}")
     return value
 
 

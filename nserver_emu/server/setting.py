@@ -16,6 +16,7 @@ from nserver_emu.simulation.setup import IDEAL, NOISY
 from nserver_emu.simulation.setup_toml import setup_named
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
+from worlds.tables import FARTHEST_IN
 from worlds.world import StartPose
 
 DEFAULT_WORLD = "thesis_room"
@@ -94,7 +95,8 @@ def pose_from_text(text: str) -> StartPose:
         numbers = [float(part) for part in parts]
     except ValueError:
         numbers = []
-    if not 2 <= len(numbers) <= 4 or not all(math.isfinite(number) for number in numbers):
-        raise AddressError(f"a start is X,Y,STEER,TURRET in inches and degrees, such as 10,20,90,0; got {text!r}")
+    if not 2 <= len(numbers) <= 4 or not all(abs(number) <= FARTHEST_IN for number in numbers):
+        raise AddressError(f"a start is X,Y,STEER,TURRET in inches and degrees, such as 10,20,90,0, none beyond "
+                           f"{FARTHEST_IN:g}; got {text!r}")
     x, y, steering, turret = (*numbers, *[0.0] * (4 - len(numbers)))
     return StartPose(x, y, math.radians(steering), math.radians(turret))

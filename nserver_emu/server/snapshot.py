@@ -28,8 +28,7 @@ import numpy as np
 from nclient.errors import SnapshotError
 from nclient.unwritable import unwritable
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.state_reply import state_slots
-from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.server.trial import try_out
 
 FORMAT: Final = "nserver snapshot"
 KEPT: Final = ("simulation", "pace", "graphics", "traces", "transcript", "arms")
@@ -42,7 +41,10 @@ _ROOMS: Final = (
 _PLAIN: Final = (type(None), bool, int, float, str)
 _NUMBERS: Final = "biuf"
 _MOST_NESTED: Final = 200
-_TRIED_S: Final = 0.1
+_DAMAGED: Final = (
+    ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, RecursionError, MemoryError,
+)  # fmt: skip
+"""What reading and trying damaged data leads to."""
 
 
 def save(emulator: Emulator, path: Path) -> None:
@@ -70,6 +72,8 @@ def write(text: str, path: Path, unfinished: Path) -> None:
         with contextlib.suppress(OSError):
             unfinished.unlink()
         raise SnapshotError(unwritable(path, error)) from error
+    except ValueError as error:  # a name with a zero byte in it
+        raise SnapshotError(f"{str(path)!r}: cannot be written: {error}") from error
 
 
 def _settle(folder: Path) -> None:
@@ -86,7 +90,7 @@ def restore(emulator: Emulator, path: Path) -> None:
     """Put an emulator into the state of a file. Raises SnapshotError, and then the emulator is as it was."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise SnapshotError(f"{path}: cannot be read: {error}") from error
     loads(emulator, text, str(path))
 
@@ -112,22 +116,15 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
             if type(parts[part]) is not type(getattr(emulator, part)):
                 raise SnapshotError(f"its {part} is none")
         parts["pace"].check()
-        _try(tried["simulation"])
+        try_out(tried["simulation"])
     except SnapshotError as error:
         raise SnapshotError(f"{name}: {error}") from None
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+    except _DAMAGED as error:
         raise SnapshotError(f"{name}: is damaged: {type(error).__name__}: {error}") from error
     for part in KEPT:
         setattr(emulator, part, parts[part])
     emulator.look_anew()
     emulator.drivers.orphan(emulator.simulation.robots)
-
-
-def _try(simulation: Simulation) -> None:
-    """Let a copy of what was read live for a moment, so that what is missing shows now and not later."""
-    for robot in simulation.robots.values():
-        state_slots(robot, 0)
-    simulation.step(_TRIED_S)
 
 
 class _Writer:

@@ -54,6 +54,8 @@ def load_setup(path: Path) -> RobotSetup:
         raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise WorldFileError(f"{path}: expected text in UTF-8, found other bytes at {error.start}") from error
+    except ValueError as error:
+        raise WorldFileError(f"{str(path)!r}: cannot be read: {error}") from None
     return parse_setup(text, str(path), path.stem)
 
 

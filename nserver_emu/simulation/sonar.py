@@ -165,6 +165,11 @@ class SonarRing:
         self._count = 0
         self.due_ps = now_ps if self._order else NEVER_PS
 
+    def check(self) -> None:
+        """Raises ValueError where the ring would never stop firing: what came from outside may be anything."""
+        if not TICK_PS <= self._interval_ps <= SLOWEST_RATE * TICK_PS or not (self._order or self.due_ps == NEVER_PS):
+            raise ValueError("a ring of sonars without an interval or an order")
+
     def fire_due(self, eye: Eye, moment: Stamp | Moment) -> None:
         """The sonar that is due fires here and now."""
         sonar, instant_ps, life_ps = self._order[self._count % len(self._order)], self.due_ps, self.model.life_ps

@@ -56,7 +56,8 @@ def test_a_missing_key_is_told(file: Path, key: str) -> None:
         ("encoders", [1.0, 2.0]), ("encoders", [1.0, 2.0, {}]), ("mean", [1.0, 2.0]), ("mean", 4.0),
         ("mean", [0.0] * 99), ("mean", [1.0, 2.0, 3.0, 10**400]), ("cov", [[1.0]]),
         ("cov", np.diag([1.0, 1.0, 1.0, -1.0]).tolist()), ("cov", (np.eye(4) + np.eye(4, k=1)).tolist()),
-        ("colour", "red"), ("format", "nomad estimate 0"),
+        ("mean", [1e300, 2.0, 3.0, 4.0]),
+        ("cov", (1e308 * np.eye(4)).tolist()), ("clock_s", 1e13), ("colour", "red"), ("format", "nomad estimate 0"),
     ],
 )  # fmt: skip
 def test_a_wrong_value_is_told(file: Path, key: str, value: Any) -> None:

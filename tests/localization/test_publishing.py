@@ -20,7 +20,7 @@ from localization.belief import Belief
 from localization.localizer import Echo, Estimate
 from localization.navigation import COMMAND_TIMEOUT_S, Navigator
 from localization.observation import Refusal
-from localization.publishing import AGAIN_S, Publisher, message
+from localization.publishing import AGAIN_S, Publisher, message, waypoints_in
 from localization.run import Moment
 from localization.systematic import with_constants
 from nclient.errors import AddressError, ConnectionLost
@@ -124,6 +124,21 @@ def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_seco
         assert publisher.tell({}) is None
         assert time.monotonic() - began < COMMAND_TIMEOUT_S / 2
         publisher.close()
+
+
+def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
+    assert waypoints_in(b'{"waypoints": [[1, 2.5]], "set": 3}') == ([(1.0, 2.5)], 3)
+    assert waypoints_in(b'{"waypoints": null, "set": 0}') == ([], 0)
+
+
+@pytest.mark.parametrize("answer", [
+    b"", b"\xff", b"3", b"null", b"{}", b'{"set": 1}', b'{"waypoints": [], "set": "often"}', b"[" * 100_000,
+    b'{"waypoints": [], "set": Infinity}', b'{"waypoints": [[NaN, 1]], "set": 1}', b'{"waypoints": [[1]], "set": 1}',
+    b'{"waypoints": [[1' + b"0" * 400 + b', 1]], "set": 1}', b'{"waypoints": 1e999, "set": 1}',
+])  # fmt: skip
+def test_what_is_no_answer_of_a_page_is_one_kind_of_error(answer: bytes) -> None:
+    with pytest.raises(ValueError, match="no answer of a page: "):
+        waypoints_in(answer)
 
 
 @pytest.mark.parametrize("url", ["", "127.0.0.1:7080", "http://127.0.0.1/?token=x", "http://h:7080/", "http://h:x/?token=y"])

@@ -183,6 +183,8 @@ def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
 def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FaultPlanError, match=r"nowhere\.toml: cannot be read: No such file"):
         load_plan(tmp_path / "nowhere.toml")
+    with pytest.raises(FaultPlanError, match="cannot be read: embedded null byte"):
+        load_plan(tmp_path / "plan\0.toml")
     odd = tmp_path / "odd.toml"
     odd.write_bytes(b"seed = 1 # \xff")
     with pytest.raises(FaultPlanError, match=r"odd\.toml: expected text in UTF-8, found other bytes at 11"):

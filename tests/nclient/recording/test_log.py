@@ -71,6 +71,11 @@ def test_a_last_line_that_lacks_its_end_only_counts() -> None:
     (HEADER + '{"t": 1, "dir": "in", "bytes": "0g"}\n', "line 2: "),
     (HEADER + '{"dir": "in", "bytes": ""}\n', "line 2: .*'t'"),
     (HEADER + "[1]\n", "line 2: "),
+    ("[" * 100_000, "line 1: no recording"),
+    (HEADER + "[" * 100_000 + "\n", "line 2: .*RecursionError"),
+    (HEADER + f'{{"t": {10**400}, "dir": "in", "bytes": ""}}\n', "line 2: .*OverflowError"),
+    (HEADER + '{"t": NaN, "dir": "in", "bytes": ""}\n', "line 2: .*t is seconds"),
+    (HEADER + '{"t": 1, "dir": "in", "bytes": "", "decoded": [3]}\n', "line 2: .*decoded a list of objects"),
 ])
 def test_what_is_no_recording(text: str, told: str) -> None:
     with pytest.raises(RecordingError, match=f"run.log, {told}"):
@@ -80,6 +85,8 @@ def test_what_is_no_recording(text: str, told: str) -> None:
 def test_files_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="cannot be read"):
         read_recording(tmp_path / "none.log")
+    with pytest.raises(RecordingError, match=r"cannot be read \(embedded null byte"):
+        read_recording(tmp_path / "run\0.log")
     with pytest.raises(RecordingError, match="cannot be written"):
         LogWriter(tmp_path / "nowhere" / "run.log", {})
 

@@ -54,6 +54,8 @@ def test_arguments_are_those_of_the_table(text: str, args: tuple[object, ...]) -
     ("pr a 0 0", "pr: a number is wanted, not 'a'"),
     ("pr 2.5 0 0", "pr: whole numbers are wanted .*not 2.5 0 0"),
     ("pr 1e999 0 0", "pr: finite numbers are wanted"),
+    (f"pr {10**400} 0 0", "pr: finite numbers are wanted, of 64 bits at most, not 1000"),
+    (f"motion_check 0 -{10**400} 0 0 0", "motion_check: finite numbers"),
     ("ct 1 2 3", "ct: a mask has 44 numbers, not 3"),
 ])
 def test_what_is_no_call_is_told(text: str, told: str) -> None:

@@ -44,6 +44,8 @@ def test_what_a_line_means(text: str, orders: tuple[Order | Element, ...]) -> No
     ("conf_sn 15 {0, 2]", "']' does not belong there"),
     ("conf_sn 15 0}", "'}' does not belong there"),
     ("State 34", r"State: it is written State or State\[0\]"),
+    (f"State[{'9' * 5000}]", r"it is written State or State\[0\]"),
+    (f"Smask[1] = {'1' * 5000}", r"it is written Smask\[17\] = 0"),
     ("State[34] = 1", r"it is written State or State\[0\]"),
     ("Smask[-1] = 1", r"Smask: it is written Smask\[17\] = 0"),
     ("Smask[1.5]", "Smask: it is written"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import AddressError, StartError
-from nserver_emu.server.setting import Setting
+from nserver_emu.server.setting import Setting, pose_from_text
 from worlds.world import StartPose
 
 
@@ -52,3 +52,9 @@ def test_sonars_see_at_power_on_robots_with_higher_numbers_too() -> None:
     assert one[2].sonar.readings_in == other[1].sonar.readings_in
     gap_in = 40.0 - one[1].disc[2] - one[1].model.body.sonar_ring_radius_in
     assert one[1].sonar.readings_in[0] == one[2].sonar.readings_in[8] == round(gap_in)
+
+
+@pytest.mark.parametrize("text", ["10", "1,2,3,4,5", "a,b", "nan,1", "inf,1", "10,1e308", "1e6,0", "1,2,1e999"])
+def test_a_start_that_no_map_has_is_told(text: str) -> None:
+    with pytest.raises(AddressError, match=r"a start is X,Y,STEER,TURRET .*, none beyond 100000; got"):
+        pose_from_text(text)

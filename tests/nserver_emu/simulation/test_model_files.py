@@ -113,6 +113,8 @@ def test_files(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     with pytest.raises(WorldFileError, match="cannot be read: No such file"):
         load_models(path)
+    with pytest.raises(WorldFileError, match="cannot be read: embedded null byte"):
+        load_models(tmp_path / "mine\0.toml")
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(WorldFileError, match="UTF-8"):
         load_models(path)

@@ -196,6 +196,8 @@ def test_names_and_files(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     with pytest.raises(WorldFileError, match="cannot be read: No such file"):
         setup_named(str(path))
+    with pytest.raises(WorldFileError, match="cannot be read: embedded null byte"):
+        setup_named(str(tmp_path / "mine\0.toml"))
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(WorldFileError, match="UTF-8"):
         load_setup(path)

@@ -1,0 +1,158 @@
+"""Readers of files that people write: worlds, setups, models, calibrations, plans of faults, missions, old setups.
+
+Rules: each is read from a file, as the program does it, so that its encoding is hostile too.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from fuzz.mutating import bytes_changed, either, words_changed
+from fuzz.place import file_of
+from fuzz.reader import Reader
+from localization.missions.files import load_mission
+from nclient.errors import FaultPlanError, MissionFileError, SetupFileError, WorldFileError
+from nclient.faults.kinds import KINDS
+from nclient.faults.plan_file import load_plan, parse_plan, plan_text
+from nserver_emu.server.setup_files import read_setups
+from nserver_emu.simulation.model_files import load_models
+from nserver_emu.simulation.setup_keys import KEYS
+from nserver_emu.simulation.setup_toml import load_setup
+from worlds.calibration import FAULTLESS, calibration_text, load_calibration
+from worlds.files import SHIPPED, load_world
+
+_DOCS = Path(__file__).parents[1] / "docs"
+_TOML = (b"=", b"\n", b"[[", b"]]", b"[", b"]", b",", b"#", b".", b'"""', b"'''", b'"', b"0", b"-", b"1e3", b"true",
+         b"\\")
+
+_SETUP = b"""base = "measured"
+name = "room 12"
+ramps = true
+[sonar]
+model = "ray"
+dead = [3, 11]
+std_share = 0.02
+[odometry]
+scales = [1.01, 1.0, 1.0]
+slip_in = 0.1
+[motion]
+alpha1 = 0.5
+"""
+_MODEL = b"""[[model]]
+name = "wide"
+like = "scout"
+radius_cm = 30
+track_cm = 40
+bumpers = 6
+compass = true
+[model.right]
+top_speed_in = 30
+speed_in = 10
+[[model]]
+name = "n150"
+[model.odometry]
+way_scale = 1.01
+[model.sonar]
+turned_deg = 2
+[model.steering]
+top_speed_deg = 50
+acceleration_deg = 30
+"""
+_WORLD = b"""[[wall]]
+points_cm = [[0, 0], [100, 0], [100, 50]]
+[[obstacle]]
+name = "box"
+corners_m = [[2, 2], [2.5, 2], [2.5, 2.5]]
+[[start]]
+x_in = -20
+y_in = -20
+steering_deg = 90
+"""
+_OLD_SETUP = b"""; the robot
+[server]
+port = 7019
+[robot]
+type = N200
+[laser]
+calibration = 1.0 2 3 4 \\
+   5 6 7 8 ; eight
+offset = 0 -1.5
+"""
+_STEPS = b"""fence_cm = [[0, 0], [9, 0], [9, 9]]
+[[step]]
+do = "turn"
+by_deg = 90
+[[step]]
+do = "wait_for"
+touching = true
+time_limit_s = 5
+[[step]]
+do = "note"
+words = "here"
+[[step]]
+do = "follow"
+points_m = [[1, 1], [2, 2]]
+[[step]]
+do = "look"
+for_s = 2
+"""
+
+
+def _world(data: bytes) -> None:
+    load_world(file_of(data, ".toml")).clearance(0.0, 0.0)
+
+
+def _plan(data: bytes) -> None:
+    plan = load_plan(file_of(data, ".toml"))
+    if parse_plan(plan_text(plan)) != plan:
+        raise AssertionError("written and read it is another plan")
+
+
+def _docs(pattern: str) -> Iterator[bytes]:
+    """The examples of the docs, without their comments: who changes those changes nothing."""
+    return (re.sub(rb"#[^\n]*", b"", path.read_bytes()) for path in sorted(_DOCS.glob(pattern)))
+
+
+def _calibration() -> list[bytes]:
+    return [calibration_text("n150", FAULTLESS, "faultless").encode(), _MODEL]
+
+
+def _toml(
+    name: str, about: str, read: Callable[[bytes], object], error: type[Exception],
+    seeds: Callable[[], Iterable[bytes]], *words: str,
+) -> Reader:  # fmt: skip
+    own = (*_TOML, *(word.encode() for word in words))
+    words_first = either(words_changed(*own), words_changed(*own), bytes_changed)
+    return Reader(name, about, read, (error,), seeds, words_first)
+
+
+_LENGTHS = tuple(f"{name}_{unit}" for name in ("corners", "points", "x", "y") for unit in ("in", "cm", "m"))
+
+READERS = (
+    _toml("worlds", "world files", _world, WorldFileError,
+          lambda: [_WORLD, *(path.read_bytes() for path in sorted(SHIPPED.glob("*.toml")))],
+          "[[room]]\n", "[[wall]]\n", "[[obstacle]]\n", "[[start]]\n", "[[path]]\n", "name", "title", "figure",
+          "steering_deg", "turret_deg", *_LENGTHS),
+    _toml("setups", "setup files", lambda data: load_setup(file_of(data, ".toml")), WorldFileError,
+          lambda: [_SETUP, b'base = "worn"\n[infrared]\n', b'[sonar]\nmodel = "polaroid"\ncone_deg = 25\n'],
+          *(f"{key.name} = " for key in KEYS), *(f"[{key.table}]\n" for key in KEYS if key.table), "polaroid", "worn"),
+    _toml("models", "model files", lambda data: load_models(file_of(data, ".toml")), WorldFileError,
+          lambda: [_MODEL, *_calibration()],
+          "[[model]]\n", "[model.translation]\n", "[model.left]\n", "[model.spread]\n", "[model.odometry]\n", "like",
+          "radius_in", "track_m", "sonar_ring_radius_in", "bumpers", "compass", "speed_in", "top_acceleration_deg"),
+    _toml("calibrations", "calibrations in model files", lambda data: load_calibration(file_of(data, ".toml"), "n150"),
+          WorldFileError, _calibration, "[[model]]\n", "[model.spread]\n", "offsets_in", "turned_deg", "drift_rad_in"),
+    _toml("fault_plans", "plans of faults", _plan, FaultPlanError, lambda: _docs("*.toml"),
+          "[[rule]]\n", *(f'do = "{kind}"\n' for kind in KINDS), "every", "percent", "first", "at", "from_s", "until_s",
+          "line", "command", "direction", "seed"),
+    _toml("missions", "missions as lists of steps", lambda data: load_mission(file_of(data, ".toml")), MissionFileError,
+          lambda: [_STEPS, *_docs("missions/*.toml")],
+          "[[step]]\n", 'do = "dock"\n', 'do = "patrol"\n', "time_limit_s", "retries", "rounds", "to_in", "within_in",
+          "known_to_in", "heading_deg", "on_lost", "lost_s", "fence_in"),
+    Reader("old_setups", "robot.setup and world.setup", lambda data: read_setups([file_of(data, ".setup")]),
+           (SetupFileError,), lambda: [_OLD_SETUP, b"[robot]\ntype = scout\n"],
+           either(words_changed(b"[server]\n", b"port", b"[laser]\n", b"\\\n", b";", b"offset", b"calibration"),
+                  bytes_changed), longest=1024),
+)  # fmt: skip

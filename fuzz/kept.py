@@ -1,0 +1,115 @@
+"""Readers of files that the programs write, and anybody can change: recordings, snapshots, kept estimates.
+
+Rules: as in files.py. A recording is also looked through as `nomad dump` and replay: do; the emulator that a snapshot
+is read into goes back to what it was, so that each input meets the same.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from types import SimpleNamespace
+from typing import Any
+
+from fuzz.mutating import bytes_changed, either, tree_changed
+from fuzz.place import file_of
+from fuzz.reader import Reader
+from localization import kept_file
+from nclient.errors import EstimateFileError, RecordingError, SnapshotError
+from nclient.recording.follower import Follower
+from nclient.recording.log import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
+from nclient.recording.player import LOOSE, Player
+from nclient.recording.readable import lines_of
+from nclient.recording.script import script_of, state_before
+from nserver_emu.server import snapshot
+from nserver_emu.server.in_process import open_address
+
+_LINE = {"n150": "serial", "n200": "hello"}
+
+
+def _recording(data: bytes) -> None:
+    recording = read_recording(file_of(data, ".log"))
+    for entry in recording.entries:
+        for _ in lines_of(entry, with_bytes=True):
+            pass
+    for name in recording.connections():
+        script = script_of(recording, name)
+        state_before(script, 0)
+        player = Player(script, LOOSE)
+        for entry in recording.entries:
+            if entry.kind == OUT and entry.connection == name:
+                player.answers(entry.data)
+
+
+def _snapshot(data: bytes) -> None:
+    emulator = _emulator()
+    before = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    try:
+        snapshot.restore(emulator, file_of(data, ".snapshot"))
+    finally:
+        for part, value in before.items():
+            setattr(emulator, part, value)
+
+
+@functools.cache
+def _emulator() -> Any:
+    """An emulator, as far as a snapshot changes it."""
+    emulator = open_address("sim:thesis_room?robot=scout").emulator
+    drivers = SimpleNamespace(orphan=lambda _: None)
+    parts = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    return SimpleNamespace(**parts, drivers=drivers, look_anew=lambda: None)
+
+
+# seeds
+
+
+def _recording_seeds() -> list[bytes]:
+    return [_written("tcp", "n150"), _written("serial", "n150"), _written("hello", "n200")]
+
+
+def _written(wire: str, model: str) -> bytes:
+    """A recording of one exchange with a simulated robot."""
+    from nclient.protocol.commands import Call
+    from nclient.protocol.language import line_request, tcp_request
+    from nclient.protocol.models import MODELS
+    from nclient.protocol.terms import line_terms
+
+    line = wire != "tcp"
+    end = open_address(f"sim:thesis_room?robot={model}&line={int(line)}")
+    follower = Follower(wire, MODELS[model])
+    calls = ([] if line else [Call("connect_robot", (1, 7))]) + [Call("vm", (10, 0, 0)), Call("get_sn"), Call("st")]
+    entries = [Entry(0.0, "open", "1", more={"wire": wire, "model": model})]
+    for number, call in enumerate(calls):
+        asked = line_request(call, line_terms(MODELS[model])) if line else tcp_request(call)
+        end.send(asked)
+        entries.append(Entry(0.1 * number, OUT, "1", asked, tuple(follower.to_robot(asked))))
+        said = end.receive()
+        entries.append(Entry(0.1 * number + 0.05, IN, "1", said, tuple(follower.to_host(said))))
+    header = {"format": FORMAT, "version": VERSION, "wire": wire, "model": model}
+    return "\n".join(json.dumps(whole) for whole in (header, *map(as_object, entries))).encode() + b"\n"
+
+
+def _snapshot_seeds() -> list[bytes]:
+    return [snapshot.dumps(open_address(f"sim:thesis_room?{options}").emulator).encode()
+            for options in ("robot=scout", "robot=n150&noisy=1", "setup=measured")]  # fmt: skip
+
+
+def _kept_seeds() -> list[bytes]:
+    values = {
+        "format": kept_file.FORMAT, "world": "thesis_room", "walls": "x", "body": "n150", "clock_s": 3.5,
+        "encoders": [1.0, 2.0, 0.5], "turret_rad": 0.1, "mean": [1.0, 2.0, 0.5],
+        "cov": [[1.0, 0.1, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 0.1]],
+    }  # fmt: skip
+    wheels: dict[str, Any] = {"mean": [1.0] * 5, "cov": [[float(i == k) for i in range(5)] for k in range(5)]}
+    return [json.dumps(whole).encode() for whole in (values, values | wheels)]
+
+
+_TREE = either(tree_changed, tree_changed, tree_changed, bytes_changed)
+
+READERS = (
+    Reader("recordings", "recordings: read, shown, played", _recording, (RecordingError,), _recording_seeds, _TREE,
+           longest=16384),
+    Reader("snapshots", "saved simulations", _snapshot, (SnapshotError,), _snapshot_seeds, _TREE, longest=32768),
+    Reader("kept_estimates", "saved estimates (--resume)", lambda data: kept_file.load(file_of(data, ".json")),
+           (EstimateFileError,), _kept_seeds, _TREE),
+)  # fmt: skip

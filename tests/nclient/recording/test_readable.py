@@ -1,0 +1,27 @@
+"""A recording for people; what its lines hold may be anybody's. What is shown of good ones: tests of `nomad dump`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from nclient.errors import RecordingError
+from nclient.recording.log import Entry
+from nclient.recording.readable import lines_of
+
+
+@pytest.mark.parametrize("found", [
+    {}, {"reply": "state"}, {"call": "vm"}, {"call": "vm", "args": 3}, {"reply": "sonar", "clock": "late"},
+    {"reply": "state", "State": [0] * 45, "clock": 3}, {"reply": [], "values": 3.5},
+])
+def test_frames_that_no_recorder_writes_are_told_of_with_their_line(found: dict[str, Any]) -> None:
+    with pytest.raises(RecordingError, match=r"line 7: `decoded` is not as a recorder writes it .*; take it out"):
+        list(lines_of(Entry(0.0, "in", decoded=(found,), line=7)))
+
+
+def test_what_is_wrong_with_bytes_is_shown() -> None:
+    entry = Entry(1.5, "in", "a", b"\1", ({"error": "1 bytes that are no frame"},), line=7)
+    assert [line.split() for line in lines_of(entry, with_bytes=True)] == [
+        ["1.500", "a", "<", "!", "1", "bytes", "that", "are", "no", "frame"], ["1.500", "a", "<", "[01]"],
+    ]  # fmt: skip
