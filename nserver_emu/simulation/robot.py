@@ -300,6 +300,7 @@ class SimulatedRobot:
         self._drive.put(steering_rad, turret_rad)
         self._carry_compass(before_rad)
         self._chassis.put(x_in, y_in)
+        self.sonar.carried()
         self._encoders = Encoders(x_in, y_in)
 
     def set_timeout(self, seconds: float) -> None:

@@ -13,6 +13,8 @@
                 drawn     {"gone": [number ...], "come": [[number, figure, numbers, colour, xor] ...]}
                 traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...; null, null
                           before a point that the robot did not drive to
+                beams     {id: [[sonar, x, y, direction] ...]}    whence and whither each sonar cried of which State has
+                          the reading; [sonar] of one that has not since the robot was put down elsewhere
                 lasers    {id: [x, y, x, y ...]}    in the robot's frame
                 said      [[time_s, id, text] ...]
 
@@ -34,9 +36,11 @@ from nserver_emu.server.state_reply import Look
 from nserver_emu.server.switches import noise_choices, noise_of
 from nserver_emu.server.traces import Trace
 from nserver_emu.simulation.laser import points
+from nserver_emu.simulation.polaroid import Cry
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import RobotSetup
+from worlds.bodies import SONARS
 from worlds.world import Polygon, World
 
 REMEMBERED: Final = 64
@@ -48,6 +52,7 @@ MOST_NEW: Final = 25
 JUMP_IN: Final = 6.0
 """Points of a track farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
 NOTHING_YET: Final = (0, 0)
+SILENT: Final = (None,) * SONARS
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
 Plain = dict[str, Any]
@@ -62,6 +67,7 @@ class Mark(NamedTuple):
     lasers: int
     said: object
     traces: dict[int, tuple[int, int]]
+    cries: dict[int, tuple[Cry | None, ...]]
 
 
 class Album:
@@ -107,6 +113,8 @@ class Album:
             told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
         if grown := self._grown(old.traces if old else {}, new.traces):
             told["traces"] = grown
+        if cried := _cried(old.cries if old else {}, new.cries):
+            told["beams"] = cried
         return told
 
     def _drawn(self, before: int | None, now: int) -> Plain:
@@ -129,6 +137,7 @@ class Album:
             tuple((n, robot.setup) for n, robot in simulation.robots.items()),
             simulation.world, stage.graphics.drawn, self._lasers_taken,
             said[-1] if said else None, counts,
+            {n: robot.sonar.cries for n, robot in simulation.robots.items()},
         )  # fmt: skip
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
@@ -195,6 +204,25 @@ def _pose(pose: Pose) -> list[float]:
         round(pose.x_in, DIGITS), round(pose.y_in, DIGITS),
         round(pose.steering_rad, ANGLE_DIGITS), round(pose.turret_rad, ANGLE_DIGITS),
     ]  # fmt: skip
+
+
+def _cried(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | None, ...]]) -> Plain:
+    """What sonars cried elsewhere than before, or another way."""
+    changed = {
+        str(n): [
+            [sonar, *_beam(cry)]
+            for sonar, (before, cry) in enumerate(zip(old.get(n, SILENT), cries, strict=True))
+            if cry is not before and _beam(cry) != _beam(before)
+        ]
+        for n, cries in new.items()
+    }
+    return {n: beams for n, beams in changed.items() if beams}
+
+
+def _beam(cry: Cry | None) -> list[float]:
+    if cry is None:
+        return []
+    return [round(cry.x_in, DIGITS), round(cry.y_in, DIGITS), round(cry.direction_rad, ANGLE_DIGITS)]
 
 
 def _seen(robot: SimulatedRobot) -> list[float]:

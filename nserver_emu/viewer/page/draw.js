@@ -26,7 +26,7 @@ export function drawScene(pen, scene, view, options) {
     const body = scene.bodies[id];
     if (!body) continue;
     if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
-    if (id === options.robot) drawSensors(pen, robot, body, scene.lasers[id], view, options);
+    if (id === options.robot) drawSensors(pen, scene, id, view, options);
     if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
     drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && many });
     if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
@@ -106,11 +106,15 @@ function drawTraces(pen, traces, view, theme) {
 
 export function bodyFrame(robot, body) { return body.differential ? robot.actual[2] : 0; }
 
-function drawSensors(pen, robot, body, laser, view, { theme, shown }) {
+// Sonar beams from where each sonar cried, all else from where the robot is now.
+function drawSensors(pen, scene, id, view, { theme, shown }) {
+  const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
   const [x, y, , turret] = robot.actual;
+  if (shown.sonar) {
+    for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body.ring_in, robot.state[17 + k], theme.sonar);
+  }
   for (let k = 0; k < 16; k += 1) {
     const direction = sonarDirection(robot, k);
-    if (shown.sonar) beam(pen, view, x, y, direction, body.ring_in, robot.state[17 + k], theme.sonar);
     const near = robot.state[1 + k];
     if (shown.infrared && body.sees && near < NO_INFRARED) {
       pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
@@ -126,7 +130,7 @@ function drawSensors(pen, robot, body, laser, view, { theme, shown }) {
   }
 }
 
-function beam(pen, view, x, y, direction, ring, reading, colour) {
+function drawBeam(pen, view, [x, y, direction], ring, reading, colour) {
   const far = ring + reading, nothing = reading >= NOTHING_IN;
   const [px, py] = toScreen(view, x, y);
   pen.globalAlpha = nothing ? 0.03 : 0.09;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import cos, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from worlds.files import load_world
 from worlds.world import StartPose
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"
-CHANGING = {"bodies", "world", "traces", "lasers", "said"}
+CHANGING = {"bodies", "world", "traces", "beams", "lasers", "said"}
 DRAWN = {"graphics", "drawn"}
 
 
@@ -51,6 +52,51 @@ def test_the_golden_picture_says_what_the_wire_says() -> None:
     assert shown["state"] == [slots[slot] for slot in range(45)]
     truth = client.ask("sim_truth").values
     assert [round(1000 * number) for number in shown["actual"][:2]] == list(truth[2:4])
+
+
+def test_beams_of_the_golden_picture_end_where_its_readings_say() -> None:
+    golden = json.loads(GOLDEN.read_text())
+    reached = 0
+    for sonar, x, y, way in golden["beams"]["1"]:
+        steps = [(at, go) for at, go in ((x, cos(way)), (y, sin(way))) if abs(go) > 1e-9]
+        wall_in = min(((-12.0 if go < 0 else 102.17) - at) / go - 9.06 for at, go in steps)
+        if sonar == 2:  # the obstacle stands there
+            assert golden["robots"]["1"]["state"][17 + sonar] < wall_in - 50
+            continue
+        assert golden["robots"]["1"]["state"][17 + sonar] == pytest.approx(max(6.0, wall_in), abs=0.51)
+        reached += 1
+    assert reached == 15
+
+
+def test_beams_stay_where_they_were_cried_are_told_once_and_end_where_the_robot_is_put_down() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    shown = {beam[0]: beam[1:] for beam in album.since(0)["beams"]["1"]}
+    assert shown[3] == pytest.approx([0, 0, 3 * 0.3926991], abs=1e-5)
+    album.take()
+    emulator.pass_time(1.0)
+    album.take()
+    assert "beams" not in album.since(1), "all have cried anew, from where they were"
+    client.ask("vm", 100, 0, 200)
+    emulator.pass_time(0.5)
+    client.ask("st")
+    client.ask("conf_sn", 15, 255, *[0] * 15)
+    emulator.pass_time(0.5)
+    album.take()
+    told = {beam[0]: beam[1:] for beam in album.since(3)["beams"]["1"]}
+    assert len({x for x, _, _ in told.values()}) == len(told) == 9
+    for sonar, (x, y, way) in told.items():  # 10 in/s, and 20 degrees a second of the turret
+        assert (0.0 < x <= 5.0, y, way) == (True, 0.0, pytest.approx(sonar * 0.3926991 + radians(2 * x), abs=2e-5))
+    client.ask("place_robot", 500, 500, 0, 0)
+    album.take()
+    assert album.since(4)["beams"]["1"] == [[sonar] for sonar in range(16)]
+    assert "beams" not in album.since(0)
+    client.ask("conf_sn", 15, 5, 255, *[0] * 14)
+    album.take()
+    assert album.since(5)["beams"] == {"1": [[5, 50.0, 50.0, pytest.approx(5 * 0.3926991, abs=1e-5)]]}
+    assert album.since(0)["beams"] == album.since(5)["beams"]
 
 
 def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
