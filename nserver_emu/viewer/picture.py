@@ -15,7 +15,8 @@
                           before a point that the robot did not drive to
                 beams     {id: [[sonar, x, y, direction] ...]}    whence and whither each sonar cried of which State has
                           the reading; [sonar] of one that has not since the robot was put down elsewhere
-                lasers    {id: [x, y, x, y ...]}    in the robot's frame
+                lasers    {id: [x, y, x, y ...]}    in the robot's frame; none of a robot whose laser is off
+                laser_modes    {id: [[client, mode] ...]}    whose modes those follow (laser_modes.py)
                 said      [[time_s, id, text] ...]
 
 Inches and radians, rounded to what a screen shows; State is in the wire's tenths. Keys of JSON are texts, so are ids.
@@ -40,6 +41,7 @@ from nserver_emu.simulation.polaroid import Cry
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import RobotSetup
+from nserver_emu.viewer.laser_modes import Modes, is_shown
 from worlds.bodies import SONARS
 from worlds.world import Polygon, World
 
@@ -65,6 +67,7 @@ class Mark(NamedTuple):
     world: World
     graphics: int
     lasers: int
+    laser_modes: Modes
     said: object
     traces: dict[int, tuple[int, int]]
     cries: dict[int, tuple[Cry | None, ...]]
@@ -78,19 +81,22 @@ class Album:
         self._marks: deque[Mark] = deque(maxlen=REMEMBERED)
         self._lasers: dict[str, list[float]] = {}
         self._lasers_taken = 0
+        self._modes: Modes = {}
         self._now: Plain = {}
         self.number = 0
 
-    def take(self, *, lasers: Collection[int | None] | None = ()) -> None:
-        """Take a new picture; `lasers`: of which robots somebody looks at what the laser sees; None: of all."""
-        robots = self._stage.simulation.robots
+    def take(self, *, lasers: Collection[int | None] | None = (), modes: Modes | None = None) -> None:
+        """Take a new picture; `lasers`: of which robots somebody looks at what the laser sees; None: of all. `modes`:
+        those of their clients."""
+        self._modes = modes or {}
         if (lasers is None or lasers) and (self.number + 1) % LASER_EVERY == 0:
-            self._lasers = {
+            seen = {
                 str(number): _seen(robot)
-                for number, robot in robots.items()
-                if robot.model.sees and (lasers is None or number in lasers)
+                for number, robot in self._stage.simulation.robots.items()
+                if robot.model.sees and (lasers is None or number in lasers) and is_shown(self._modes.get(number, []))
             }
-            self._lasers_taken += bool(self._lasers)
+            self._lasers_taken += bool(seen or self._lasers)
+            self._lasers = seen
         now, mark = _now(self._stage), self._mark()
         self.number += 1
         self._now = now
@@ -109,6 +115,8 @@ class Album:
         told |= self._drawn(old.graphics if old else None, new.graphics)
         if old is None or old.lasers != new.lasers:
             told["lasers"] = self._lasers
+        if old is None or old.laser_modes != new.laser_modes:
+            told["laser_modes"] = {str(n): clients for n, clients in new.laser_modes.items()}
         if old is None or old.said is not new.said:
             told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
         if grown := self._grown(old.traces if old else {}, new.traces):
@@ -135,7 +143,7 @@ class Album:
         simulation = stage.simulation
         return Mark(
             tuple((n, robot.setup) for n, robot in simulation.robots.items()),
-            simulation.world, stage.graphics.drawn, self._lasers_taken,
+            simulation.world, stage.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
             {n: robot.sonar.cries for n, robot in simulation.robots.items()},
         )  # fmt: skip

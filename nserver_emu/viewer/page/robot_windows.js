@@ -19,6 +19,14 @@ export const robotWindow = {
   },
 };
 
+// Whose laser mode the map follows: each client has its own, and what any of them is told is drawn.
+export function laserInWords(body, clients = []) {
+  if (!body.sees) return 'this robot has none';
+  if (!clients.length) return 'on, as at power-on: it has no client';
+  const told = (on) => clients.filter(([, mode]) => Boolean(mode & 1) === on).map(([name, mode]) => `${name} (mode ${mode})`).join(', ');
+  return [['on for', told(true)], ['off for', told(false)]].filter(([, names]) => names).map((parts) => parts.join(' ')).join('; ');
+}
+
 // State[0..44] as a person says it; [what, text] each.
 export function stateInWords(robot, body, scene, metric, who) {
   const s = robot.state, tenth = (slot) => lengthText(s[slot] / 10, metric);
@@ -40,7 +48,7 @@ export function stateInWords(robot, body, scene, metric, who) {
     ['moving', moving.length ? moving.join(', ') : 'nothing'],
     ['bumpers', touched.length ? `touched: ${touched.join(', ')}` : 'free'],
     ['compass', angle(43)],
-    ['laser mode', String(s[42])],
+    ['laser', laserInWords(body, scene.laser_modes[who])],
     ['State[0] (speed)', s[0] === 9999 ? 'as fast as it can' : s[0] === 0 ? 'time stands' : `${s[0] / 10} x real time`],
     ['said last', scene.said.findLast(([, id]) => String(id) === String(who))?.[2] ?? 'nothing'],
     ['numbers', s.join(' ')],

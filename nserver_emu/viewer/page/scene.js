@@ -8,7 +8,7 @@ const MOST_SAMPLES = 1500;
 export function emptyScene() {
   return {
     frame: 0, time_s: 0, speed: 1, paused: false, lockstep_s: null, robots: {}, bodies: {}, world: null,
-    graphics: [], traces: {}, beams: {}, lasers: {}, said: [], history: {},
+    graphics: [], traces: {}, beams: {}, lasers: {}, laser_modes: {}, said: [], history: {},
   };
 }
 
@@ -19,7 +19,7 @@ export function applyPicture(scene, picture) {
     if (picture.time_s < scene.time_s) scene.history = {};
   }
   for (const key of ['frame', 'time_s', 'speed', 'paused', 'lockstep_s', 'robots']) scene[key] = picture[key];
-  for (const key of ['bodies', 'world', 'graphics', 'lasers', 'said']) if (key in picture) scene[key] = picture[key];
+  for (const key of ['bodies', 'world', 'graphics', 'lasers', 'laser_modes', 'said']) if (key in picture) scene[key] = picture[key];
   if ('drawn' in picture) scene.graphics = drawnOn(scene.graphics, picture.drawn);
   for (const [id, both] of Object.entries(picture.traces ?? {})) {
     const mine = scene.traces[id] ??= { actual: newTrace(), encoder: newTrace() };
