@@ -1,7 +1,8 @@
 """What the page shows, as plain data, and what of it changed since a picture that a viewer has. Pure.
 
     always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
-                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same,
+                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same, "front":
+                          the direction of bumper 0,
                           "held": {"by": who stopped it for good, "ignored": how often it was told to move since} or
                           null}}
     if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
@@ -199,7 +200,7 @@ def _now(stage: Stage) -> Plain:
         "robots": {
             str(number): {
                 "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
-                "encoder": _pose(robot.encoder),
+                "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
                 "held": None if (hold := stage.holds.of(number)) is None else hold.told(),
             }
             for number, robot in stage.simulation.robots.items()

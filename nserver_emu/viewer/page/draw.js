@@ -104,8 +104,6 @@ function drawTraces(pen, traces, view, theme) {
   }
 }
 
-export function bodyFrame(robot, body) { return body.differential ? robot.actual[2] : 0; }
-
 // Sonar beams from where each sonar cried, all else from where the robot is now.
 function drawSensors(pen, scene, id, view, { theme, shown }) {
   const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
@@ -191,7 +189,7 @@ function drawBumpers(pen, robot, body, view, theme) {
   pen.lineWidth = 5;
   for (let k = 0; k < body.bumpers; k += 1) {
     if (!(robot.state[33] >> k & 1)) continue;
-    const middle = bodyFrame(robot, body) + k * 2 * half;
+    const middle = robot.front + k * 2 * half;
     pen.beginPath();
     pen.arc(px, py, body.radius_in * view.scale, -middle - half, -middle + half);
     pen.stroke();

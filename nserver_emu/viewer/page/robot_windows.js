@@ -4,7 +4,6 @@
 import { HISTORY_S } from './scene.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
 import { cell, table, sizedPen } from './parts.js';
-import { bodyFrame } from './draw.js';
 import { timeAxis } from './charts.js';
 
 const MODES = { n150: 'steering', n200: 'steering', scout: 'wheels' };
@@ -64,7 +63,7 @@ export const shortWindow = {
     const readings = robot.state.slice(1, 17);
     polar(this.canvas, app.theme, { values: readings, most: 15, colour: app.theme.infrared, off: !body.sees,
       turn: robot.actual[3], steer: robot.actual[2], bumpers: body.bumpers, touched: robot.state[33],
-      frame: bodyFrame(robot, body), metric: app.metric });
+      frame: robot.front, metric: app.metric });
     cell(this.rows, 'infrared', body.sees ? readings.join(' ') : 'this robot has none');
     cell(this.rows, 'bumper bits', `0x${(robot.state[33] >>> 0).toString(16)}`);
   },

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import cos, radians, sin
+from math import cos, degrees, pi, radians, remainder, sin
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from nclient.protocol.commands import Call
 from nserver_emu.server.graphics import MOST_GONE, Figure
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.switches import switch_noise
-from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.models import N200, SCOUT, RobotModel
+from nserver_emu.simulation.setup import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.picture import LASER_EVERY, MOST_NEW, REMEMBERED, Album
 from worlds.files import load_world
@@ -234,6 +235,41 @@ def test_where_a_robot_was_put_down_its_track_begins_anew() -> None:
     assert None not in more["actual"]["points"]
     assert more["encoder"]["points"][:3] == [None, None, pytest.approx(0.0, abs=1.1)]
     assert album.since(0)["traces"]["1"]["actual"]["points"][:5] == [0.0, 0.0, None, None, 50.0]
+
+
+@pytest.mark.parametrize("model", [N200, SCOUT])
+def test_bumpers_that_touch_are_where_the_wall_is_however_the_body_has_turned(model: RobotModel) -> None:
+    sim = Simulation(load_world("thesis_room"), seed=3)
+    sim.add_robot(1, StartPose(80.0, 40.0, 0.3), model, NOISY)
+    emulator = Emulator(sim)
+    client, _ = meet(emulator)
+    client.ask("vm", *((0, 450, 450) if model is N200 else (50, -50, 0)))
+    emulator.pass_time(60.0)
+    album = Album(emulator)
+    album.take()
+    heading = album.since(0)["robots"]["1"]["actual"][2]
+    client.ask("vm", 0, 0, 0)
+    left = round(-degrees(heading) * 10) % 3600
+    if model is N200:
+        client.ask("pr", 0, left, 0)
+        emulator.pass_time(15.0)
+        client.ask("vm", 100, 0, 0)
+    else:
+        client.ask("vm", 100, 100, 0)
+    emulator.pass_time(20.0)
+    album.take()
+    shown = album.since(0)["robots"]["1"]
+    x, y = shown["actual"][:2]
+    radius = model.body.radius_in
+    walls = {0.0: 102.17 - x, pi / 2: 102.17 - y, pi: x + 12.0, -pi / 2: y + 12.0}
+    touched = [way for way, far in walls.items() if far < radius + 0.01]
+    half = pi / len(model.body.bumper_angles_rad)
+    hit = [k for k in range(20) if shown["state"][33] >> k & 1]
+    assert touched
+    assert hit
+    for k in hit:
+        way = shown["front"] + 2 * half * k
+        assert any(abs(remainder(way - wall, 2 * pi)) <= half + 1e-4 for wall in touched)
 
 
 def test_noise_that_is_switched_is_told() -> None:
