@@ -16,7 +16,7 @@
                           before a point that the robot did not drive to
                 beams     {id: [[sonar, x, y, direction] ...]}    whence and whither each sonar cried of which State has
                           the reading; [sonar] of one that has not since the robot was put down elsewhere
-                lasers    {id: [x, y, x, y ...]}    in the robot's frame; none of a robot whose laser is off
+                lasers    {id: [x, y, x, y ...]}    in the map, as seen then; none of a robot whose laser is off
                 laser_modes    {id: [[client, mode] ...]}    whose modes those follow (laser_modes.py)
                 said      [[time_s, id, text] ...]
 
@@ -31,6 +31,8 @@ import math
 from collections import deque
 from collections.abc import Collection
 from typing import Any, Final, NamedTuple
+
+import numpy as np
 
 from nserver_emu.server.graphics import Shape
 from nserver_emu.server.stage import Stage
@@ -235,7 +237,10 @@ def _beam(cry: Cry | None) -> list[float]:
 
 
 def _seen(robot: SimulatedRobot) -> list[float]:
-    seen = points(robot.look_with_laser(), robot.model.body)
+    """In the map: the robot moves on until the laser is looked through again."""
+    x, y, _, turret_rad = robot.actual
+    c, s = math.cos(turret_rad), math.sin(turret_rad)
+    seen = points(robot.look_with_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
     return [round(number, 1) for point in seen.tolist() for number in point]
 
 

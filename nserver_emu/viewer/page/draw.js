@@ -104,10 +104,10 @@ function drawTraces(pen, traces, view, theme) {
   }
 }
 
-// Sonar beams from where each sonar cried, all else from where the robot is now.
+// Sonar beams from where each sonar cried, laser points where they were seen, infrared from where the robot is now.
 function drawSensors(pen, scene, id, view, { theme, shown }) {
   const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
-  const [x, y, , turret] = robot.actual;
+  const [x, y] = robot.actual;
   if (shown.sonar) {
     for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body.ring_in, robot.state[17 + k], theme.sonar);
   }
@@ -122,8 +122,7 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
   if (!shown.laser || !laser) return;
   pen.fillStyle = theme.laser;
   for (let k = 0; k + 1 < laser.length; k += 2) {
-    const [px, py] = toScreen(view, x + laser[k] * Math.cos(turret) - laser[k + 1] * Math.sin(turret),
-      y + laser[k] * Math.sin(turret) + laser[k + 1] * Math.cos(turret));
+    const [px, py] = toScreen(view, laser[k], laser[k + 1]);
     pen.fillRect(px - 1, py - 1, 2, 2);
   }
 }

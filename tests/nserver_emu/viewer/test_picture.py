@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import cos, degrees, pi, radians, remainder, sin
+from math import cos, degrees, pi, radians, remainder, sin, tan
 from pathlib import Path
 from typing import Any
 
@@ -298,6 +298,25 @@ def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> N
     wire = meet(emulator)[0].ask("get_ls").laser
     assert wire is not None
     assert seen == pytest.approx([number / 10 for number in wire[1:]], abs=0.11)
+
+
+def test_laser_points_stay_on_their_wall_while_the_robot_turns_on() -> None:
+    sim = Simulation(load_world("thesis_room"))
+    sim.add_robot(1, StartPose(40.0, 30.0, 0.0, 0.2), N200)
+    emulator = Emulator(sim)
+    album = Album(emulator)
+    for _ in range(LASER_EVERY):
+        album.take(lasers=None)
+    meet(emulator)[0].ask("vm", 0, 0, 450)
+    emulator.pass_time(0.2)
+    album.take(lasers=None)
+    told = album.since(0)
+    assert told["robots"]["1"]["actual"][3] > 0.3
+    xs, ys = told["lasers"]["1"][::2], told["lasers"]["1"][1::2]
+    assert set(xs) == {102.2}
+    middle = 30.0 + 62.17 * tan(0.2)
+    assert min(ys) < middle < max(ys)
+    assert len(ys) > 400
 
 
 def test_looking_changes_nothing_that_comes_later() -> None:
