@@ -46,7 +46,7 @@ export const localizationWindow = {
   waypoints(app) {
     this.point = [lengthField(app, 'x', 0, { id: 'waypoint-x' }), lengthField(app, 'y', 0, { id: 'waypoint-y' })];
     this.list = element('div', { id: 'waypoint-list' });
-    return element('div', { className: 'acts' },
+    return element('div', { className: 'acts', role: 'group', ariaLabel: 'Waypoints' },
       form(() => app.setWaypoints([...pointsNow(app), tenthed(this.point.map((one) => one.inches))]),
         element('div', { className: 'row' }, ...this.point.map((one) => one.label), element('button', { id: 'add-waypoint' }, 'Add waypoint'))),
       element('div', { className: 'row' }, button('By pointer', () => app.choose('waypoint'), { ariaLabel: 'Waypoints by pointer' }),
