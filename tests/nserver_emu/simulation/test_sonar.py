@@ -160,7 +160,8 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
 
 def test_each_reading_keeps_where_it_was_cried_until_the_robot_is_carried_elsewhere() -> None:
     sonars = ring()
-    assert sonars.cries == (None,) * 16
+    before = sonars.cries
+    assert before == (None,) * 16
     sonars.configure(15, (3, 4, OFF), 0)
     for x, turret in ((0.0, 0.0), (7.0, 0.5), (9.0, 0.75)):
         sonars.fire_due(Eye(x, -x, turret), stamp())
