@@ -165,7 +165,7 @@ def _drive(
     known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
-    seen = _sighting(robot) if simulated else None
+    seen = sighting(robot) if simulated else None
     number = robot.truth().robot_id if publisher and simulated else 1
     told_s = -math.inf
     steady, obstruction = SteadyPose(options.smooth), Obstruction(options.speed)
@@ -174,7 +174,7 @@ def _drive(
         clock_s = progress.estimate.clock_s
         truth = None
         if seen:
-            before, seen = seen, _sighting(robot)
+            before, seen = seen, sighting(robot)
             truth = before.towards(seen, clock_s)
         told = progress.state
         odometry = (told.x_in, told.y_in, told.steering_rad)
@@ -199,7 +199,8 @@ def _at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibrat
     return with_wheels(here, errs) if options.calibration else with_constants(here, options.scale_std)
 
 
-def _sighting(robot: Robot) -> Sighting:
+def sighting(robot: Robot) -> Sighting:
+    """The truth now, of a simulation."""
     truth = robot.truth()
     return Sighting(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
 

@@ -1,4 +1,5 @@
-"""Tells the page of an nserver what the filter thinks, and brings back where to go (`nomad localize --publish URL`).
+"""Tells the page of an nserver what the filter thinks, and brings back where to go (--publish URL of
+`nomad localize`, go and mission).
 
     moment ──> POST URL/publish ──> {"waypoints": ..., "set": n} ──> new way-points, once they were set anew
 
@@ -28,6 +29,8 @@ TIMEOUT_S: Final = 0.25
 """On the way: the robot stops by itself when nothing is said to it for 2 s."""
 AGAIN_S: Final = 3.0
 """From a loss to the next try."""
+MOST_PLACES: Final = 20
+"""So many of the places where the robot may be, the likeliest first."""
 Points = list[tuple[float, float]]
 
 
@@ -44,6 +47,10 @@ def message(robot: int, moment: Moment, turret_rad: float, waypoints: Sequence[t
             for echo in estimate.echoes
         ],
         "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
+        "trust": estimate.verdict.trust.value, "reason": estimate.verdict.reason,
+        "places": [
+            {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in estimate.places[:MOST_PLACES]
+        ],
     }  # fmt: skip
 
 

@@ -45,6 +45,7 @@ def run(options: argparse.Namespace) -> int:
     with set_out(options) as out:
         if not options.json:
             out.helm.watchers.append(_Teller())
+        out.goals.append(options.to[:2])
         mission = Mission(out.helm, settings)
         try:
             run_mission(mission, lambda robot: robot.go_to(*options.to, within_in=options.within))

@@ -23,7 +23,10 @@ from localization.localizer import Echo
 from localization.measurement import WIRE_SONAR
 from localization.missions.helm import Helm
 from localization.missions.report import Report
+from localization.missions.settings import Point
+from localization.missions.showing import Showing
 from localization.navigation import Speeds
+from localization.publishing import Publisher
 from localization.readers import constants, noise, opened, pose, positive, stds
 from localization.sonars_taken import Taken, hint, taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
@@ -61,6 +64,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help="find out the encoders' own errors, as in `nomad localize`")
     parser.add_argument("--method", choices=METHODS, default=METHOD,
                         help="the filter; all but finder never know that they are lost (default %(default)s)")
+    parser.add_argument("--publish", metavar="URL",
+                        help="show estimate and echoes on the page of `nserver --viewer`, at the address printed")
     parser.add_argument("--json", action="store_true", help="print the report as JSON, alone on stdout")
 
 
@@ -72,6 +77,8 @@ class SetOut(NamedTuple):
     simulated: bool
     sonars: Taken
     echoes: list[Echo]
+    goals: list[Point]
+    """What the page shows as way-points."""
 
     def close(self, report: Report) -> Report:
         """The report with where the robot is at the end; first of all it is stopped, whatever becomes of the report."""
@@ -94,8 +101,9 @@ class SetOut(NamedTuple):
 def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]:
     """Connect to the robot of the options, and begin to localize it; it stands at the end, however it ends."""
     world = load_world(_map_of(options, map_name))
+    publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
-    with robot:
+    with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
         body = BODIES[body_of(options.body, robot.model.name, options.address)]
         state = robot.refresh()
         if options.start:
@@ -111,8 +119,11 @@ def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]
             print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
         known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if sonars.rays else ConeModel())
         with Helm(robot, known, body, belief, time.sleep, options.method, options.speed) as helm:
-            out = SetOut(helm, robot, simulated, sonars, [])
+            out = SetOut(helm, robot, simulated, sonars, [], [])
             helm.watchers.append(lambda sight: out.echoes.extend(sight.estimate.echoes))
+            if publisher:
+                helm.watchers.append(shown := Showing(publisher, robot, simulated, out.goals))
+                shown(helm.sight)
             yield out
 
 

@@ -26,10 +26,9 @@ from nserver_emu.server import snapshot
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.hosting import LONGEST_STEP_MS
+from nserver_emu.server.obstacles import WANTED, change_obstacle
 from nserver_emu.server.pace import FASTEST, SLOWEST
 from nserver_emu.server.switches import (
-    OBSTACLE_WANTED,
-    change_obstacle,
     noise_of,
     noise_words,
     put_world,
@@ -275,10 +274,10 @@ def _obstacle(served: Served, argument: object) -> Said:
     except (ValueError, RecursionError):
         wanted = None
     if not isinstance(wanted, dict):
-        raise ControlError(f"{OBSTACLE_WANTED}, not {argument!r:.200}")
-    world = change_obstacle(served.emulator, wanted)
+        raise ControlError(f"{WANTED}, not {argument!r:.200}")
+    told = change_obstacle(served.emulator, wanted)
     served.changed({"obstacle": wanted})
-    return {"obstacles": len(world.obstacles)}
+    return told
 
 
 def _number(argument: object, least: float, most: float, wanted: str) -> float:
@@ -307,7 +306,7 @@ COMMANDS: Final = (
     ControlCommand("noise", "WORDS", "what errs how: 'sensors=measured motion=ideal robot=1'", _noise),
     ControlCommand("world show", "", "the world as it stands, as TOML", _show_world),
     ControlCommand("world set", "FILE", "put another world in its place; robots stay where they are", _put_world),
-    ControlCommand("obstacle", "JSON", "move an obstacle by its corners, or take it away (no by)", _obstacle),
+    ControlCommand("obstacle", "JSON", "move an obstacle by its corners (by, to), take it away, put one", _obstacle),
     ControlCommand("pause", "", "let simulated time stand", _pause),
     ControlCommand("resume", "", "let it go on", _resume),
     ControlCommand("speed", "X", f"simulated seconds a second, or {MAX_SPEED}", _speed),

@@ -18,9 +18,10 @@ from nclient.recording.log import IN, OUT, Entry, Recording
 from nserver_emu.server.acquaintances import FORGOTTEN_AFTER_S, Acquaintances
 from nserver_emu.server.in_process import SCHEME, InProcess, open_address
 from nserver_emu.server.line_session import LineSession
+from nserver_emu.server.obstacles import change_obstacle
 from nserver_emu.server.recording import DAEMON, beginning_of
 from nserver_emu.server.session import Conversation, Session
-from nserver_emu.server.switches import change_obstacle, put_world, show_world, switch_noise
+from nserver_emu.server.switches import put_world, show_world, switch_noise
 
 _SHOWN = 12
 

@@ -3,7 +3,6 @@
     noise    {"sensors": NAME, "motion": NAME, "robot": number}    what is left out stays; no robot: all of them
     world    {"text": TOML, "file": what errors call it}           all of it: rooms, walls, obstacles, starts, paths
     shown    true                                                  its text was told: that text is that very world
-    obstacle {"corners": [[x, y] ...] in inches, "by": [dx, dy]}   moved by so much; without `by` it is taken away
 
 Rules: nothing changes unless all of it can. What was changed is on the recording, so that a replay changes it too.
 Raises ControlError or WorldFileError, with what would be right.
@@ -11,28 +10,23 @@ Raises ControlError or WorldFileError, with what would be right.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any, Final
 
 from nclient.errors import ControlError, StartError
 from nclient.suggesting import did_you_mean
-from nserver_emu.server.ground import sound, stands_in_a_robot
 from nserver_emu.server.stage import Stage
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup_parts import PARTS, part_choices, part_name, with_part
 from worlds.files import parse_world
-from worlds.world import Point, World
+from worlds.world import World
 from worlds.writing import world_text
 
 Said = dict[str, Any]
 ROBOT: Final = "robot"
 MOST_SHOWN: Final = 200
 """Worlds that can be put back to the bit; as many steps as a page can take back."""
-SAME_IN: Final = 0.002
-"""Corners are shown rounded to a thousandth of an inch."""
-OBSTACLE_WANTED: Final = 'obstacle: such as {"corners": [[0, 0], [9, 0], [9, 9]], "by": [1, 0]}, in inches'
 NOISE_WANTED: Final = "noise: such as sensors=measured motion=ideal robot=1"
 
 
@@ -93,42 +87,6 @@ def show_world(stage: Stage) -> str:
     while len(stage.shown) > MOST_SHOWN:
         del stage.shown[next(iter(stage.shown))]
     return text
-
-
-def change_obstacle(stage: Stage, wanted: Mapping[str, Any]) -> World:
-    """Move an obstacle, or take it away: one of any number of corners, known by them as they are shown."""
-    try:
-        corners, by = _points(wanted["corners"]), None if wanted.get("by") is None else _points([wanted["by"]])[0]
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ControlError(f"{OBSTACLE_WANTED}, not {wanted!r:.200}") from None
-    world = stage.simulation.world
-    obstacles = list(world.obstacles)
-    number = next((k for k in reversed(range(len(obstacles))) if _same(obstacles[k].corners_in, corners)), None)
-    if number is None:
-        raise ControlError("obstacle: there is none with these corners (any more)")
-    if by is None:
-        del obstacles[number]
-    else:
-        moved = obstacles[number].moved(*by)
-        if not sound(moved):
-            raise ControlError("obstacle: it would reach off the map")
-        if stands_in_a_robot(stage, moved):
-            raise ControlError("obstacle: a robot stands where it would be")
-        obstacles[number] = moved
-    stage.simulation.change_world(world.with_obstacles(obstacles))
-    stage.look_anew()
-    return stage.simulation.world
-
-
-def _points(said: Any) -> list[tuple[float, float]]:
-    points = [(float(x), float(y)) for x, y in said]
-    if not all(math.isfinite(number) for point in points for number in point):
-        raise ValueError("no number")
-    return points
-
-
-def _same(there: Sequence[Point], wanted: Sequence[Point]) -> bool:
-    return len(there) == len(wanted) and all(math.dist(*pair) < SAME_IN for pair in zip(there, wanted, strict=True))
 
 
 def _robot_number(stage: Stage, wanted: object) -> int:

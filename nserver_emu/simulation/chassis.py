@@ -117,6 +117,10 @@ class Chassis:
         """The turret stands at its zero, as the sensor there says."""
         self._lag_rad = 0.0
 
+    def front(self, frame_rad: float) -> float:
+        """The direction of bumper 0 in the map, radians; frame_rad as in `bumpers`."""
+        return once_round(frame_rad + self._yaw_rad)
+
     def bumpers(self, frame_rad: float) -> int:
         """Bit i is set while bumper i is touched; frame_rad is the angle of the bumpers against the yaw."""
         if self._room_in > TOUCH_IN:

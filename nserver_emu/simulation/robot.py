@@ -209,6 +209,11 @@ class SimulatedRobot:
         return self._chassis.bumpers(self._drive.bumper_frame_rad)
 
     @property
+    def front_rad(self) -> float:
+        """Where bumper 0 really points in the map: the body turns with the wheels of a Scout, and astray with noise."""
+        return self._chassis.front(self._drive.bumper_frame_rad)
+
+    @property
     def zeroing(self) -> bool:
         """True from `zero` until it is done, or until another motion command took its place."""
         return self._zeroing
@@ -300,6 +305,7 @@ class SimulatedRobot:
         self._drive.put(steering_rad, turret_rad)
         self._carry_compass(before_rad)
         self._chassis.put(x_in, y_in)
+        self.sonar.carried()
         self._encoders = Encoders(x_in, y_in)
 
     def set_timeout(self, seconds: float) -> None:

@@ -133,6 +133,7 @@ class SonarRing:
         self._chance = chance
         self._readings = [DEAD_IN if sonar in model.dead else NOTHING_IN for sonar in range(SONARS)]
         self._moments: list[Stamp | Moment] = [UNFIRED] * SONARS
+        self._cries: list[Cry | None] = [None] * SONARS
         self._unheard: dict[int, Firing] = {}
         self._recent: tuple[Cry, ...] = ()
         self._order: tuple[int, ...] = ()
@@ -151,6 +152,16 @@ class SonarRing:
     def stamps(self) -> tuple[Stamp, ...]:
         """The moment of each of those readings."""
         return tuple(moment if isinstance(moment, Stamp) else moment.stamp for moment in self._moments)
+
+    @property
+    def cries(self) -> tuple[Cry | None, ...]:
+        """The cry of each of those readings: where the ring really was, and which way the sonar pointed; None where it
+        has not cried since the robot was carried here."""
+        return tuple(self._cries)
+
+    def carried(self) -> None:
+        """The robot was set down elsewhere: readings stay, but nothing that was cried has to do with this place."""
+        self._cries = [None] * SONARS
 
     def configure(self, rate: int, order: Sequence[int], now_ps: int) -> None:
         """Restart the ring: entry k of the order is due 4 ms x rate x k from now, and round again.
@@ -207,6 +218,7 @@ class SonarRing:
         cry = Cry(x, y, way_rad, instant_ps, self.model.draw(self._chance))
         self._unheard[sonar] = Firing(cry, earlier, eye)
         self._moments[sonar] = moment
+        self._cries[sonar] = cry
         return cry
 
     def _listen(self) -> None:

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Final
 
+from nserver_emu.viewer.laser_modes import Modes
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import to_page
 
@@ -105,11 +106,11 @@ class Hub:
         """Whether anybody looks at what clients say."""
         return any(viewer.traffic for viewer in self.viewers)
 
-    def take(self) -> None:
-        """A new picture for whoever looks."""
+    def take(self, modes: Modes | None = None) -> None:
+        """A new picture for whoever looks; `modes`: of the lasers of all robots."""
         self._texts.clear()
         looked_at = {viewer.whose_laser for viewer in self.viewers if viewer.laser}
-        self._album.take(lasers=None if None in looked_at else looked_at)
+        self._album.take(lasers=None if None in looked_at else looked_at, modes=modes)
 
     def next_for(self, viewer: Viewer) -> Iterator[str]:
         """What this viewer is to be told now, the picture last: what is wrong with it keeps no news back."""

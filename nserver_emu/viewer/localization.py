@@ -4,6 +4,8 @@
     pose        x, y, heading of the steering           turret     its direction as estimated
     cov         3 x 3 of the pose                       odometry, truth    poses; truth is null where unknown
     echoes      [{"sonar", "reading_in", "refusal", "innovation_in", "nis"} ...] since the one before
+    trust       OK, DEGRADED, LOST    reason    in words, "" where all is well
+    places      [{"pose", "share"} ...] where it may be, the likeliest first; LOST: pose and cov mean nothing
     waypoints   [[x, y] ...], and how many are passed      began       true: it goes on its own ones, whatever was set
 
     answer      {"waypoints": [[x, y] ...] or null, "set": how often they were set}
@@ -14,6 +16,7 @@ Inches and radians. Raises BadMessage for anything else.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +25,11 @@ from nserver_emu.viewer.protocol import FARTHEST, MOST_POINTS, BadMessage, Messa
 from worlds.bodies import SONARS
 
 REFUSALS: Final = ("none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate")
+TRUSTS: Final = ("OK", "DEGRADED", "LOST")
 MOST_ECHOES: Final = 64
+MOST_PLACES: Final = 20
+MOST_REASON: Final = 200
+"""Characters."""
 _POSE, _COV = 3, 9
 _ROUNDING: Final = 1e-6
 FARTHEST_READING_IN: Final = 1000.0
@@ -40,23 +47,43 @@ def published(text: str) -> Message:
             "truth": None if said["truth"] is None else _numbers(said["truth"], _POSE),
             "echoes": [_echo(echo) for echo in said["echoes"][:MOST_ECHOES]],
             "waypoints": [_numbers(point, 2) for point in said["waypoints"][:MOST_POINTS]],
-            "passed": _whole(said["passed"]), "began": said.get("began") is True,
+            "trust": _one_of(TRUSTS, said["trust"]), "reason": _text(said["reason"]),
+            "places": _places(said["places"][:MOST_PLACES]), "passed": _whole(said["passed"]),
+            "began": said.get("began") is True,
         }  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
         raise BadMessage(f"what is published is robot, clock_s, pose, turret, cov, odometry, truth, echoes, "
-                         f"waypoints, passed: {error!r}") from None
+                         f"waypoints, passed, trust, reason, places: {error!r}") from None
     return told
 
 
 def _echo(said: Any) -> Message:
-    refusal = said["refusal"]
-    if refusal not in REFUSALS:
-        raise ValueError(f"no refusal {refusal!r}")
     return {
-        "sonar": _whole(said["sonar"], below=SONARS), "refusal": refusal,
+        "sonar": _whole(said["sonar"], below=SONARS), "refusal": _one_of(REFUSALS, said["refusal"]),
         "reading_in": _number(said["reading_in"], 0.0, FARTHEST_READING_IN),
         "innovation_in": _number(said["innovation_in"]), "nis": _number(said["nis"], 0.0),
     }  # fmt: skip
+
+
+def _places(said: Any) -> list[Message]:
+    places: list[Message] = [
+        {"pose": _numbers(place["pose"], _POSE), "share": _number(place["share"], 0.0, 1.0)} for place in said
+    ]
+    if sum(place["share"] for place in places) > 1.0 + _ROUNDING:
+        raise ValueError("places share more than all")
+    return places
+
+
+def _one_of(names: Sequence[str], value: Any) -> str:
+    if not isinstance(value, str) or value not in names:
+        raise ValueError(f"one of {', '.join(names)}, not {value!r:.60}")
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"no text: {value!r:.60}")
+    return value[:MOST_REASON]
 
 
 def _covariance(rows: Any) -> list[float]:

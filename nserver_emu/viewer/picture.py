@@ -1,7 +1,8 @@
 """What the page shows, as plain data, and what of it changed since a picture that a viewer has. Pure.
 
     always      frame, since, time_s, speed (None: as fast as it can), paused, lockstep_s
-                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same,
+                robots    {id: {"state": State[0..44], "actual": [x, y, steer, turret], "encoder": the same, "front":
+                          the direction of bumper 0,
                           "held": {"by": who stopped it for good, "ignored": how often it was told to move since} or
                           null}}
     if changed  bodies    {id: {"model", "radius_in", "ring_in", "bumpers": count, "differential", "sees",
@@ -13,7 +14,10 @@
                 drawn     {"gone": [number ...], "come": [[number, figure, numbers, colour, xor] ...]}
                 traces    {id: {"actual": {"gone", "points"}, "encoder": the same}}    points x, y, x, y ...; null, null
                           before a point that the robot did not drive to
-                lasers    {id: [x, y, x, y ...]}    in the robot's frame
+                beams     {id: [[sonar, x, y, direction] ...]}    whence and whither each sonar cried of which State has
+                          the reading; [sonar] of one that has not since the robot was put down elsewhere
+                lasers    {id: [x, y, x, y ...]}    in the map, as seen then; none of a robot whose laser is off
+                laser_modes    {id: [[client, mode] ...]}    whose modes those follow (laser_modes.py)
                 said      [[time_s, id, text] ...]
 
 Inches and radians, rounded to what a screen shows; State is in the wire's tenths. Keys of JSON are texts, so are ids.
@@ -28,15 +32,20 @@ from collections import deque
 from collections.abc import Collection
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from nserver_emu.server.graphics import Shape
 from nserver_emu.server.stage import Stage
 from nserver_emu.server.state_reply import Look
 from nserver_emu.server.switches import noise_choices, noise_of
 from nserver_emu.server.traces import Trace
 from nserver_emu.simulation.laser import points
+from nserver_emu.simulation.polaroid import Cry
 from nserver_emu.simulation.poses import Pose
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import RobotSetup
+from nserver_emu.viewer.laser_modes import Modes, is_shown
+from worlds.bodies import SONARS
 from worlds.world import Polygon, World
 
 REMEMBERED: Final = 64
@@ -48,6 +57,7 @@ MOST_NEW: Final = 25
 JUMP_IN: Final = 6.0
 """Points of a track farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
 NOTHING_YET: Final = (0, 0)
+SILENT: Final = (None,) * SONARS
 DIGITS: Final = 3
 ANGLE_DIGITS: Final = 5
 Plain = dict[str, Any]
@@ -60,8 +70,10 @@ class Mark(NamedTuple):
     world: World
     graphics: int
     lasers: int
+    laser_modes: Modes
     said: object
     traces: dict[int, tuple[int, int]]
+    cries: dict[int, tuple[Cry | None, ...]]
 
 
 class Album:
@@ -72,19 +84,22 @@ class Album:
         self._marks: deque[Mark] = deque(maxlen=REMEMBERED)
         self._lasers: dict[str, list[float]] = {}
         self._lasers_taken = 0
+        self._modes: Modes = {}
         self._now: Plain = {}
         self.number = 0
 
-    def take(self, *, lasers: Collection[int | None] | None = ()) -> None:
-        """Take a new picture; `lasers`: of which robots somebody looks at what the laser sees; None: of all."""
-        robots = self._stage.simulation.robots
+    def take(self, *, lasers: Collection[int | None] | None = (), modes: Modes | None = None) -> None:
+        """Take a new picture; `lasers`: of which robots somebody looks at what the laser sees; None: of all. `modes`:
+        those of their clients."""
+        self._modes = modes or {}
         if (lasers is None or lasers) and (self.number + 1) % LASER_EVERY == 0:
-            self._lasers = {
+            seen = {
                 str(number): _seen(robot)
-                for number, robot in robots.items()
-                if robot.model.sees and (lasers is None or number in lasers)
+                for number, robot in self._stage.simulation.robots.items()
+                if robot.model.sees and (lasers is None or number in lasers) and is_shown(self._modes.get(number, []))
             }
-            self._lasers_taken += bool(self._lasers)
+            self._lasers_taken += bool(seen or self._lasers)
+            self._lasers = seen
         now, mark = _now(self._stage), self._mark()
         self.number += 1
         self._now = now
@@ -103,10 +118,14 @@ class Album:
         told |= self._drawn(old.graphics if old else None, new.graphics)
         if old is None or old.lasers != new.lasers:
             told["lasers"] = self._lasers
+        if old is None or old.laser_modes != new.laser_modes:
+            told["laser_modes"] = {str(n): clients for n, clients in new.laser_modes.items()}
         if old is None or old.said is not new.said:
             told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
         if grown := self._grown(old.traces if old else {}, new.traces):
             told["traces"] = grown
+        if cried := _cried(old.cries if old else {}, new.cries):
+            told["beams"] = cried
         return told
 
     def _drawn(self, before: int | None, now: int) -> Plain:
@@ -127,8 +146,9 @@ class Album:
         simulation = stage.simulation
         return Mark(
             tuple((n, robot.setup) for n, robot in simulation.robots.items()),
-            simulation.world, stage.graphics.drawn, self._lasers_taken,
+            simulation.world, stage.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
+            {n: robot.sonar.cries for n, robot in simulation.robots.items()},
         )  # fmt: skip
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
@@ -182,7 +202,7 @@ def _now(stage: Stage) -> Plain:
         "robots": {
             str(number): {
                 "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
-                "encoder": _pose(robot.encoder),
+                "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
                 "held": None if (hold := stage.holds.of(number)) is None else hold.told(),
             }
             for number, robot in stage.simulation.robots.items()
@@ -197,8 +217,30 @@ def _pose(pose: Pose) -> list[float]:
     ]  # fmt: skip
 
 
+def _cried(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | None, ...]]) -> Plain:
+    """What sonars cried elsewhere than before, or another way."""
+    changed = {
+        str(n): [
+            [sonar, *_beam(cry)]
+            for sonar, (before, cry) in enumerate(zip(old.get(n, SILENT), cries, strict=True))
+            if cry is not before and _beam(cry) != _beam(before)
+        ]
+        for n, cries in new.items()
+    }
+    return {n: beams for n, beams in changed.items() if beams}
+
+
+def _beam(cry: Cry | None) -> list[float]:
+    if cry is None:
+        return []
+    return [round(cry.x_in, DIGITS), round(cry.y_in, DIGITS), round(cry.direction_rad, ANGLE_DIGITS)]
+
+
 def _seen(robot: SimulatedRobot) -> list[float]:
-    seen = points(robot.look_with_laser(), robot.model.body)
+    """In the map: the robot moves on until the laser is looked through again."""
+    x, y, _, turret_rad = robot.actual
+    c, s = math.cos(turret_rad), math.sin(turret_rad)
+    seen = points(robot.look_with_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
     return [round(number, 1) for point in seen.tolist() for number in point]
 
 

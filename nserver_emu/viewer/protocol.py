@@ -34,7 +34,7 @@ import json
 from collections.abc import Callable
 from typing import Any, Final
 
-VERSION: Final = 3
+VERSION: Final = 4
 MOST_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MOST_ARGS: Final = 64

@@ -36,6 +36,7 @@ from nserver_emu.viewer.entrance import (
     new_tokens,
 )
 from nserver_emu.viewer.hub import Hub, Viewer
+from nserver_emu.viewer.laser_modes import Modes, laser_modes
 from nserver_emu.viewer.numbers import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
@@ -137,9 +138,13 @@ class Viewing:
         with self.desk.guard.over("the clock"):
             self.desk.tick(_now())
         with self.desk.guard.over("the picture"):
-            self.hub.take()
+            self.hub.take(self._laser_modes())
         for bell in self._bells.values():
             bell.set()
+
+    def _laser_modes(self) -> Modes:
+        robots = self._daemon.emulator.simulation.robots
+        return laser_modes(self._daemon.connections, [n for n, robot in robots.items() if robot.model.sees])
 
     @web.middleware
     async def _at_the_door(self, request: web.Request, handler: Handler) -> web.StreamResponse:

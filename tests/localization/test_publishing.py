@@ -17,12 +17,14 @@ import numpy as np
 import pytest
 
 from localization.belief import Belief
+from localization.filters.method import Place
 from localization.localizer import Echo, Estimate
 from localization.navigation import COMMAND_TIMEOUT_S, Navigator
 from localization.observation import Refusal
-from localization.publishing import AGAIN_S, Publisher, message, waypoints_in
+from localization.publishing import AGAIN_S, MOST_PLACES, Publisher, message, waypoints_in
 from localization.run import Moment
 from localization.systematic import with_constants
+from localization.watch import Trust, Verdict
 from nclient.errors import AddressError, ConnectionLost
 
 
@@ -68,9 +70,19 @@ def test_a_moment_as_it_is_published() -> None:
             {"sonar": 3, "reading_in": 40, "refusal": "none", "innovation_in": -0.5, "nis": 2.5},
             {"sonar": 4, "reading_in": 255, "refusal": "limit", "innovation_in": 0, "nis": 0},
         ],
-        "waypoints": [[5, 6]], "passed": 1,
+        "waypoints": [[5, 6]], "passed": 1, "trust": "OK", "reason": "", "places": [],
     }  # fmt: skip
     assert message(1, a_moment(), 0.0, [])["truth"] is None
+
+
+def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
+    moment, verdict = a_moment(), Verdict(Trust.LOST, "2 places look alike")
+    elsewhere = with_constants(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
+    places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
+    said = message(1, moment._replace(estimate=replace(moment.estimate, verdict=verdict, places=places)), 0.0, [])
+    assert (said["trust"], said["reason"]) == ("LOST", "2 places look alike")
+    assert said["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
+    assert len(said["places"]) == MOST_PLACES
 
 
 def test_of_a_longer_state_the_pose_is_published() -> None:

@@ -26,7 +26,7 @@ export function drawScene(pen, scene, view, options) {
     const body = scene.bodies[id];
     if (!body) continue;
     if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
-    if (id === options.robot) drawSensors(pen, robot, body, scene.lasers[id], view, options);
+    if (id === options.robot) drawSensors(pen, scene, id, view, options);
     if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
     drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && many });
     if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
@@ -104,13 +104,15 @@ function drawTraces(pen, traces, view, theme) {
   }
 }
 
-export function bodyFrame(robot, body) { return body.differential ? robot.actual[2] : 0; }
-
-function drawSensors(pen, robot, body, laser, view, { theme, shown }) {
-  const [x, y, , turret] = robot.actual;
+// Sonar beams from where each sonar cried, laser points where they were seen, infrared from where the robot is now.
+function drawSensors(pen, scene, id, view, { theme, shown }) {
+  const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
+  const [x, y] = robot.actual;
+  if (shown.sonar) {
+    for (const [k, ...from] of scene.beams[id] ?? []) drawBeam(pen, view, from, body.ring_in, robot.state[17 + k], theme.sonar);
+  }
   for (let k = 0; k < 16; k += 1) {
     const direction = sonarDirection(robot, k);
-    if (shown.sonar) beam(pen, view, x, y, direction, body.ring_in, robot.state[17 + k], theme.sonar);
     const near = robot.state[1 + k];
     if (shown.infrared && body.sees && near < NO_INFRARED) {
       pen.strokeStyle = theme.infrared; pen.lineWidth = 4;
@@ -120,13 +122,12 @@ function drawSensors(pen, robot, body, laser, view, { theme, shown }) {
   if (!shown.laser || !laser) return;
   pen.fillStyle = theme.laser;
   for (let k = 0; k + 1 < laser.length; k += 2) {
-    const [px, py] = toScreen(view, x + laser[k] * Math.cos(turret) - laser[k + 1] * Math.sin(turret),
-      y + laser[k] * Math.sin(turret) + laser[k + 1] * Math.cos(turret));
+    const [px, py] = toScreen(view, laser[k], laser[k + 1]);
     pen.fillRect(px - 1, py - 1, 2, 2);
   }
 }
 
-function beam(pen, view, x, y, direction, ring, reading, colour) {
+function drawBeam(pen, view, [x, y, direction], ring, reading, colour) {
   const far = ring + reading, nothing = reading >= NOTHING_IN;
   const [px, py] = toScreen(view, x, y);
   pen.globalAlpha = nothing ? 0.03 : 0.09;
@@ -187,7 +188,7 @@ function drawBumpers(pen, robot, body, view, theme) {
   pen.lineWidth = 5;
   for (let k = 0; k < body.bumpers; k += 1) {
     if (!(robot.state[33] >> k & 1)) continue;
-    const middle = bodyFrame(robot, body) + k * 2 * half;
+    const middle = robot.front + k * 2 * half;
     pen.beginPath();
     pen.arc(px, py, body.radius_in * view.scale, -middle - half, -middle + half);
     pen.stroke();

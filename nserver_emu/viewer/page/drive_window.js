@@ -73,7 +73,7 @@ export const driveWindow = {
       element('div', { className: 'row' }, this.speed.label, this.turn.label))));
     this.pose = [lengthField(app, 'x', 0), lengthField(app, 'y', 0),
       ...['steering, °', 'turret, °'].map((name) => field(name, { type: 'number', step: 'any', value: 0 }))];
-    box.append(form(() => placeRobot(app, app.robot, this.typedPose()), element('div', { className: 'row' },
+    box.append(form(() => placeRobot(app, app.robot, this.typedPose()), element('div', { className: 'row', role: 'group', ariaLabel: 'A pose' },
       ...this.pose.map((one) => one.label),
       button('Take from robot', () => this.takePose(app)),
       element('button', { id: 'place-robot' }, 'Place robot'),

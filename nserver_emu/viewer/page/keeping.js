@@ -7,7 +7,7 @@
 import { download } from './parts.js';
 import { drawScene } from './draw.js';
 import { SvgPen } from './svg.js';
-import { drawnOn } from './scene.js';
+import { drawnOn, beamsOn } from './scene.js';
 import { graphicsToSvg } from './svg_graphics.js';
 
 const KEPT = ['picture', 'localization', 'waypoints'];
@@ -46,7 +46,7 @@ export function folded(base, picture) {
   }
   const { drawn, ...rest } = picture;
   const graphics = drawn ? drawnOn(base.graphics, drawn) : rest.graphics ?? base.graphics;
-  return { ...base, ...rest, since: 0, traces, graphics };
+  return { ...base, ...rest, since: 0, traces, graphics, beams: beamsOn(base.beams, picture.beams) };
 }
 
 export function savePng(app) {

@@ -1,6 +1,7 @@
 // The window Localization, and the estimate on the map: what `nomad localize --publish` says of the robot that is chosen.
 // Where it is thought to be with its 3-sigma ellipse, the beams taken and refused with the reason, innovation, NIS and
-// error over time, way-points. Rules: what has not been heard of for a while says so, and then fades.
+// error over time, way-points. Rules: what has not been heard of for a while says so, and then fades; of a robot that is
+// LOST no place is shown as its own, only the several that it may be at, each with its share.
 
 import { toScreen } from './view.js';
 import { circle, arrow } from './draw.js';
@@ -20,6 +21,8 @@ const CHARTS = {
   heading: ['Error of the heading, °', [['hit', 'error'], ['quiet', '3 sigma']]],
 };
 const DEGREES = 180 / Math.PI;
+const TRUST = { OK: '✓ OK', DEGRADED: '! DEGRADED', LOST: '✕ LOST' };
+const UNKNOWN = { error: null, sigma: null, turn: null, turnSigma: null };
 
 function newHistory() { return { latest: null, heard_ms: 0, moments: [], beams: new Map(), counts: {} }; }
 
@@ -27,6 +30,9 @@ export const localizationWindow = {
   id: 'localization', title: 'Localization', of: {},
   build(box, app) {
     this.note = element('p', { className: 'quiet' });
+    this.trust = element('strong', { role: 'status', id: 'trust' });
+    this.reason = element('span', { id: 'trust-reason' });
+    this.state = element('p', { className: 'trust' }, this.trust, ' ', this.reason);
     this.rows = table(box, 'Estimate');
     this.charts = Object.fromEntries(Object.entries(CHARTS).map(([name, [title, entries]]) => {
       const canvas = element('canvas', { role: 'img' }), heading = element('div');
@@ -34,13 +40,13 @@ export const localizationWindow = {
       return [name, { canvas, heading, title, whole: element('div', {}, heading, canvas, legend(...entries)) }];
     }));
     this.plots = element('div', {}, ...Object.values(this.charts).map(({ whole }) => whole));
-    box.prepend(this.note);
+    box.prepend(this.note, this.state);
     box.append(this.plots, this.waypoints(app));
   },
   waypoints(app) {
     this.point = [lengthField(app, 'x', 0, { id: 'waypoint-x' }), lengthField(app, 'y', 0, { id: 'waypoint-y' })];
     this.list = element('div', { id: 'waypoint-list' });
-    return element('div', { className: 'acts' },
+    return element('div', { className: 'acts', role: 'group', ariaLabel: 'Waypoints' },
       form(() => app.setWaypoints([...pointsNow(app), tenthed(this.point.map((one) => one.inches))]),
         element('div', { className: 'row' }, ...this.point.map((one) => one.label), element('button', { id: 'add-waypoint' }, 'Add waypoint'))),
       element('div', { className: 'row' }, button('By pointer', () => app.choose('waypoint'), { ariaLabel: 'Waypoints by pointer' }),
@@ -54,10 +60,11 @@ export const localizationWindow = {
     const mine = this.of[message.robot] = old && message.clock_s >= old.latest.clock_s ? old : newHistory();
     mine.latest = message;
     mine.heard_ms = performance.now() - 1000 * (message.age_s ?? 0);
+    if (isLost(message)) mine.beams.clear();
     for (const echo of message.echoes) {
       mine.counts[echo.refusal] = (mine.counts[echo.refusal] ?? 0) + 1;
       mine.beams.delete(echo.sonar);
-      mine.beams.set(echo.sonar, { ...echo, pose: message.pose, turret: message.turret, clock_s: message.clock_s });
+      if (!isLost(message)) mine.beams.set(echo.sonar, { ...echo, pose: message.pose, turret: message.turret, clock_s: message.clock_s });
     }
     for (const [sonar, beam] of mine.beams) if (beam.clock_s < message.clock_s - BEAM_S) mine.beams.delete(sonar);
     mine.moments.push({ time_s: message.clock_s, echoes: message.echoes, ...errorsOf(message) });
@@ -73,7 +80,7 @@ export const localizationWindow = {
   update(app) {
     const mine = this.of[app.robot], age_s = mine && ageOf(mine);
     this.listWaypoints(app);
-    this.plots.hidden = this.rows.parentElement.hidden = !mine;
+    this.plots.hidden = this.rows.parentElement.hidden = this.state.hidden = !mine;
     this.note.hidden = Boolean(mine) && age_s < STALE_S;
     if (!mine) { this.tellHow(app); return; }
     if (!this.note.hidden) this.note.textContent = `Nothing heard of the localizer for ${Math.round(age_s)} s: what is shown is old.`;
@@ -89,10 +96,15 @@ export const localizationWindow = {
   },
   words({ latest: now, counts }, app) {
     this.told = null;
-    const [x, y, heading] = now.pose, { error, sigma, turn, turnSigma } = errorsOf(now);
-    cell(this.rows, 'estimate', `${lengthText(x, app.metric, 2)}, ${lengthText(y, app.metric, 2)}, ${degreesText(heading)}`);
-    cell(this.rows, '3 sigma', `${lengthText(sigma, app.metric, 2)}, ${turnSigma.toFixed(2)}°`);
-    cell(this.rows, 'error', error === null ? 'truth unknown' : `${lengthText(error, app.metric, 2)}, ${turn.toFixed(2)}°`);
+    const { error, sigma, turn, turnSigma } = errorsOf(now), lost = isLost(now), trust = now.trust ?? 'OK';
+    if (this.trust.textContent !== TRUST[trust]) this.trust.textContent = TRUST[trust];
+    this.state.dataset.trust = trust;
+    this.reason.textContent = now.reason ?? '';
+    const at = ([px, py, turned]) => `${lengthText(px, app.metric, 2)}, ${lengthText(py, app.metric, 2)}, ${degreesText(turned)}`;
+    cell(this.rows, 'estimate', lost ? 'none is believed' : at(now.pose));
+    cell(this.rows, 'may be at', severalOf(now).map(({ pose, share }) => `${percent(share)}: ${at(pose)}`).join('; ') || (lost ? 'anywhere' : 'there alone'));
+    cell(this.rows, '3 sigma', lost ? 'no place, no spread' : `${lengthText(sigma, app.metric, 2)}, ${turnSigma.toFixed(2)}°`);
+    cell(this.rows, 'error', lost ? 'no place, no error' : error === null ? 'truth unknown' : `${lengthText(error, app.metric, 2)}, ${turn.toFixed(2)}°`);
     cell(this.rows, 'echoes', Object.entries(REASONS).map(([name, text]) => `${counts[name] ?? 0} ${text}`).join(', '));
     cell(this.rows, 'waypoints', `${now.passed} of ${now.waypoints.length} reached`);
   },
@@ -104,7 +116,7 @@ export const localizationWindow = {
     const lines = {
       innovation: [dots(false, (echo) => echo.innovation_in / one), dots(true, (echo) => echo.innovation_in / one)],
       nis: [dots(false, (echo) => Math.min(echo.nis, 2 * GATE_99_9)), dots(true, (echo) => echo.nis)],
-      error: [line(theme.quiet, (moment) => moment.sigma / one), line(theme.hit, (moment) => moment.error && moment.error / one)],
+      error: [line(theme.quiet, (moment) => moment.sigma && moment.sigma / one), line(theme.hit, (moment) => moment.error && moment.error / one)],
       heading: [line(theme.quiet, (moment) => moment.turnSigma), line(theme.hit, (moment) => moment.turn && Math.abs(moment.turn))],
     };
     for (const [name, { canvas, heading, title }] of Object.entries(this.charts)) {
@@ -133,7 +145,8 @@ export const localizationWindow = {
     const now = mine.latest, ring = scene.bodies[String(now.robot)]?.ring_in ?? 9, old = ageOf(mine) > STALE_S;
     pen.globalAlpha = old ? 0.35 : 1;
     if (!old) for (const beam of mine.beams.values()) drawBeam(pen, view, beam, ring, theme);
-    drawEllipse(pen, view, now, theme);
+    if (!isLost(now)) drawEllipse(pen, view, now, theme);
+    for (const place of severalOf(now)) drawPlace(pen, view, place, scene.bodies[String(now.robot)]?.radius_in ?? ring, theme);
     pen.setLineDash([2, 3]);
     pen.strokeStyle = theme.encoder;
     pen.lineWidth = 1.5;
@@ -142,11 +155,18 @@ export const localizationWindow = {
     pen.setLineDash(old ? [4, 4] : []);
     pen.strokeStyle = pen.fillStyle = theme.estimate;
     pen.lineWidth = 2;
-    arrow(pen, view, ...now.pose, ring);
+    if (!isLost(now)) arrow(pen, view, ...now.pose, ring);
     pen.setLineDash([]);
     pen.globalAlpha = 1;
   },
 };
+
+function isLost({ trust }) { return trust === 'LOST'; }
+
+// The places that it may be at, where they are several; one alone is the estimate.
+function severalOf({ places = [] }) { return places.length > 1 ? places : []; }
+
+export function percent(share) { return share > 0 && share < 0.005 ? 'under 1 %' : `${Math.round(100 * share)} %`; }
 
 function ageOf(mine) { return window.nserverRun ? 0 : (performance.now() - mine.heard_ms) / 1000; }
 
@@ -163,8 +183,9 @@ export function howToPublish(app) {
   return `nomad localize nserver://${place}/${app.robot} --map ${app.scene.world?.name ?? 'WORLD'} --publish '${linkWith(location, app.token)}'`;
 }
 
-// Error against truth (null where that is unknown) and 3 sigma, of the place in inches, of the heading in degrees.
-export function errorsOf({ pose, truth, cov }) {
+// Error against truth (null where that is unknown, all of it where no place is believed) and 3 sigma, of the place in inches, of the heading in degrees.
+export function errorsOf({ pose, truth, cov, trust }) {
+  if (isLost({ trust })) return UNKNOWN;
   const turn = truth && (((pose[2] - truth[2]) * DEGREES + 540) % 360 + 360) % 360 - 180;
   return { error: truth && Math.hypot(pose[0] - truth[0], pose[1] - truth[1]), turn, sigma: 3 * ellipse(cov)[0],
     turnSigma: 3 * Math.sqrt(cov[8]) * DEGREES };
@@ -186,6 +207,22 @@ function drawEllipse(pen, view, { pose, cov }, theme) {
   const alpha = pen.globalAlpha;
   pen.globalAlpha = 0.25 * alpha; pen.fill(); pen.globalAlpha = alpha;
   pen.stroke();
+}
+
+// Faint, the likelier the less so; its share in full ink.
+function drawPlace(pen, view, { pose, share }, radius, theme) {
+  const [x, y] = pose, alpha = pen.globalAlpha;
+  pen.strokeStyle = pen.fillStyle = theme.estimate;
+  pen.lineWidth = 1.5;
+  pen.globalAlpha = alpha * (0.35 + 0.5 * share);
+  pen.setLineDash([4, 3]);
+  circle(pen, view, x, y, radius);
+  pen.stroke();
+  pen.setLineDash([]);
+  arrow(pen, view, ...pose, radius);
+  pen.globalAlpha = alpha;
+  pen.font = '12px system-ui, sans-serif';
+  pen.fillText(percent(share), ...toScreen(view, x + radius * 0.75, y - radius * 1.1));
 }
 
 function drawBeam(pen, view, beam, ring, theme) {

@@ -9,6 +9,8 @@ import { lengthText } from './units.js';
 import { remember, remembered } from './remembering.js';
 
 const ZOOM = 1.25, KEY_PAN_PX = 40;
+const NOTES = { laser: 'Of the robot that is chosen, while any of its clients has it on: the window Robot says whose',
+  sonar: 'Of the robot that is chosen, from where each sonar cried' };
 
 export function mapWindow(app) {
   const canvas = document.getElementById('map');
@@ -142,7 +144,8 @@ export function mapWindow(app) {
       app.layersChanged();
       keepDrawing();
     } });
-    document.getElementById('clear-traces').before(element('label', {}, box, ` ${title}`));
+    const label = element('label', { title: NOTES[name] ?? '' }, box, ` ${title}`);
+    document.getElementById('clear-traces').before(label);
   }
   new ResizeObserver(keepDrawing).observe(canvas);
 

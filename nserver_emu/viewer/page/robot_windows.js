@@ -4,7 +4,6 @@
 import { HISTORY_S } from './scene.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
 import { cell, table, sizedPen } from './parts.js';
-import { bodyFrame } from './draw.js';
 import { timeAxis } from './charts.js';
 
 const MODES = { n150: 'steering', n200: 'steering', scout: 'wheels' };
@@ -18,6 +17,14 @@ export const robotWindow = {
     for (const [name, text] of stateInWords(robot, body, scene, app.metric, app.robot)) cell(this.rows, name, text);
   },
 };
+
+// Whose laser mode the map follows: each client has its own, and what any of them is told is drawn.
+export function laserInWords(body, clients = []) {
+  if (!body.sees) return 'this robot has none';
+  if (!clients.length) return 'on, as at power-on: it has no client';
+  const told = (on) => clients.filter(([, mode]) => Boolean(mode & 1) === on).map(([name, mode]) => `${name} (mode ${mode})`).join(', ');
+  return [['on for', told(true)], ['off for', told(false)]].filter(([, names]) => names).map((parts) => parts.join(' ')).join('; ');
+}
 
 // State[0..44] as a person says it; [what, text] each.
 export function stateInWords(robot, body, scene, metric, who) {
@@ -40,7 +47,7 @@ export function stateInWords(robot, body, scene, metric, who) {
     ['moving', moving.length ? moving.join(', ') : 'nothing'],
     ['bumpers', touched.length ? `touched: ${touched.join(', ')}` : 'free'],
     ['compass', angle(43)],
-    ['laser mode', String(s[42])],
+    ['laser', laserInWords(body, scene.laser_modes[who])],
     ['State[0] (speed)', s[0] === 9999 ? 'as fast as it can' : s[0] === 0 ? 'time stands' : `${s[0] / 10} x real time`],
     ['said last', scene.said.findLast(([, id]) => String(id) === String(who))?.[2] ?? 'nothing'],
     ['numbers', s.join(' ')],
@@ -56,7 +63,7 @@ export const shortWindow = {
     const readings = robot.state.slice(1, 17);
     polar(this.canvas, app.theme, { values: readings, most: 15, colour: app.theme.infrared, off: !body.sees,
       turn: robot.actual[3], steer: robot.actual[2], bumpers: body.bumpers, touched: robot.state[33],
-      frame: bodyFrame(robot, body), metric: app.metric });
+      frame: robot.front, metric: app.metric });
     cell(this.rows, 'infrared', body.sees ? readings.join(' ') : 'this robot has none');
     cell(this.rows, 'bumper bits', `0x${(robot.state[33] >>> 0).toString(16)}`);
   },

@@ -8,23 +8,25 @@ const MOST_SAMPLES = 1500;
 export function emptyScene() {
   return {
     frame: 0, time_s: 0, speed: 1, paused: false, lockstep_s: null, robots: {}, bodies: {}, world: null,
-    graphics: [], traces: {}, lasers: {}, said: [], history: {},
+    graphics: [], traces: {}, beams: {}, lasers: {}, laser_modes: {}, said: [], history: {},
   };
 }
 
 export function applyPicture(scene, picture) {
   if (picture.since === 0) {
     scene.traces = {};
+    scene.beams = {};
     if (picture.time_s < scene.time_s) scene.history = {};
   }
   for (const key of ['frame', 'time_s', 'speed', 'paused', 'lockstep_s', 'robots']) scene[key] = picture[key];
-  for (const key of ['bodies', 'world', 'graphics', 'lasers', 'said']) if (key in picture) scene[key] = picture[key];
+  for (const key of ['bodies', 'world', 'graphics', 'lasers', 'laser_modes', 'said']) if (key in picture) scene[key] = picture[key];
   if ('drawn' in picture) scene.graphics = drawnOn(scene.graphics, picture.drawn);
   for (const [id, both] of Object.entries(picture.traces ?? {})) {
     const mine = scene.traces[id] ??= { actual: newTrace(), encoder: newTrace() };
     growTrace(mine.actual, both.actual);
     growTrace(mine.encoder, both.encoder);
   }
+  scene.beams = beamsOn(scene.beams, picture.beams);
   for (const [id, robot] of Object.entries(scene.robots)) remember(scene, id, robot);
 }
 
@@ -32,6 +34,16 @@ export function applyPicture(scene, picture) {
 export function drawnOn(shapes, { gone, come }) {
   const went = new Set(gone);
   return [...(went.size ? shapes.filter(([number]) => !went.has(number)) : shapes), ...come];
+}
+
+// Beams by robot, with those that changed: each as [sonar, x, y, direction] it left; [sonar] alone takes one away.
+export function beamsOn(beams, changed = {}) {
+  const now = { ...beams };
+  for (const [id, come] of Object.entries(changed)) {
+    const went = new Set(come.map(([sonar]) => sonar));
+    now[id] = [...(now[id] ?? []).filter(([sonar]) => !went.has(sonar)), ...come.filter((beam) => beam.length > 1)];
+  }
+  return now;
 }
 
 function newTrace() { return { gone: 0, points: [] }; }

@@ -137,20 +137,37 @@ function turnTool(app) {
 
 function flat(corners) { return [corners.length, ...corners.flat().map(tenthsOf)]; }
 
-// Obstacles: each step keeps the whole world as it was before, which is what undo puts back, to the last digit.
+// Obstacles: a step is about one of them, and so is its undo, to the last digit; what others did meanwhile stays. Where
+// they changed that very one, undo says so.
+
+function obstacleStep(app, title, forth, undoing) {
+  let told = null;
+  const ask = async (wanted) => {
+    const answer = await control(app, 'obstacle', wanted);
+    return answer.ok ? answer : { ...answer, error: answer.error.replace(/^obstacle: there is none.*/, 'it has been moved or taken away meanwhile') };
+  };
+  return app.undo.run({ title, forth: async () => {
+    const answer = await forth();
+    if (answer.ok) told = answer.said ?? null;
+    return answer;
+  }, back: () => ask(undoing(told)) });
+}
 
 export async function addObstacle(app, corners) {
   const wrong = cornersWrong(corners);
   if (wrong) { app.notice(`Not possible: ${wrong}.`); return { ok: false, error: wrong }; }
-  return app.replaceWorld('add obstacle', () => tell(app, 'add_obstacle', flat(corners)));
+  const added = corners.map((corner) => corner.map((inches) => tenthsOf(inches) / 10));
+  return obstacleStep(app, 'add obstacle', () => tell(app, 'add_obstacle', flat(corners)), () => ({ corners: added }));
 }
 
 export function deleteObstacle(app, { corners }) {
-  return app.replaceWorld('delete obstacle', () => control(app, 'obstacle', { corners }));
+  return obstacleStep(app, 'delete obstacle', () => control(app, 'obstacle', { corners }),
+    (told) => ({ put: told.was, name: told.name, at: told.at }));
 }
 
 export function moveObstacle(app, corners, dx_in, dy_in) {
-  return app.replaceWorld('move obstacle', () => control(app, 'obstacle', { corners, by: [dx_in, dy_in] }));
+  return obstacleStep(app, 'move obstacle', () => control(app, 'obstacle', { corners, by: [dx_in, dy_in] }),
+    (told) => ({ corners: told.is, to: told.was }));
 }
 
 export function rectangle([x1, y1], [x2, y2]) {

@@ -18,7 +18,6 @@ export function typedCorners(text) {
 export const worldWindow = {
   id: 'world', title: 'World', acts: true, moves: Promise.resolve(),
   build(box, app) {
-    app.replaceWorld = (title, forth) => replaceWorld(app, title, forth);
     this.list = element('div', { id: 'world-list' });
     const corners = element('input', { id: 'corners', placeholder: EXAMPLE, size: 22 }), name = document.createTextNode('');
     const label = element('label', {}, name, corners);
@@ -75,7 +74,7 @@ async function shift(app, k, dx_in, dy_in) {
   const thing = app.scene.world.obstacles[k];
   if (!thing) return;
   const answer = await moveObstacle(app, thing.corners, dx_in, dy_in);
-  if (answer.ok) thing.corners = thing.corners.map(([x, y]) => [x + dx_in, y + dy_in]);
+  if (answer.ok) thing.corners = answer.said.is;
 }
 
 async function worldNow(app) {
@@ -88,11 +87,19 @@ async function saveWorld(app) {
   if (text !== null) download(`${app.scene.world.name}.toml`, 'text/plain', text);
 }
 
-// Changes the world; one step of undo brings back the one before it, whole. The answer, or why there was nothing to keep.
-async function replaceWorld(app, title, forth) {
-  const before = await worldNow(app);
-  if (before === null) return { ok: false, error: 'the world cannot be read' };
-  return app.undo.run({ title, forth, back: () => control(app, 'world set', { text: before, file: 'the world before' }) });
+// Puts another world in place of this one. One step of undo brings that back, whole, unless somebody changed the new one
+// meanwhile, for that would be lost.
+function replaceWorld(app, title, forth) {
+  let before = null, after = null;
+  return app.undo.run({ title, forth: async () => {
+    before = await worldNow(app);
+    if (before === null) return { ok: false, error: 'the world cannot be read' };
+    const answer = await forth();
+    if (answer.ok) after = await worldNow(app);
+    return answer;
+  }, back: async () => (await worldNow(app) === after
+    ? control(app, 'world set', { text: before, file: 'the world before' })
+    : { ok: false, error: 'the world has been changed since, by somebody else' }) });
 }
 
 export function loadWorld(app, text, file) {

@@ -37,6 +37,8 @@ def the_map_and_the_windows(browser: Browser, folder: Path, scheme: str) -> None
                 robot.wait_until_still(timeout_s=20)
                 robot.move(steering_rad=radians, turret_rad=radians)
                 robot.wait_until_still(timeout_s=20)
+            robot.move(turret_rad=1.9)
+            robot.wait_until_still(timeout_s=20)
             page.page.fill("#corners", "70,62 80,62 84,72")
             page.page.press("#corners", "Enter")
             page.wait("nserver.scene.world.obstacles.length > 0")
@@ -61,7 +63,7 @@ def the_estimate(browser: Browser, folder: Path, scheme: str) -> None:
         told = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", "several_walls",
                 "--waypoints", "35,55", "90,55", "--publish", program.url]  # fmt: skip
         with subprocess.Popen([sys.executable, "-c", LOCALIZE, *told], stdout=subprocess.DEVNULL) as localizer:
-            page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25")
+            page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25", 60.0)
             page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
             page.page.wait_for_timeout(2500)
             page.page.screenshot(path=folder / "localization.png")

@@ -81,8 +81,10 @@ def test_what_is_too_old_for_a_run_is_folded_into_its_beginning(browser: Browser
         found = page.value(
             """import('/page/keeping.js').then((m) => { const trace = (gone, ...points) => ({ gone, points });
             return m.folded(
-            { since: 0, frame: 1, world: 'w', traces: { 1: { actual: trace(1, 1, 2), encoder: trace(0) } } },
-            { since: 1, frame: 2, traces: { 1: { actual: trace(2, 3, 4), encoder: trace(1, 5, 6) },
+            { since: 0, frame: 1, world: 'w', beams: { 1: [[3, 1, 1, 0], [4, 1, 1, 0]] },
+              traces: { 1: { actual: trace(1, 1, 2), encoder: trace(0) } } },
+            { since: 1, frame: 2, beams: { 1: [[4], [5, 2, 2, 0]] },
+              traces: { 1: { actual: trace(2, 3, 4), encoder: trace(1, 5, 6) },
               2: { actual: trace(1, 7, 8), encoder: trace(0) } } }); })"""
         )
         assert found["traces"]["1"] == {
@@ -90,3 +92,4 @@ def test_what_is_too_old_for_a_run_is_folded_into_its_beginning(browser: Browser
         }  # fmt: skip
         assert (found["since"], found["frame"], found["world"]) == (0, 2, "w")
         assert found["traces"]["2"]["actual"]["points"] == [7, 8]
+        assert found["beams"] == {"1": [[3, 1, 1, 0], [5, 2, 2, 0]]}

@@ -49,6 +49,7 @@ def publish(url: str, robot: int, **changes: Any) -> dict[str, Any]:
     said = {
         "robot": robot, "clock_s": 1.0, "pose": [20, 30, 0.0], "turret": 0.0, "odometry": [21, 31, 0], "passed": 0,
         "cov": [[1, 0, 0], [0, 1, 0], [0, 0, 0.01]], "truth": [23, 34, 6.2], "waypoints": [],
+        "trust": "OK", "reason": "", "places": [],
         "echoes": [{"sonar": robot, "reading_in": 40, "refusal": "none", "innovation_in": 1.0, "nis": 1.0}],
     } | changes  # fmt: skip
     request = Request(url.replace("/?", "/publish?"), json.dumps(said).encode(), method="POST")
@@ -100,3 +101,49 @@ def test_waypoints_are_set_moved_and_taken_away_without_a_pointer_and_with_one(b
         page.page.focus("[aria-label='Delete waypoint 1']")
         page.page.keyboard.press("Enter")
         page.wait("nserver.waypoints['1'].length === 0")
+
+
+LOST = {"trust": "LOST", "pose": [0, 0, 0], "cov": [[1e6, 0, 0], [0, 1e6, 0], [0, 0, 9]]}
+PLACES = [{"pose": [30, 60, 0], "share": 0.62}, {"pose": [80, 40, 1.57], "share": 0.38}]
+DRAWN = """import('/page/keeping.js').then((m) => { const text = m.svgOf(nserver), colour = nserver.theme.estimate;
+    return [text.split('<path ').filter((path) => path.includes(`"${colour}"`)).length,
+            [...text.matchAll(/>([^<]* %)<.text>/g)].map((found) => found[1])]; })"""
+
+
+def test_how_far_it_is_believed_is_said_in_words_and_where_it_may_be_is_drawn(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        publish(program.url, 1)
+        page.wait(f"{WORDS}.includes('✓ OK') && {WORDS}.includes('there alone')")
+        known, _ = page.value(DRAWN)
+        assert known > 0
+        publish(program.url, 1, clock_s=2.0, trust="DEGRADED", reason="the position is known to 3.4 in only")
+        page.wait(f"{WORDS}.includes('! DEGRADED the position is known to 3.4 in only')")
+        assert page.value(DRAWN) == [known, []]
+        publish(program.url, 1, clock_s=3.0, reason="searching: a guess", **LOST)
+        page.wait(f"{WORDS}.includes('✕ LOST searching: a guess') && {WORDS}.includes('anywhere')")
+        assert "3000" not in page.value(WORDS)
+        assert page.value(DRAWN) == [0, []]
+        publish(program.url, 1, clock_s=4.0, reason="2 places look alike", places=PLACES, **LOST)
+        page.wait(f"{WORDS}.includes('62 %: 30.00 in, 60.00 in, 0.0°; 38 %: 80.00 in, 40.00 in, 90.0°')")
+        assert page.value(DRAWN) == [6, ["62 %", "38 %"]], "a circle and an arrow of two strokes each"
+        publish(program.url, 1, clock_s=5.0)
+        page.wait(f"{WORDS}.includes('✓ OK')")
+        assert page.value(DRAWN) == [known, []]
+
+
+def test_a_robot_that_finds_itself_and_one_that_goes_are_shown(browser: Browser) -> None:
+    nomad = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
+    with nserver("several_walls", "--noisy", "--seed", "3", "--speed", "4", "--start", "5,5,0,0") as program:
+        address = f"nserver://127.0.0.1:{program.port}/1"
+        with opened(browser, program.url) as page:
+            lost = [*nomad, "localize", address, "--map", "several_walls", "--start", "unknown", "--waypoints", "30,10",
+                    "--publish", program.url]  # fmt: skip
+            with subprocess.Popen(lost, stdout=subprocess.DEVNULL) as localizer:
+                page.wait(f"{WORDS}.includes('✕ LOST')", 60.0)
+                page.wait(f"{WORDS}.includes('✓ OK')", 60.0)
+                localizer.terminate()
+            going = [*nomad, "go", address, "--map", "several_walls", "--to", "30,20", "--publish", program.url]
+            with subprocess.Popen(going, stdout=subprocess.DEVNULL) as driver:
+                page.wait("nserver.estimateOf('1')?.waypoints[0]?.join() === '30,20'", 60.0)
+                page.wait("nserver.estimateOf('1')?.pose[0] + nserver.estimateOf('1').pose[1] > 47", 60.0)
+                assert driver.wait(timeout=60) == 0

@@ -8,6 +8,8 @@ import pytest
 from browsing import nserver, opened
 from playwright.sync_api import Browser
 
+from nclient import Pose
+
 NEAR = 40
 """How far apart two colours of the screen may be, of 255, and still be one."""
 
@@ -36,6 +38,30 @@ def test_the_robot_moves_on_the_canvas_as_state_says(browser: Browser) -> None:
         page.wait("nserver.scene.traces['1'].actual.points.at(-2) > 59.3")
         assert page.value("nserver.scene.traces['1'].actual.points.slice(0, 2)") == [20, 30]
         assert page.pixel(30, 30) != floor
+
+
+def test_beams_stay_where_they_were_heard_until_the_robot_is_put_down_elsewhere(browser: Browser) -> None:
+    beams = """import('/page/keeping.js').then((m) => m.svgOf(nserver).split('<path ').filter((path) =>
+        path.includes(`stroke="${nserver.theme.sonar}"`)).map((path) => path.split('"')[1]))"""
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
+        assert len(page.value(beams)) == 16
+        with program.robot() as robot:
+            robot.configure_sonars(rate=15, order=())
+            now = page.value("nserver.scene.time_s")
+            page.wait(f"nserver.scene.time_s > {now} + 0.3")
+            heard = page.value(beams)
+            robot.move(translation_in=40, turret_rad=1.0)
+            robot.wait_until_still(timeout_s=20)
+            page.wait("Math.abs(nserver.scene.robots['1'].actual[0] - 60) < 0.1")
+            assert page.value(beams) == heard
+            robot.place(Pose(70, 70, 0, 0))
+            page.wait("nserver.scene.beams['1'].length === 0")
+            assert page.value(beams) == []
+            robot.configure_sonars(rate=15, order=(4,))
+            page.wait("nserver.scene.beams['1'].length === 1")
+            start = page.value("nserver.map.screenOf(70, 70 + nserver.scene.bodies['1'].ring_in)")
+            drawn = page.value(beams)[0][1:].split("L")[0].split()
+            assert [float(number) for number in drawn] == pytest.approx(start, abs=0.02)
 
 
 def test_client_graphics_are_drawn_in_their_colours_and_xor_takes_them_away(browser: Browser) -> None:

@@ -6,7 +6,7 @@ import json
 import math
 from pathlib import Path
 
-from browsing import nserver, opened
+from browsing import Opened, nserver, opened
 from playwright.sync_api import Browser
 
 from worlds.files import load_world
@@ -53,3 +53,56 @@ def test_the_laser_is_asked_for_of_the_robot_that_is_chosen(browser: Browser) ->
         page.wait("Object.keys(nserver.scene.lasers).join() === '1'")
         page.page.select_option("#robot-choice", "2")
         page.wait("Object.keys(nserver.scene.lasers).join() === '2'")
+
+
+def undone(page: Opened) -> None:
+    """Press Undo, and wait until that is through."""
+    page.value("nserver.undo.undo()")
+
+
+def test_two_viewers_undo_each_their_own_steps(browser: Browser) -> None:
+    corners = f"JSON.stringify({OBSTACLES}.map((thing) => thing.corners[0]))"
+    words = "document.querySelector('#notice').innerText"
+
+    def add(page: Opened, text: str, count: int) -> None:
+        page.page.fill("#corners", text)
+        page.page.press("#corners", "Enter")
+        page.wait(f"{OBSTACLES}.length === {count}")
+
+    def press(page: Opened, word: str, number: int, corner: str) -> None:
+        page.wait(f"document.querySelector('#world-list').innerText.includes('obstacle {number}: {corner} ')")
+        page.page.click(f"[aria-label='{word} obstacle {number}']")
+
+    with nserver("thesis_room") as program, opened(browser, program.url) as one, opened(browser, program.url) as two:
+        add(one, "40,40 50,40 50,50", 1)
+        two.wait(f"{OBSTACLES}.length === 1")
+        add(two, "70,40 80,40 80,50", 2)
+        one.wait(f"{OBSTACLES}.length === 2")
+        press(one, "move up", 1, "40,40")
+        two.wait(f"{corners} === '[[40,41],[70,40]]'")
+        press(two, "move right", 2, "70,40")
+        one.wait(f"{corners} === '[[40,41],[71,40]]'")
+        undone(one)
+        two.wait(f"{corners} === '[[40,40],[71,40]]'")
+        press(one, "delete", 1, "40,40")
+        two.wait(f"{corners} === '[[71,40]]'")
+        undone(two)
+        one.wait(f"{corners} === '[[70,40]]'")
+        undone(one)
+        two.wait(f"{corners} === '[[40,40],[70,40]]'")
+        undone(one)
+        two.wait(f"{corners} === '[[70,40]]'")
+        one.value("nserver.undo.redo()")
+        two.wait(f"{corners} === '[[70,40],[40,40]]'")
+        press(two, "move up", 2, "40,40")
+        one.wait(f"{corners} === '[[70,40],[40,41]]'")
+        undone(one)
+        one.wait(f"{words}.includes('cannot undo “add obstacle”: it has been moved or taken away meanwhile')")
+        assert one.value(corners) == "[[70,40],[40,41]]"
+        one.page.click("#clear-world")
+        two.wait(f"{OBSTACLES}.length === 0")
+        add(two, "20,60 30,60 30,70", 1)
+        undone(one)
+        one.wait(f"{words}.includes('cannot undo “remove all”: the world has been changed since')")
+        undone(two)
+        one.wait(f"{OBSTACLES}.length === 0")

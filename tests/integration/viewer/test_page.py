@@ -221,6 +221,7 @@ SMALL: list[tuple[str, str, Any]] = [
     ("localization_window.js",
      "m.errorsOf({ pose: [3, 4, 0.1], truth: [0, 0, 2 * Math.PI], cov: [1, 0, 0, 0, 4, 0, 0, 0, 0] }).turn.toFixed(3)",
      "5.730"),
+    ("localization_window.js", "[0, 0.001, 0.126, 1].map(m.percent).join()", "0 %,under 1 %,13 %,100 %"),
 ]  # fmt: skip
 
 

@@ -53,6 +53,16 @@ def test_the_laser_shows_what_a_client_is_told_and_a_layer_can_be_left_out(brows
         page.wait("(nserver.scene.lasers['1'] ?? []).length > 100")
         x, y = page.value("nserver.scene.lasers['1'].slice(480, 482)")
         assert (x, y) == pytest.approx((102.2, 0), abs=0.2)
+        page.wait("document.querySelector('#window-robot').innerText.includes('on, as at power-on')")
+        said = "document.querySelector('#window-robot').innerText.match(/laser\\s+(o.*)/)[1]"
+        with program.robot() as first, program.robot() as second:
+            first.configure_laser(mode=0)
+            second.configure_laser(mode=50)
+            page.wait("nserver.scene.lasers['1'] === undefined")
+            page.wait(f"/off for .* \\(mode 0\\), .* \\(mode 50\\)/.test({said})")
+            second.configure_laser(mode=33)
+            page.wait("nserver.scene.lasers['1']?.length > 100")
+            page.wait(f"/^on for .* \\(mode 33\\); off for .* \\(mode 0\\)$/.test({said})")
         page.page.click("[popovertarget=layers]")
         page.page.click("#layer-laser")
         page.wait("!nserver.map.shown.laser")

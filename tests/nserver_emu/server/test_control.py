@@ -221,9 +221,9 @@ def test_an_obstacle_is_moved_by_its_corners() -> None:
     house = House()
     house.emulator.simulation.change_world(parse_world(WITH_OBSTACLE, "w", "w"))
     wanted = {"corners": [[60, 60], [70, 60], [70, 70]], "by": [1, 2]}
-    assert house.said("obstacle", wanted) == {"obstacles": 1}
+    assert house.said("obstacle", wanted)["is"] == [[61, 62], [71, 62], [71, 72]]
     assert house.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
-    assert house.said("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}') == {"obstacles": 0}
+    assert house.said("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}')["obstacles"] == 0
     assert len(house.changes) == 2
     for wrong in (3, "{", [1]):
         assert "obstacle: such as" in house.told({"command": "obstacle", "argument": wrong})["error"]

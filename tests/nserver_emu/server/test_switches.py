@@ -15,7 +15,6 @@ from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.setting import Setting
 from nserver_emu.server.switches import (
     MOST_SHOWN,
-    change_obstacle,
     noise_of,
     noise_words,
     put_world,
@@ -190,39 +189,3 @@ def test_no_more_worlds_are_kept_than_steps_can_be_taken_back() -> None:
         show_world(emulator)
     assert len(emulator.shown) == MOST_SHOWN
     assert put_world(emulator, text, "first") is not first
-
-
-def test_an_obstacle_of_any_number_of_corners_is_moved_and_taken_away() -> None:
-    emulator = Emulator(simulation())
-    emulator.simulation.change_world(a_world())
-    shown = [[round(x, 3), round(y, 3)] for x, y in TWELVE]
-    moved = change_obstacle(emulator, {"corners": shown, "by": [1.5, -0.25]})
-    assert moved.obstacles[0].name == "pillar"
-    assert moved.obstacles[0].corners_in == tuple((x + 1.5, y - 0.25) for x, y in TWELVE)
-    assert moved.obstacles[1] == a_world().obstacles[1]
-    with pytest.raises(ControlError, match="there is none with these corners"):
-        change_obstacle(emulator, {"corners": shown})
-    left = change_obstacle(emulator, {"corners": [[x + 1.5, y - 0.25] for x, y in shown]})
-    assert [thing.name for thing in left.obstacles] == ["table"]
-    assert emulator.simulation.world is left
-
-
-@pytest.mark.parametrize(
-    ("wanted", "words"),
-    [
-        ({}, "obstacle: such as"), ({"corners": 3}, "obstacle: such as"),
-        ({"corners": [[1, "x"]]}, "obstacle: such as"),
-        ({"corners": [[1e999, 0]]}, "obstacle: such as"), ({"corners": [[10**400, 0]]}, "obstacle: such as"),
-        ({"corners": [list(corner) for corner in TWELVE], "by": [1]}, "obstacle: such as"),
-        ({"corners": [list(corner) for corner in TWELVE], "by": [1e9, 0]}, "off the map"),
-        ({"corners": [list(corner) for corner in TWELVE], "by": [-60, -50]}, "a robot stands"),
-        ({"corners": [list(corner) for corner in TWELVE[:11]], "by": [1, 0]}, "none with these corners"),
-    ],
-)  # fmt: skip
-def test_an_obstacle_that_cannot_be_changed_so_stays(wanted: dict[str, Any], words: str) -> None:
-    emulator = Emulator(simulation())
-    emulator.simulation.change_world(a_world())
-    before = emulator.simulation.world
-    with pytest.raises(ControlError, match=words):
-        change_obstacle(emulator, wanted)
-    assert emulator.simulation.world is before

@@ -156,3 +156,24 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
             seen = min(wall_in, float(cast_discs(here, direction, hidden)))
             assert seen == min(wall_in, float(cast_discs(here, direction, np.delete(discs, 7, axis=0))))
         assert len(nearer) < sum(map(len, met))
+
+
+def test_each_reading_keeps_where_it_was_cried_until_the_robot_is_carried_elsewhere() -> None:
+    sonars = ring()
+    before = sonars.cries
+    assert before == (None,) * 16
+    sonars.configure(15, (3, 4, OFF), 0)
+    for x, turret in ((0.0, 0.0), (7.0, 0.5), (9.0, 0.75)):
+        sonars.fire_due(Eye(x, -x, turret), stamp())
+    step = radians(22.5)
+    kept = {k: (cry.x_in, cry.y_in, cry.direction_rad) for k, cry in enumerate(sonars.cries) if cry}
+    assert kept == {3: (9.0, -9.0, 0.75 + 3 * step), 4: (7.0, -7.0, 0.5 + 4 * step)}
+    for k, (x, y, way) in kept.items():
+        to_x = (100.0 * np.sign(cos(way)) - x) / cos(way)
+        to_y = (100.0 * np.sign(sin(way)) - y) / sin(way)
+        assert sonars.readings_in[k] == round(min(to_x, to_y) - 9.06)
+    readings = sonars.readings_in
+    sonars.carried()
+    assert (sonars.cries, sonars.readings_in) == ((None,) * 16, readings)
+    sonars.fire_due(HERE, stamp())
+    assert [k for k, cry in enumerate(sonars.cries) if cry] == [4]

@@ -11,23 +11,26 @@ from viewed_daemon import served
 from wire_client import simulation
 
 from localization.observation import Refusal
+from localization.watch import Trust
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.viewer.desk import STALE_S, Desk
 from nserver_emu.viewer.hub import Hub
-from nserver_emu.viewer.localization import REFUSALS, published
+from nserver_emu.viewer.localization import MOST_PLACES, MOST_REASON, REFUSALS, TRUSTS, published
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import BadMessage
 
 GOOD: dict[str, Any] = {
     "robot": 1, "clock_s": 1.5, "pose": [1, 2, 0.1], "turret": 0.2, "cov": [[1, 0, 0], [0, 2, 0], [0, 0, 3]],
-    "odometry": [1, 2, 3], "truth": None, "waypoints": [[5, 6]], "passed": 0,
+    "odometry": [1, 2, 3], "truth": None, "waypoints": [[5, 6]], "passed": 0, "trust": "LOST", "reason": "2 look alike",
+    "places": [{"pose": [1, 2, 0.1], "share": 0.7}, {"pose": [9, 8, -3], "share": 0.3}],
     "echoes": [{"sonar": 3, "reading_in": 40, "refusal": "gate", "innovation_in": 0, "nis": 0}],
 }  # fmt: skip
 
 
 def test_refusals_have_the_filter_s_own_names() -> None:
     assert [refusal.name.lower() for refusal in Refusal] == list(REFUSALS)
+    assert [trust.value for trust in Trust] == list(TRUSTS)
 
 
 def test_what_is_right_comes_through() -> None:
@@ -45,11 +48,30 @@ def test_what_is_right_comes_through() -> None:
      {"robot": 1e30}, {"passed": -1}, {"passed": True}, {"clock_s": "1"}, {"turret": True}, {"clock_s": 10**400},
      {"cov": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, {"cov": [[1, 0, 2], [0, 1, 0], [2, 0, 1]]},
      {"echoes": [GOOD["echoes"][0] | {"reading_in": -1}]}, {"echoes": [GOOD["echoes"][0] | {"reading_in": 1e6}]},
-     {"echoes": [GOOD["echoes"][0] | {"nis": -0.1}]}],
+     {"echoes": [GOOD["echoes"][0] | {"nis": -0.1}]}, {"echoes": [GOOD["echoes"][0] | {"refusal": ["gate"]}]},
+     {"trust": "ok"}, {"trust": None}, {"trust": ["OK"]}, {"reason": None}, {"reason": 7}, {"reason": ["x"]},
+     {"places": None}, {"places": [{"pose": [1, 2, 3]}]}, {"places": [{"pose": [1, 2], "share": 0.5}]},
+     {"places": [{"pose": [1, 2, 1e300], "share": 0.5}]}, {"places": [{"pose": [1, 2, 3], "share": -0.1}]},
+     {"places": [{"pose": [1, 2, 3], "share": 1.1}]}, {"places": [{"pose": [1, 2, 3], "share": True}]},
+     {"places": [{"pose": [1, 2, 3], "share": 0.6}] * 2}, {"places": {"pose": [1, 2, 3]}}, {"places": [[1, 2, 3]]}],
 )  # fmt: skip
 def test_anything_else_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(BadMessage, match="what is published is robot"):
         published(json.dumps(GOOD | change))
+
+
+@pytest.mark.parametrize("missing", sorted(GOOD))
+def test_each_part_is_wanted(missing: str) -> None:
+    with pytest.raises(BadMessage, match=missing):
+        published(json.dumps({name: value for name, value in GOOD.items() if name != missing}))
+
+
+def test_of_places_the_likeliest_are_taken_and_of_a_reason_its_beginning() -> None:
+    places = [{"pose": [k, 0, 0], "share": 0.01} for k in range(3 * MOST_PLACES)]
+    told = published(json.dumps(GOOD | {"places": places, "reason": "x" * 1000, "trust": "OK"}))
+    assert [place["pose"][0] for place in told["places"]] == list(range(MOST_PLACES))
+    assert told["reason"] == "x" * MOST_REASON
+    assert published(json.dumps(GOOD | {"places": [], "reason": ""}))["places"] == []
 
 
 @pytest.mark.parametrize("text", ["", "[]", "7", "[" * 100_000])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import cos, degrees, pi, radians, remainder, sin, tan
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,15 @@ from nclient.protocol.commands import Call
 from nserver_emu.server.graphics import MOST_GONE, Figure
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.switches import switch_noise
-from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.models import N200, SCOUT, RobotModel
+from nserver_emu.simulation.setup import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.picture import LASER_EVERY, MOST_NEW, REMEMBERED, Album
 from worlds.files import load_world
 from worlds.world import StartPose
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"
-CHANGING = {"bodies", "world", "traces", "lasers", "said"}
+CHANGING = {"bodies", "world", "traces", "beams", "lasers", "said"}
 DRAWN = {"graphics", "drawn"}
 
 
@@ -51,6 +53,51 @@ def test_the_golden_picture_says_what_the_wire_says() -> None:
     assert shown["state"] == [slots[slot] for slot in range(45)]
     truth = client.ask("sim_truth").values
     assert [round(1000 * number) for number in shown["actual"][:2]] == list(truth[2:4])
+
+
+def test_beams_of_the_golden_picture_end_where_its_readings_say() -> None:
+    golden = json.loads(GOLDEN.read_text())
+    reached = 0
+    for sonar, x, y, way in golden["beams"]["1"]:
+        steps = [(at, go) for at, go in ((x, cos(way)), (y, sin(way))) if abs(go) > 1e-9]
+        wall_in = min(((-12.0 if go < 0 else 102.17) - at) / go - 9.06 for at, go in steps)
+        if sonar == 2:  # the obstacle stands there
+            assert golden["robots"]["1"]["state"][17 + sonar] < wall_in - 50
+            continue
+        assert golden["robots"]["1"]["state"][17 + sonar] == pytest.approx(max(6.0, wall_in), abs=0.51)
+        reached += 1
+    assert reached == 15
+
+
+def test_beams_stay_where_they_were_cried_are_told_once_and_end_where_the_robot_is_put_down() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    album = Album(emulator)
+    album.take()
+    shown = {beam[0]: beam[1:] for beam in album.since(0)["beams"]["1"]}
+    assert shown[3] == pytest.approx([0, 0, 3 * 0.3926991], abs=1e-5)
+    album.take()
+    emulator.pass_time(1.0)
+    album.take()
+    assert "beams" not in album.since(1), "all have cried anew, from where they were"
+    client.ask("vm", 100, 0, 200)
+    emulator.pass_time(0.5)
+    client.ask("st")
+    client.ask("conf_sn", 15, 255, *[0] * 15)
+    emulator.pass_time(0.5)
+    album.take()
+    told = {beam[0]: beam[1:] for beam in album.since(3)["beams"]["1"]}
+    assert len({x for x, _, _ in told.values()}) == len(told) == 9
+    for sonar, (x, y, way) in told.items():  # 10 in/s, and 20 degrees a second of the turret
+        assert (0.0 < x <= 5.0, y, way) == (True, 0.0, pytest.approx(sonar * 0.3926991 + radians(2 * x), abs=2e-5))
+    client.ask("place_robot", 500, 500, 0, 0)
+    album.take()
+    assert album.since(4)["beams"]["1"] == [[sonar] for sonar in range(16)]
+    assert "beams" not in album.since(0)
+    client.ask("conf_sn", 15, 5, 255, *[0] * 14)
+    album.take()
+    assert album.since(5)["beams"] == {"1": [[5, 50.0, 50.0, pytest.approx(5 * 0.3926991, abs=1e-5)]]}
+    assert album.since(0)["beams"] == album.since(5)["beams"]
 
 
 def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
@@ -190,6 +237,41 @@ def test_where_a_robot_was_put_down_its_track_begins_anew() -> None:
     assert album.since(0)["traces"]["1"]["actual"]["points"][:5] == [0.0, 0.0, None, None, 50.0]
 
 
+@pytest.mark.parametrize("model", [N200, SCOUT])
+def test_bumpers_that_touch_are_where_the_wall_is_however_the_body_has_turned(model: RobotModel) -> None:
+    sim = Simulation(load_world("thesis_room"), seed=3)
+    sim.add_robot(1, StartPose(80.0, 40.0, 0.3), model, NOISY)
+    emulator = Emulator(sim)
+    client, _ = meet(emulator)
+    client.ask("vm", *((0, 450, 450) if model is N200 else (50, -50, 0)))
+    emulator.pass_time(60.0)
+    album = Album(emulator)
+    album.take()
+    heading = album.since(0)["robots"]["1"]["actual"][2]
+    client.ask("vm", 0, 0, 0)
+    left = round(-degrees(heading) * 10) % 3600
+    if model is N200:
+        client.ask("pr", 0, left, 0)
+        emulator.pass_time(15.0)
+        client.ask("vm", 100, 0, 0)
+    else:
+        client.ask("vm", 100, 100, 0)
+    emulator.pass_time(20.0)
+    album.take()
+    shown = album.since(0)["robots"]["1"]
+    x, y = shown["actual"][:2]
+    radius = model.body.radius_in
+    walls = {0.0: 102.17 - x, pi / 2: 102.17 - y, pi: x + 12.0, -pi / 2: y + 12.0}
+    touched = [way for way, far in walls.items() if far < radius + 0.01]
+    half = pi / len(model.body.bumper_angles_rad)
+    hit = [k for k in range(20) if shown["state"][33] >> k & 1]
+    assert touched
+    assert hit
+    for k in hit:
+        way = shown["front"] + 2 * half * k
+        assert any(abs(remainder(way - wall, 2 * pi)) <= half + 1e-4 for wall in touched)
+
+
 def test_noise_that_is_switched_is_told() -> None:
     emulator = Emulator(simulation())
     album = Album(emulator)
@@ -216,6 +298,25 @@ def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> N
     wire = meet(emulator)[0].ask("get_ls").laser
     assert wire is not None
     assert seen == pytest.approx([number / 10 for number in wire[1:]], abs=0.11)
+
+
+def test_laser_points_stay_on_their_wall_while_the_robot_turns_on() -> None:
+    sim = Simulation(load_world("thesis_room"))
+    sim.add_robot(1, StartPose(40.0, 30.0, 0.0, 0.2), N200)
+    emulator = Emulator(sim)
+    album = Album(emulator)
+    for _ in range(LASER_EVERY):
+        album.take(lasers=None)
+    meet(emulator)[0].ask("vm", 0, 0, 450)
+    emulator.pass_time(0.2)
+    album.take(lasers=None)
+    told = album.since(0)
+    assert told["robots"]["1"]["actual"][3] > 0.3
+    xs, ys = told["lasers"]["1"][::2], told["lasers"]["1"][1::2]
+    assert set(xs) == {102.2}
+    middle = 30.0 + 62.17 * tan(0.2)
+    assert min(ys) < middle < max(ys)
+    assert len(ys) > 400
 
 
 def test_looking_changes_nothing_that_comes_later() -> None:

@@ -1,0 +1,80 @@
+"""`nomad go --publish` and `nomad mission --publish`: what a page is told, and that none there ends it at once."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nclient.cli import main
+from nserver_emu.viewer.localization import published
+
+SIM = "sim:thesis_room?noisy=1&seed=1"
+
+
+@contextmanager
+def a_page() -> Iterator[tuple[str, list[Any]]]:
+    """A page that takes what it is told as the daemon's does; its address and that."""
+    told: list[Any] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_POST(self) -> None:  # http.server names it
+            told.append(published(self.rfile.read(int(self.headers["Content-Length"])).decode()))
+            body = b'{"waypoints": [[1, 2]], "set": 7}'
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None: ...
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        serving.start()
+        yield f"http://127.0.0.1:{server.server_port}/?token=secret", told
+        server.shutdown()
+        serving.join()
+
+
+def test_go_shows_goal_estimate_and_truth_of_each_period_and_goes_its_own_way() -> None:
+    with a_page() as (url, told):
+        assert main(["go", SIM, "--to", "20,12,90", "--speed", "8", "--publish", url]) == 0
+    assert [one["began"] for one in told[:2]] == [True, False]
+    assert len(told) > 20
+    assert {one["trust"] for one in told} == {"OK"}
+    assert told[-1]["waypoints"] == [[20, 12]]
+    assert told[-1]["robot"] == 1
+    x, y, heading = told[-1]["pose"]
+    assert (x, y, heading) == (pytest.approx(20, abs=1), pytest.approx(12, abs=1), pytest.approx(math.pi / 2, abs=0.1))
+    off = [math.dist(one["pose"][:2], one["truth"][:2]) for one in told]
+    assert 0 < max(off) < 2, "the truth is that of the estimate's own instant"
+    assert any(echo["refusal"] == "none" for one in told for echo in one["echoes"])
+
+
+def test_a_mission_shows_as_well(tmp_path: Path) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text('map = "thesis_room"\n[[step]]\ndo = "turn"\nby_deg = 30\n')
+    with a_page() as (url, told):
+        assert main(["mission", str(file), SIM, "--publish", url]) == 0
+    assert told[-1]["pose"][2] == pytest.approx(told[-1]["truth"][2], abs=0.05)
+    assert told[-1]["odometry"][2] == pytest.approx(math.radians(30), abs=0.05)
+    assert told[-1]["waypoints"] == []
+
+
+def test_a_page_that_is_not_there_is_told_before_anything_moves(capsys: pytest.CaptureFixture[str]) -> None:
+    with a_page() as (url, _):
+        pass
+    assert main(["go", SIM, "--to", "20,12", "--publish", url]) == 1
+    shown = capsys.readouterr()
+    assert "cannot publish to 127.0.0.1:" in shown.err
+    assert "go_to" not in shown.out
+    assert main(["go", SIM, "--to", "20,12", "--publish", "nowhere"]) != 0
+    assert "is no page" in capsys.readouterr().err
