@@ -71,7 +71,7 @@ def _driven(odometry: OdometryNoise, information: Floats, way_in: float, way_rad
     cov: Floats = np.tile(np.diag(np.square(START_STD)), (len(information), 1, 1))
     for _ in range(ROUNDS):
         cov = np.linalg.inv(np.linalg.inv(by_pose @ cov @ by_pose.T + lost) + information)
-        cov = 0.5 * (cov + cov.swapaxes(-1, -2))
+        cov = np.asarray(0.5 * (cov + cov.swapaxes(-1, -2)), dtype=np.float64)
     return cov
 
 
