@@ -25,7 +25,18 @@ from localization.measurement import WIRE_SONAR
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.obstruction import Obstruction
 from localization.publishing import Publisher, message
-from localization.readers import UNKNOWN, constants, noise, opened, point, positive, seconds, start, stds
+from localization.readers import (
+    UNKNOWN,
+    check_writable,
+    constants,
+    noise,
+    opened,
+    point,
+    positive,
+    seconds,
+    start,
+    stds,
+)
 from localization.run import Moment, Run, Sighting
 from localization.sonars_taken import taken
 from localization.steadying import SteadyPose
@@ -33,6 +44,7 @@ from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.systematic import with_constants
 from nclient import NomadError, Robot, RobotState, WorldFileError
 from nclient.errors import EstimateFileError
+from nclient.exit_codes import ExitCode
 from nclient.leaving import Left
 from worlds.bodies import BODIES
 from worlds.calibration import FAULTLESS, Calibration, load_calibration
@@ -48,8 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = "Drive a robot to way-points, localizing it by its sonars against a map of walls."
     parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --map thesis_room --waypoints 0,0 60,40"
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="nserver://host[:port]/id or sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
-    parser.add_argument("--map", required=True, metavar="WORLD", help="the walls: a shipped world or a TOML file")
+                        help="nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
+                             "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
+    parser.add_argument("--map", "--world", required=True, metavar="WORLD",
+                        help="the walls: a shipped world or a TOML file")
     goals = parser.add_mutually_exclusive_group(required=True)
     goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
     goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
@@ -102,6 +116,7 @@ def run(options: argparse.Namespace) -> int:
     if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
         raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
                                 "alone: leave --resume and other methods out")
+    check_writable(options.save, options.picture)
     points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
     if options.picture:
         from localization.drawing import require_matplotlib
@@ -123,7 +138,7 @@ def run(options: argparse.Namespace) -> int:
             if publisher:
                 publisher.close()
     _tell(options, world, done)
-    return 0 if done.reached == len(done.waypoints) else 3
+    return ExitCode.DONE if done.reached == len(done.waypoints) else ExitCode.NOT_REACHED
 
 
 def _tell(options: argparse.Namespace, world: World, done: Run) -> None:
@@ -157,7 +172,7 @@ def _drive(
         turret_rad = heading + state.turret_rad - state.steering_rad
         state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
     errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
-    belief = resuming.belief(options, world, state) or _at_the_start(options, state, errs)
+    belief = resuming.belief(options, world, state) or at_the_start(options, state, errs)
     done.sonars = taken(options.sonars, simulated, options.address)
     sonar = WIRE_SONAR if done.sonars.rays else ConeModel()
     if done.sonars.line():
@@ -194,7 +209,8 @@ def _drive(
             break
 
 
-def _at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:
+def at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:
+    """What is believed at the first state of a run that begins anew."""
     here = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
     return with_wheels(here, errs) if options.calibration else with_constants(here, options.scale_std)
 

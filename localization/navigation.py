@@ -8,7 +8,8 @@ The law's limits are a step's; at a step every PERIOD_S they are speeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+import contextlib
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from localization.localizer import Estimate, Localizer
 from localization.steadying import SteadyPose
 from localization.surroundings import Surroundings
 from localization.watch import Trust
+from nclient.errors import NomadError
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
@@ -138,7 +140,7 @@ def follow(
     steady, groping = steady or SteadyPose(0.0), Groping(PERIOD_S)
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
-    try:
+    with standing_after(robot):
         while True:
             estimate = localizer.update(state)
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
@@ -154,8 +156,19 @@ def follow(
                 return
             after = robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
             state = next_state(robot, state, after, wait)
-    finally:
-        robot.stop()
+
+
+@contextlib.contextmanager
+def standing_after(robot: Robot) -> Iterator[None]:
+    """The robot stands at the end of this, however it ends; where an error ends it, that is what is told, not what
+    stopping has against it."""
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(NomadError):
+            robot.stop()
+        raise
+    robot.stop()
 
 
 def next_state(robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]) -> RobotState:

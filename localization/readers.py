@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+from pathlib import Path
 from typing import Final
 
 from localization.motion import OdometryNoise
 from localization.systematic import LARGEST, POSE
 from nclient import ReplyTimeout, Robot, connect
+from nclient.errors import OutputFileError
 
 MOST_NOISE: Final = 10
 """More noise than this is a slip of the keyboard."""
@@ -25,6 +28,13 @@ def opened(address: str | None) -> tuple[Robot, bool]:
         return robot, robot.is_simulated()
     except ReplyTimeout:
         return connect(address), False
+
+
+def check_writable(*files: Path | None) -> None:
+    """Before anything is driven: whether files can be written at its end. Raises OutputFileError."""
+    for file in files:
+        if file is not None and (file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK)):
+            raise OutputFileError(f"{file}: cannot be written there: name a file in a folder that is there")
 
 
 def numbers(text: str, count: int) -> list[float]:

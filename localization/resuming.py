@@ -1,4 +1,4 @@
-"""The options of `nomad localize` by which one run goes on from another: --save, --resume, --moved-std.
+"""The options by which one run goes on from another: --save, --resume, --moved-std.
 
 Rules: reads options and hands on; what still holds is kept.py's to say, the file is kept_file.py's.
 """
@@ -14,6 +14,7 @@ import numpy as np
 from localization import kept_file
 from localization.belief import Belief
 from localization.kept import Kept, Moved, resumed, site_of
+from localization.localizer import Estimate
 from localization.odometry import EncoderPose
 from localization.run import Run
 from localization.systematic import LARGEST, POSE, with_constants
@@ -58,13 +59,20 @@ def save(options: argparse.Namespace, world: World, done: Run) -> None:
 
     Raises EstimateFileError, for a lost estimate too.
     """
+    last = done.moments[-1]
+    keep(options, world, last.estimate, last.odometry, last.turret_rad)
+
+
+def keep(
+    options: argparse.Namespace, world: World, estimate: Estimate, odometry: tuple[float, float, float],
+    turret_rad: float,
+) -> None:  # fmt: skip
+    """Write an estimate down, and what the encoders say with it; as `save`."""
     if options.save is None:
         return
-    last = done.moments[-1]
-    estimate = last.estimate
     if estimate.verdict.trust is Trust.LOST:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.verdict.reason}")
-    encoders = EncoderPose(estimate.clock_s, np.array(last.odometry), last.turret_rad)
+    encoders = EncoderPose(estimate.clock_s, np.array(odometry), turret_rad)
     known = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
     kept_file.save(options.save, Kept(site_of(world, options.body), encoders, known))
 

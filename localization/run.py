@@ -133,6 +133,7 @@ class Run:
         echoes = [echo for moment in self.moments for echo in moment.estimate.echoes]
         last = self.moments[-1]
         return {
+            "pose_units": ["in", "in", "rad"],
             "waypoints": len(self.waypoints),
             "reached": self.reached,
             "duration_s": round(self.duration_s, 3),

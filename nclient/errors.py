@@ -128,6 +128,10 @@ class SnapshotError(NomadError, ValueError):
     """A saved simulation that cannot be written or read back; the message names the file and what is wrong."""
 
 
+class OutputFileError(NomadError, ValueError):
+    """A file that is to be written at the end of a run cannot be, which is told before it begins."""
+
+
 class EstimateFileError(NomadError, ValueError):
     """A saved estimate that cannot be written, read back or gone on from; the message names the reason and the remedy.
     """

@@ -31,7 +31,8 @@ class ExitCode(IntEnum):
     DONE = 0, "done; what serves until it is stopped was stopped as asked (SIGINT, SIGTERM, quit_server)", _ALL
     FAILED = 1, "not done, or the answer is no: the reason is on stderr", _ALL
     USAGE = 2, "wrong usage, or an extra is missing: stderr says what would be right", _ALL
-    NOT_REACHED = 3, "`nomad localize`: a way-point was not reached", (_NOMAD,)
+    NOT_REACHED = 3, "it ran, and what was asked for did not come to be (table below)", (_NOMAD,)
+    UNFIT = 4, "`nomad calibrate`: readings do not fit what was told of the robot; nothing was written", (_NOMAD,)
     HUNG_UP = 129, "the terminal was closed (SIGHUP); a driven robot was stopped, its report written", (_NOMAD,)
     INTERRUPTED = 130, "Ctrl-C (SIGINT); a driven robot was stopped, its report written", (_NOMAD,)
     READER_GONE = 141, "whoever read the output went away (SIGPIPE)", (_NOMAD,)
@@ -49,6 +50,16 @@ FAILURES = {
     "nomad wire decode": "the bytes are no good frame",
 }
 """What 1 means beside an error, by the command."""
+
+
+UNDONE = {
+    "nomad calibrate": "the time limit was over; nothing was written",
+    "nomad go": "the robot is not there: blocked, lost or out of time, as the report says",
+    "nomad localize": "a way-point was not reached",
+    "nomad map check": "something was found",
+    "nomad mission": "a step failed, as the report says",
+}
+"""What 3 means, by the command."""
 
 
 def in_short() -> str:
@@ -72,6 +83,11 @@ def page() -> Iterator[str]:
     yield "| command | 1 also means |"
     yield "|---|---|"
     for command, meaning in FAILURES.items():
+        yield f"| `{command}` | {meaning} |"
+    yield ""
+    yield "| command | 3 means |"
+    yield "|---|---|"
+    for command, meaning in UNDONE.items():
         yield f"| `{command}` | {meaning} |"
     yield ""
     yield "A program that was killed (SIGKILL, 137) says nothing; its robot stops by its own time-out."

@@ -113,9 +113,14 @@ def _flood(fits: BoolArray, reached: BoolArray, seed: tuple[int, int]) -> None:
 
 
 def _gaps(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
+    """Crumbs, and walls that lie over one another, are told of by themselves: their ends are no gaps."""
     ends = walls.reshape(-1, 2)
     points, far = nearest_points(ends, walls)
     far[np.arange(len(ends)), np.arange(len(ends)) // 2] = np.inf
+    crumbs = np.flatnonzero(lengths(walls) < limits.crumb_in)
+    far[:, crumbs] = far[np.concatenate((2 * crumbs, 2 * crumbs + 1))] = np.inf
+    for one, other, *_ in _over(walls, limits):
+        far[[2 * one, 2 * one + 1], other] = far[[2 * other, 2 * other + 1], one] = np.inf
     nearest = far.argmin(axis=1) if len(walls) > 1 else np.zeros(0, dtype=int)
     for end, other in enumerate(nearest):
         gap = far[end, other]
@@ -127,6 +132,15 @@ def _gaps(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
 
 
 def _doubled(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
+    for one, other, (x, y), overlap, apart in _over(walls, limits):
+        yield Finding("doubled", (x, y), f"{_wall(walls, one)} and {_wall(walls, other)} lie "
+                      f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most")
+
+
+def _over(
+    walls: FloatArray, limits: Limits
+) -> Iterator[tuple[int, int, tuple[float, float], float, float]]:
+    """Pairs of doubled walls, the middle of where they are, for how long, and how far apart."""
     for number, wall in enumerate(walls):
         along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
         length = float(np.hypot(*(wall[2:] - wall[:2])))
@@ -137,8 +151,7 @@ def _doubled(walls: FloatArray, limits: Limits) -> Iterator[Finding]:
             overlap = min(end, length) - max(begin, 0.0)
             if apart <= limits.apart_in and overlap >= limits.overlap_in:
                 x, y = wall[:2] + along * 0.5 * (min(end, length) + max(begin, 0.0))
-                yield Finding("doubled", (float(x), float(y)), f"{_wall(walls, number)} and {_wall(walls, other)} lie "
-                              f"over one another for {overlap:.3g} in, {apart:.3g} in apart at most")
+                yield number, other, (float(x), float(y)), overlap, float(apart)
 
 
 def _crumbs(walls: FloatArray, limits: Limits) -> Iterator[Finding]:

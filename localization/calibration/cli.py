@@ -29,10 +29,11 @@ from localization.cone import ConeModel
 from localization.measurement import WIRE_SONAR
 from localization.planning.course import waypoints
 from localization.planning.roadmap import Roadmap
-from localization.readers import noise, numbers, opened, pose, positive, stds
+from localization.readers import check_writable, noise, numbers, opened, pose, positive, stds
 from localization.sonars_taken import taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient import Robot
+from nclient.exit_codes import ExitCode
 from worlds.bodies import BODIES
 from worlds.calibration import Calibration, calibration_text
 from worlds.files import load_world
@@ -41,7 +42,6 @@ from worlds.world import World
 START_STD = (0.5, 0.5, 0.02)
 """How well the robot is placed at the start: inches, inches, radians."""
 TOLD_EVERY_S = 10.0
-UNFIT = 4
 MOST_LAPS = 8
 SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
@@ -52,10 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Find out what a robot's wheels and sonars get wrong every time: drive a square (UMBmark's) both ways round, "
         "turning on the spot at its corners, with a filter on that knows the walls; then write a model file."
     )
-    parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --world thesis_room --out mine.toml"
+    parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
     parser.add_argument("address", nargs="?", metavar="ADDRESS", help="of the robot (default: NOMAD_ROBOT, or a local "
                                                                       "nserver)")
-    parser.add_argument("--world", required=True, help="the walls: a shipped world or a TOML file")
+    parser.add_argument("--map", "--world", dest="world", required=True, metavar="WORLD",
+                        help="the walls: a shipped world or a TOML file")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write a model file (model_file= of nserver and sim:, "
                                                                  "--calibration of nomad localize)")
     parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
@@ -89,6 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
     world = load_world(options.world)
+    check_writable(options.out)
     robot, simulated = opened(options.address)
     sonars = taken(options.sonars, simulated, options.address)
     fit = Fit(sonars.rays)
@@ -100,14 +102,14 @@ def run(options: argparse.Namespace) -> int:
     if made is None:
         print(f"given up after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit")
         print(fit.line())
-        return 3
+        return ExitCode.NOT_REACHED
     found, laps = made
     if not options.json:
         print(f"{table(found)}\n{_verdict(found, fit, laps)}")
     if not fit.good:
         if options.json:
             print(fit.line(), file=sys.stderr)
-        return UNFIT
+        return ExitCode.UNFIT
     if options.out:
         said = f"nomad calibrate, in {world.name}: {laps} laps each way, {options.spins} turns a corner"
         options.out.write_text(calibration_text(options.body, found, said), encoding="utf-8")

@@ -13,7 +13,7 @@ from localization.calibration.square import Driver
 from localization.echoes import FiringSchedule
 from localization.filters.method import Filter
 from localization.localizer import Estimate, Localizer
-from localization.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command
+from localization.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command, standing_after
 from localization.surroundings import Surroundings
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
@@ -36,7 +36,7 @@ def run(
     assert state.clock_s is not None
     localizer = Localizer(known, method.belief, FiringSchedule(state.clock_s), method)
     robot.set_timeout(COMMAND_TIMEOUT_S)
-    try:
+    with standing_after(robot):
         while True:
             estimate = localizer.update(state)
             command = driver.command(estimate.pose)
@@ -48,8 +48,6 @@ def run(
             if left_s >= SHORTEST_WAIT_S:
                 wait(left_s / (after.speed_factor or 1.0))
             state = robot.refresh()
-    finally:
-        robot.stop()
 
 
 def _drive(robot: Robot, command: Command) -> RobotState:

@@ -13,6 +13,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from localization.drawing import require_matplotlib
 from localization.experiments import figures
@@ -27,6 +28,8 @@ from localization.experiments.results import summarize
 from localization.experiments.settings import FIGURES, Figure, course_of
 from nclient.errors import NomadError
 
+OUT: Final = Path("out/experiments")
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if all went well, 2 if it could not be run, 130 if it was interrupted."""
@@ -40,11 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             case ["plan"]:
                 plan.main(given[1:])
             case ["all"]:
-                _drive_figures([*FIGURES, *given[1:]])
-                live.main(given[1:])
-                numbers = [word for word in given[1:] if word != NO_PICTURES]
-                lost.main(numbers)
-                plan.main(numbers)
+                _drive_all(given[1:])
             case _:
                 _drive_figures(given)
     except (NomadError, OSError) as error:
@@ -53,6 +52,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     return 0
+
+
+def _drive_all(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m localization.experiments all",
+        description=f"Everything, one after the other: the figures {', '.join(FIGURES)} (with the errors in "
+        f"{', '.join(_parts())}), then `live`, `lost` and `plan`, each with its own worlds, methods and scenarios. "
+        "With 100 seeds that takes two cores many hours. What `live`, `lost` and `plan` have run is kept, and a run "
+        "that was cut short goes on where it was.",
+        epilog="the options are those that all of them have; what only one knows is said to it: "
+        "python -m localization.experiments live --scenario exact",
+    )
+    add_shared(parser, OUT, "figure, then a list each of live, and objects of lost and plan")
+    parser.parse_args(arguments)
+    _drive_figures([*FIGURES, *arguments])
+    live.main(arguments)
+    numbers = [word for word in arguments if word != NO_PICTURES]
+    lost.main(numbers)
+    plan.main(numbers)
+
+
+def _parts() -> dict[str, str]:
+    """Figures that are drawn with another's run: which."""
+    return {figure.errors_figure: name for name, figure in FIGURES.items() if figure.errors_figure}
+
+
+def _figure(text: str) -> str:
+    """The name of a figure that is run. Raises ArgumentTypeError, which says whose part another one is."""
+    if text in _parts():
+        run = _parts()[text]
+        raise argparse.ArgumentTypeError(f"figure {text} shows the errors of {run} and is drawn with it: say {run}")
+    if text not in FIGURES:
+        raise argparse.ArgumentTypeError(f"no figure {text!r}; there are {', '.join(FIGURES)}")
+    return text
 
 
 def _drive_figures(arguments: Sequence[str]) -> None:
@@ -85,7 +118,11 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    titles = "\n".join(f"  {figure.name}  {figure.title} ({figure.world})" for figure in FIGURES.values())
+    titles = "\n".join(
+        f"  {figure.name}  {figure.title} ({figure.world})"
+        + (f", and {figure.errors_figure}, its errors" if figure.errors_figure else "")
+        for figure in FIGURES.values()
+    )
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments",
         description="Drive figures of the thesis with many seeds at once: a simulated robot with ideal sonars and "
@@ -95,8 +132,8 @@ def _parser() -> argparse.ArgumentParser:
         "is lost (`lost --help`); `plan`, ways planned and driven (`plan --help`); `all`, all figures and all of these",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("figures", nargs="+", choices=list(FIGURES), metavar="FIGURE", help="one or more, see below")
-    add_shared(parser, Path("out/experiments"), "figure")
+    parser.add_argument("figures", nargs="+", type=_figure, metavar="FIGURE", help="one or more, see below")
+    add_shared(parser, OUT, "figure")
     return parser
 
 

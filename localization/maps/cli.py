@@ -20,6 +20,7 @@ from localization.measurement import WIRE_SONAR
 from localization.readers import noise, positive
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient.errors import WorldFileError
+from nclient.exit_codes import ExitCode
 from worlds.bodies import BODIES
 from worlds.checking import Finding, Limits, Space, findings, space
 from worlds.files import load_world, parse_world
@@ -29,7 +30,7 @@ from worlds.writing import world_text
 
 CELL_IN = 3.0
 WEAK_IN = 1.0
-FOUND = 3
+FOUND = ExitCode.NOT_REACHED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +111,8 @@ def _show(world: World, options: argparse.Namespace) -> int:
     columns, rows = np.nonzero(reached.reached)
     places = np.stack((reached.xs[columns], reached.ys[rows]), axis=-1)
     if not len(places):
-        raise WorldFileError(f"{world.name}: a {options.body} fits at none of its starts: nomad map check {world.name}")
+        raise WorldFileError(f"{world.name}: a {options.body} fits at none of its starts: nomad map check "
+                             f"{options.world}")
     sonar = WIRE_SONAR if options.sonars == "rays" else ConeModel()
     bound = weakness(Surroundings(world.walls, body, options.odometry_noise, sonar), places, options.speed)
     numbers = _numbers(bound, reached, options.weak)

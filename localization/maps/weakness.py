@@ -70,8 +70,9 @@ def _driven(odometry: OdometryNoise, information: Floats, way_in: float, way_rad
     lost = (by_step * step_variance(step, odometry)) @ by_step.T
     cov: Floats = np.tile(np.diag(np.square(START_STD)), (len(information), 1, 1))
     for _ in range(ROUNDS):
-        cov = np.linalg.inv(np.linalg.inv(by_pose @ cov @ by_pose.T + lost) + information)
-        cov = np.asarray(0.5 * (cov + cov.swapaxes(-1, -2)), dtype=np.float64)
+        known: Floats = np.asarray(np.linalg.inv(by_pose @ cov @ by_pose.T + lost), dtype=np.float64) + information
+        cov = np.asarray(np.linalg.inv(known), dtype=np.float64)
+        cov = 0.5 * (cov + cov.swapaxes(-1, -2))
     return cov
 
 

@@ -19,8 +19,9 @@ from localization.missions.report import Report
 from localization.missions.running import run_mission
 from localization.missions.setting_out import add_options, set_out
 from nclient.errors import MissionFileError
+from nclient.exit_codes import ExitCode
 
-FAILED = 3
+FAILED = ExitCode.NOT_REACHED
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,8 +45,11 @@ def run(options: argparse.Namespace) -> int:
         try:
             run_mission(mission, orders.run)
         finally:
-            tell(out.close(mission.report), options)
-    return 0 if mission.report.done else FAILED
+            try:
+                tell(out.close(mission.report), options)
+            finally:
+                kept = out.keep(options)
+    return FAILED if not mission.report.done else ExitCode.DONE if kept else ExitCode.FAILED
 
 
 def tell(report: Report, options: argparse.Namespace) -> None:

@@ -20,6 +20,7 @@ from localization.missions.setting_out import add_options, set_out
 from localization.missions.settings import OnLost, Settings
 from localization.navigation import STOP_RADIUS_IN
 from localization.readers import numbers, positive
+from nclient.exit_codes import ExitCode
 
 TELL_S = 1.0
 
@@ -50,8 +51,11 @@ def run(options: argparse.Namespace) -> int:
         try:
             run_mission(mission, lambda robot: robot.go_to(*options.to, within_in=options.within))
         finally:
-            tell(out.close(mission.report), options)
-    return 0 if mission.report.done else FAILED
+            try:
+                tell(out.close(mission.report), options)
+            finally:
+                kept = out.keep(options)
+    return FAILED if not mission.report.done else ExitCode.DONE if kept else ExitCode.FAILED
 
 
 class _Teller:

@@ -25,7 +25,7 @@ from localization.planning.limits import LIMITS
 from localization.planning.planner import Planner
 from localization.planning.unmapped import Unmapped
 from localization.surroundings import Surroundings
-from nclient.errors import BumperHit
+from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
 from worlds.bodies import Body
@@ -75,7 +75,8 @@ class Helm:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.robot.stop()
+        with contextlib.suppress(*(() if error is None else (NomadError,))):
+            self.robot.stop()
 
     @property
     def clock_s(self) -> float:

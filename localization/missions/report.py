@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from math import degrees
 from typing import Any
 
+from localization.belief import wrapped
+
 Pose = tuple[float, float, float]
 
 
@@ -91,11 +93,11 @@ class Report:
             lines += [f"{at:7.1f} s          {words}" for at, words in step.notes]
         where = ""
         if self.pose:
-            where = f" at ({self.pose[0]:.1f}, {self.pose[1]:.1f}) in, {degrees(self.pose[2]):.0f} deg"
+            where = f" at ({self.pose[0]:.1f}, {self.pose[1]:.1f}) in, {_degrees(self.pose[2]):.0f} deg"
         lines.append(f"{self.duration_s:7.1f} s  {self.ending}{where}" + (f": {self.reason}" if self.reason else ""))
         if self.truth:
             x, y, heading = self.truth
-            lines.append(f"           in truth at ({x:.1f}, {y:.1f}) in, {degrees(heading):.0f} deg")
+            lines.append(f"           in truth at ({x:.1f}, {y:.1f}) in, {_degrees(heading):.0f} deg")
         lines += [self.hint] * bool(self.hint)
         return "\n".join(lines)
 
@@ -103,7 +105,12 @@ class Report:
 def _pose(pose: Pose | None) -> dict[str, float] | None:
     if pose is None:
         return None
-    return {"x_in": round(pose[0], 3), "y_in": round(pose[1], 3), "heading_deg": round(degrees(pose[2]), 3)}
+    return {"x_in": round(pose[0], 3), "y_in": round(pose[1], 3), "heading_deg": round(_degrees(pose[2]), 3)}
+
+
+def _degrees(heading_rad: float) -> float:
+    """From -180 to 180, of encoders and of estimates alike."""
+    return degrees(wrapped(heading_rad))
 
 
 def _step(step: Step) -> dict[str, Any]:

@@ -12,11 +12,12 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import astuple
+from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.belief import independent
+from localization import resuming
 from localization.body_taken import body_of
-from localization.cli import START_STD
+from localization.cli import START_STD, at_the_start
 from localization.cone import ConeModel
 from localization.filters.table import METHODS
 from localization.localizer import Echo
@@ -27,13 +28,14 @@ from localization.missions.settings import Point
 from localization.missions.showing import Showing
 from localization.navigation import Speeds
 from localization.publishing import Publisher
-from localization.readers import constants, noise, opened, pose, positive, stds
+from localization.readers import check_writable, constants, noise, opened, pose, positive, stds
 from localization.sonars_taken import Taken, hint, taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
-from localization.systematic import with_constants
 from nclient import NomadError, Robot, WorldFileError
 from worlds.bodies import BODIES
+from worlds.calibration import FAULTLESS, load_calibration
 from worlds.files import load_world
+from worlds.world import World
 
 METHOD: Final = "finder"
 """It knows when it is lost."""
@@ -62,6 +64,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                              "other simulations, cones of a robot)")
     parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, as in `nomad localize`")
+    parser.add_argument("--calibration", type=Path, metavar="FILE",
+                        help="what this robot's wheels and sonars get wrong: a model file as nomad calibrate writes; "
+                             "counts before --scale-std")
+    resuming.add_arguments(parser)
     parser.add_argument("--method", choices=METHODS, default=METHOD,
                         help="the filter; all but finder never know that they are lost (default %(default)s)")
     parser.add_argument("--publish", metavar="URL",
@@ -79,6 +85,7 @@ class SetOut(NamedTuple):
     echoes: list[Echo]
     goals: list[Point]
     """What the page shows as way-points."""
+    world: World
 
     def close(self, report: Report) -> Report:
         """The report with where the robot is at the end; first of all it is stopped, whatever becomes of the report."""
@@ -97,29 +104,42 @@ class SetOut(NamedTuple):
         return report
 
 
+    def keep(self, options: argparse.Namespace) -> bool:
+        """--save; False where that could not be, which is told on stderr: what has ended the run stays what it was."""
+        estimate, state = self.helm.sight
+        try:
+            resuming.keep(options, self.world, estimate, (state.x_in, state.y_in, state.steering_rad), state.turret_rad)
+        except NomadError as error:
+            print(f"nomad: {error}", file=sys.stderr)
+            return False
+        return True
+
+
 @contextlib.contextmanager
 def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]:
     """Connect to the robot of the options, and begin to localize it; it stands at the end, however it ends."""
     world = load_world(_map_of(options, map_name))
+    check_writable(options.save, options.report)
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
     with robot, contextlib.closing(publisher) if publisher else contextlib.nullcontext():
-        body = BODIES[body_of(options.body, robot.model.name, options.address)]
+        options.body = body_of(options.body, robot.model.name, options.address)
+        body = BODIES[options.body]
         state = robot.refresh()
         if options.start:
             x, y, heading = options.start
             robot.set_position(x_in=x, y_in=y)
             turret_rad = heading + state.turret_rad - state.steering_rad
             state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
-        belief = with_constants(
-            independent([state.x_in, state.y_in, state.steering_rad], options.start_std), options.scale_std
-        )
+        errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
+        belief = resuming.belief(options, world, state) or at_the_start(options, state, errs)
         sonars = taken(options.sonars, simulated, options.address)
         if sonars.line():
             print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
-        known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if sonars.rays else ConeModel())
+        known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if sonars.rays else ConeModel(),
+                             errs=errs)
         with Helm(robot, known, body, belief, time.sleep, options.method, options.speed) as helm:
-            out = SetOut(helm, robot, simulated, sonars, [], [])
+            out = SetOut(helm, robot, simulated, sonars, [], [], world)
             helm.watchers.append(lambda sight: out.echoes.extend(sight.estimate.echoes))
             if publisher:
                 helm.watchers.append(shown := Showing(publisher, robot, simulated, out.goals))

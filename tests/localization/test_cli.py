@@ -224,8 +224,21 @@ def test_an_interrupted_run_is_saved_and_told(
     assert localize(*words, "--save", str(kept)) in (130, 143)
     assert "1 of 2 way-points reached" in capsys.readouterr().out
     assert kept.exists()
-    assert localize(*words, "--save", str(tmp_path)) in (130, 143), "the ending stays what it was"
-    assert str(tmp_path) in capsys.readouterr().err
+    (tmp_path / "gone").mkdir()
+    monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
+    file = tmp_path / "gone" / "kept"
+    assert localize(*words, "--save", str(file)) in (130, 143), "the ending stays what it was"
+    assert str(file) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--save", "--picture"])
+def test_a_file_that_cannot_be_written_is_told_before_the_drive(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    for file in (tmp_path, tmp_path / "no" / "file"):
+        assert localize(NOISY, *TO_GOAL, option, str(file)) == 1
+        assert f"{file}: cannot be written there" in capsys.readouterr().err
 
 
 def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(

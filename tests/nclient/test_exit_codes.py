@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.exit_codes import FAILURES, ExitCode, in_short, page
+from nclient.exit_codes import FAILURES, UNDONE, ExitCode, in_short, page
 
 pytestmark = pytest.mark.long
 
@@ -28,7 +28,7 @@ def test_codes_are_numbers_and_each_is_once() -> None:
     assert [int(code) for code in (ExitCode.DONE, ExitCode.FAILED, ExitCode.USAGE)] == [0, 1, 2]
     assert len({int(code) for code in ExitCode}) == len(ExitCode)
     assert in_short().startswith("0 done, 1 failed, 2 usage, ")
-    assert all(command.startswith(("nomad ", "nserver")) for command in FAILURES)
+    assert all(command.startswith(("nomad ", "nserver")) for command in (*FAILURES, *UNDONE))
 
 
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGPIPE", "SIGTERM"])

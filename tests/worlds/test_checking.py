@@ -57,6 +57,15 @@ def test_each_space_is_told_the_largest_first() -> None:
     assert found[1].place_in[0] == pytest.approx(180.0, abs=2.0)
 
 
+def test_ends_of_crumbs_and_of_doubled_walls_are_no_gaps_besides() -> None:
+    doubled = room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2))
+    assert [found.kind for found in findings(doubled, RADIUS_IN)] == ["doubled"]
+    crumb = room((50.0, 50.0, 50.3, 50.0), (52.0, 50.0, 90.0, 50.0))
+    assert [found.kind for found in findings(crumb, RADIUS_IN)] == ["crumb"]
+    beside = room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2), (70.0, 52.0, 70.0, 80.0))
+    assert [found.kind for found in findings(beside, RADIUS_IN)] == ["gap", "doubled"]
+
+
 def test_walls_over_one_another_are_doubled() -> None:
     (found,) = findings(room((50.0, 50.0, 90.0, 50.0), (120.0, 50.2, 80.0, 50.2)), RADIUS_IN, Limits(gap_in=0.1))
     assert found.kind == "doubled"

@@ -54,6 +54,27 @@ def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.Monkey
     assert driven == [*FIGURES, "live --seeds 3 --no-pictures", "lost --seeds 3", "plan --seeds 3"]
 
 
+@pytest.mark.parametrize(("words", "told"), [
+    (["5.5"], "figure 5.5 shows the errors of 5.4 and is drawn with it: say 5.4"),
+    (["5.1"], "no figure '5.1'; there are 5.2, 5.4"),
+    (["all", "--scenario", "exact"], "unrecognized arguments: --scenario exact"),
+])  # fmt: skip
+def test_what_it_does_not_know_is_told_with_what_it_does(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        command.main(words)
+    assert told in capsys.readouterr().err
+
+
+def test_help_of_all_says_what_it_runs_and_where_other_options_go(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        command.main(["all", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert "5.2, 5.4, 5.6, 5.8, 5.9 (with the errors in 5.3, 5.5, 5.7), then `live`, `lost` and `plan`" in told
+    assert "live --scenario exact" in told
+
+
 def test_without_tqdm_there_is_no_bar_and_the_same_numbers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,20 +6,24 @@ import argparse
 import json
 import re
 from importlib.metadata import entry_points
+from math import radians
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from localization import kept_file
 from localization.missions import command, go
 from localization.missions.failures import StepFailed
 from localization.missions.mission import Mission
 from localization.missions.report import Report, Step
 from localization.missions.running import run_mission
+from localization.navigation import standing_after
 from localization.readers import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
 from nclient.cli import main
-from nclient.errors import MissionFileError, WorldFileError
+from nclient.errors import ConnectionLost, MissionFileError, WorldFileError
 from nclient.leaving import Left
+from worlds.calibration import Calibration, calibration_text
 
 ROOT = Path(__file__).parents[3]
 GUESS = "sonars are taken for exact rays, this being a simulation (of setup measured: --sonars cones)"
@@ -74,7 +78,75 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
     assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
     unwritable = tmp_path / "no" / "r.json"
     assert main(["mission", str(file), SIM, "--report", str(unwritable)]) == 1
-    assert f"nomad: {unwritable}: the report cannot be written" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert f"nomad: {unwritable}: cannot be written there" in told.err
+    assert told.out == "", "before the drive"
+
+
+def test_a_report_that_cannot_be_written_after_all_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
+    with pytest.raises(MissionFileError, match="the report cannot be written"):
+        command.tell(Report("T", ending="done"), options)
+    assert "done" in capsys.readouterr().out
+
+
+def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, kept = tmp_path / "model.toml", tmp_path / "kept.json"
+    offsets = tuple(1.5 for _ in range(16))
+    model.write_text(calibration_text("n150", Calibration(1.04, 1.0, 0.0, offsets)))
+    address = f"sim:thesis_room?noisy=1&seed=2&model_file={model}"
+    words = ["go", address, "--calibration", str(model), "--json"]
+    assert main([*words, "--to", "40,10", "--save", str(kept)]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["pose"]["x_in"] == pytest.approx(report["truth"]["x_in"], abs=0.5)
+    assert len(kept_file.load(kept).belief.mean) == 6
+    assert main([*words, "--to", "40,10", "--resume", str(kept), "--start", "0,0,0"]) == 1
+    assert "--start begins anew" in capsys.readouterr().err
+    there = "{x_in},{y_in},{heading_deg},{heading_deg}".format(**report["truth"])
+    on = [words[0], f"{address}&start={there}", *words[2:], "--to", "40,20", "--resume", str(kept)]
+    assert main(on) == 1
+    assert "--moved-std" in capsys.readouterr().err
+    assert main([*on, "--moved-std", "0.2,0.2,1"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["truth"]["y_in"] == pytest.approx(20.0, abs=1.5)
+    assert main([*words, "--to", "5,0", "--calibration", str(tmp_path / "none.toml")]) == 1
+
+
+def test_what_cannot_be_saved_in_the_end_is_told_and_the_ending_stays(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.setattr("localization.missions.setting_out.check_writable", lambda *_: folder.rmdir())
+    assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "kept")]) == 1
+    told = capsys.readouterr()
+    assert "done at (" in told.out
+    assert "cannot be written" in told.err
+
+
+def test_headings_of_estimate_and_truth_are_told_in_one_range() -> None:
+    report = Report("", ending="done", pose=(1.0, 2.0, radians(-9.0)), truth=(1.0, 2.0, radians(351.0)))
+    assert report.text().count("-9 deg") == 2
+    told = report.as_json()
+    assert told["pose"] == told["truth"] == {"x_in": 1.0, "y_in": 2.0, "heading_deg": -9.0}
+
+
+def test_a_robot_that_is_gone_is_what_is_told_not_that_it_cannot_be_stopped() -> None:
+    class Gone:
+        stopped = 0
+
+        def stop(self) -> None:
+            self.stopped += 1
+            raise ConnectionLost("not back yet")
+
+    robot: Any = Gone()
+    with pytest.raises(ConnectionLost, match="the cause"), standing_after(robot):
+        raise ConnectionLost("the cause")
+    with pytest.raises(ConnectionLost, match="not back"), standing_after(robot):
+        pass
+    assert robot.stopped == 2
 
 
 def test_a_program_that_breaks_stops_the_robot_and_is_reported(

@@ -8,7 +8,7 @@ import pytest
 
 from localization.missions.helm import Helm
 from localization.planning.following import Velocities
-from nclient.errors import BumperHit
+from nclient.errors import BumperHit, ConnectionLost
 
 MakeHelm = Callable[..., Helm]
 
@@ -24,6 +24,21 @@ def test_a_period_drives_and_is_watched(helm_at: MakeHelm) -> None:
     with helm:
         helm.period(Velocities(5.0, 0.0))
     assert helm.robot.refresh().translation_in_s == 0.0
+
+
+def test_a_cause_is_told_and_not_that_the_robot_could_not_be_stopped(
+    helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone() -> None:
+        raise ConnectionLost("not back yet")
+
+    helm = helm_at("thesis_room")
+    with monkeypatch.context() as patched:
+        patched.setattr(helm.robot, "stop", gone)
+        with pytest.raises(ConnectionLost, match="the cause"), helm:
+            raise ConnectionLost("the cause")
+        with pytest.raises(ConnectionLost, match="not back"), helm:
+            pass
 
 
 def test_a_touch_that_others_stop_is_seen_by_the_next_question(
