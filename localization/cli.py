@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
     if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
         raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
                                 "alone: leave --resume and other methods out")
-    check_writable(options.save, options.picture)
+    check_writable(options.save)
     points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
     if options.picture:
         from localization.drawing import require_matplotlib

@@ -231,13 +231,12 @@ def test_an_interrupted_run_is_saved_and_told(
     assert str(file) in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", ["--save", "--picture"])
 def test_a_file_that_cannot_be_written_is_told_before_the_drive(
-    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
     for file in (tmp_path, tmp_path / "no" / "file"):
-        assert localize(NOISY, *TO_GOAL, option, str(file)) == 1
+        assert localize(NOISY, *TO_GOAL, "--save", str(file)) == 1
         assert f"{file}: cannot be written there" in capsys.readouterr().err
 
 
