@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from localization.belief import independent
-from localization.cli import START_STD
 from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.outset import START_STD
 from localization.run import Moment, Run, Sighting
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient import Robot, connect

@@ -12,47 +12,26 @@ import json
 import math
 import sys
 import time
-from dataclasses import astuple
 from pathlib import Path
 
 from localization import resuming
-from localization.belief import Belief, independent
 from localization.body_taken import body_of
-from localization.calibrated import with_wheels
-from localization.cone import ConeModel
-from localization.filters.table import DEFAULT_METHOD, METHODS, finder
-from localization.measurement import WIRE_SONAR
-from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.filters.table import DEFAULT_METHOD, finder
+from localization.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
 from localization.obstruction import Obstruction
+from localization.outset import add_options, outset
 from localization.publishing import Publisher, message
-from localization.readers import (
-    UNKNOWN,
-    check_writable,
-    constants,
-    noise,
-    opened,
-    point,
-    positive,
-    seconds,
-    start,
-    stds,
-)
-from localization.run import Moment, Run, Sighting
-from localization.sonars_taken import taken
+from localization.readers import UNKNOWN, check_writable, opened, point, positive, seconds, start
+from localization.run import Moment, Run
 from localization.steadying import SteadyPose
-from localization.surroundings import THESIS_ODOMETRY, Surroundings
-from localization.systematic import with_constants
-from nclient import NomadError, Robot, RobotState, WorldFileError
+from localization.witness import Witness
+from nclient import NomadError, Robot, WorldFileError
 from nclient.errors import EstimateFileError
 from nclient.exit_codes import ExitCode
 from nclient.leaving import Left
 from worlds.bodies import BODIES
-from worlds.calibration import FAULTLESS, Calibration, load_calibration
 from worlds.files import load_world
 from worlds.world import World
-
-START_STD = (0.1, 0.1, 0.01)
-"""How well the robot is placed at the start: inches, inches, radians."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,40 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", type=start, metavar="X,Y,HEADING",
                         help="where the robot stands now, inches and degrees; its encoders are set to it "
                              f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)")
-    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
-                        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
-    parser.add_argument("--body", choices=sorted(BODIES),
-                        help="the robot's model, where its address does not tell it (default n150)")
-    parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
-                        help="top speed in in/s (default %(default)s)")
+    add_options(parser, DEFAULT_METHOD,
+                "the filter: extended, iterated or unscented Kalman filter, particles, one that finds itself again; a "
+                "smoother drives as ekf", "; way-points set there are gone to instead")
     parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
                         help="a way-point is reached within this (default %(default)s in)")
-    parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
-                        help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
-                             f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
-                             "with bad readings among them (default: as the setup of a sim: address has them, rays of "
-                             "other simulations, cones of a robot)")
-    parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
-                        help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
-                             "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
-    parser.add_argument("--calibration", type=Path, metavar="FILE",
-                        help="what this robot's wheels and sonars get wrong: a model file as nomad calibrate writes; "
-                             "counts before --scale-std")
-    parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD,
-                        help="the filter: extended, iterated or unscented Kalman filter, particles, one that finds "
-                             "itself again (default %(default)s); a smoother drives as ekf")
     parser.add_argument("--smooth", type=seconds, default=0.0, metavar="S",
                         help="spread corrections over S seconds for the steering; the estimate stays as it is "
                              "(default %(default)s)")
     parser.add_argument("--time-limit", type=positive, default=300.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
-    parser.add_argument("--publish", metavar="URL",
-                        help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
-                             "printed; way-points set there are gone to instead")
-    resuming.add_arguments(parser)
     parser.add_argument("--stay", action="store_true",
                         help="with --publish: where there is nowhere left to go, stand and wait for way-points of the "
                              "page, until the time limit or Ctrl-C")
@@ -164,61 +120,40 @@ def _drive(
     robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
 ) -> None:  # fmt: skip
-    state = robot.refresh()
-    nowhere = options.start == UNKNOWN
-    if options.start and not nowhere:
-        x, y, heading = options.start
-        robot.set_position(x_in=x, y_in=y)
-        turret_rad = heading + state.turret_rad - state.steering_rad
-        state = robot.set_angles(steering_rad=heading, turret_rad=turret_rad)
-    errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
-    belief = resuming.belief(options, world, state) or at_the_start(options, state, errs)
-    done.sonars = taken(options.sonars, simulated, options.address)
-    sonar = WIRE_SONAR if done.sonars.rays else ConeModel()
-    if done.sonars.line():
-        print(done.sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
-    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
+    belief, known, done.sonars = outset(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
-    seen = sighting(robot) if simulated else None
-    number = robot.truth().robot_id if publisher and simulated else 1
-    told_s = -math.inf
-    steady, obstruction = SteadyPose(options.smooth), Obstruction(options.speed)
-    method = finder(known, None, options.scale_std) if nowhere else options.method
-    for progress in follow(robot, begin(robot, known, belief, method), navigator, time.sleep, steady):
-        clock_s = progress.estimate.clock_s
-        truth = None
-        if seen:
-            before, seen = seen, sighting(robot)
-            truth = before.towards(seen, clock_s)
-        told = progress.state
-        odometry = (told.x_in, told.y_in, told.steering_rad)
-        done.add(Moment(progress.estimate, odometry, truth, progress.passed, told.turret_rad))
+    method = finder(known, None, options.scale_std) if options.start == UNKNOWN else options.method
+    localizer = begin(robot, known, belief, method)
+    witness, obstruction, told_s = Witness(robot, simulated), Obstruction(options.speed), -math.inf
+    for progress in follow(robot, localizer, navigator, time.sleep, SteadyPose(options.smooth)):
+        clock_s, state = progress.estimate.clock_s, progress.state
+        done.add(_moment(progress, witness))
         if publisher:
-            turret_rad = told.turret_rad - told.steering_rad
-            wanted = publisher.tell(message(number, done.moments[-1], turret_rad, done.waypoints))
-            if wanted is not None:
-                navigator.go(wanted)
-                done.waypoints = wanted
+            _publish(publisher, done, navigator, witness.robot_id)
         if not options.json and clock_s >= told_s + 1.0:
             told_s = clock_s
             print(done.line(), flush=True)
         aim = None if done.moments[-1].lost else navigator.goal
-        done.stopped = obstruction.reason(clock_s, told, progress.estimate.pose, aim)
+        done.stopped = obstruction.reason(clock_s, state, progress.estimate.pose, aim)
         if done.stopped or done.duration_s > options.time_limit:
             break
 
 
-def at_the_start(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:
-    """What is believed at the first state of a run that begins anew."""
-    here = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
-    return with_wheels(here, errs) if options.calibration else with_constants(here, options.scale_std)
+def _moment(progress: Progress, witness: Witness) -> Moment:
+    state = progress.state
+    truth = witness.at(progress.estimate.clock_s)
+    odometry = (state.x_in, state.y_in, state.steering_rad)
+    return Moment(progress.estimate, odometry, truth, progress.passed, state.turret_rad)
 
 
-def sighting(robot: Robot) -> Sighting:
-    """The truth now, of a simulation."""
-    truth = robot.truth()
-    return Sighting(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
+def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: int) -> None:
+    """Show the last moment; way-points that the page has set are gone to from now on."""
+    last = done.moments[-1]
+    wanted = publisher.tell(message(robot_id, last, last.turret_rad - last.odometry[2], done.waypoints))
+    if wanted is not None:
+        navigator.go(wanted)
+        done.waypoints = wanted
 
 
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:

@@ -10,28 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from localization.cli import sighting
 from localization.missions.helm import Sight
 from localization.missions.settings import Point
 from localization.publishing import Publisher, message
 from localization.run import Moment
-from nclient.robot import Robot
+from localization.witness import Witness
 
 
 class Showing:
-    """A watcher of a helm. `goals`: what is shown as way-points, whenever it changes; `simulated`: it is asked for the
-    truth, to be shown beside the estimate."""
+    """A watcher of a helm. `goals`: what is shown as way-points, whenever it changes; the truth beside the estimate is
+    the witness's."""
 
-    def __init__(self, publisher: Publisher, robot: Robot, simulated: bool, goals: Sequence[Point]) -> None:
-        self._publisher, self._robot, self._goals = publisher, robot, goals
-        self._seen = sighting(robot) if simulated else None
-        self._number = robot.truth().robot_id if simulated else 1
+    def __init__(self, publisher: Publisher, witness: Witness, goals: Sequence[Point]) -> None:
+        self._publisher, self._witness, self._goals = publisher, witness, goals
 
     def __call__(self, sight: Sight) -> None:
         estimate, state = sight
-        truth = None
-        if self._seen:
-            before, self._seen = self._seen, sighting(self._robot)
-            truth = before.towards(self._seen, estimate.clock_s)
-        moment = Moment(estimate, (state.x_in, state.y_in, state.steering_rad), truth, 0, state.turret_rad)
-        self._publisher.tell(message(self._number, moment, state.turret_rad - state.steering_rad, self._goals))
+        odometry = (state.x_in, state.y_in, state.steering_rad)
+        moment = Moment(estimate, odometry, self._witness.at(estimate.clock_s), 0, state.turret_rad)
+        turned = state.turret_rad - state.steering_rad
+        self._publisher.tell(message(self._witness.robot_id, moment, turned, self._goals))
