@@ -1,6 +1,7 @@
 """Readers of what comes from the page, from who publishes to it, and at the control socket.
 
-Rules: what a control line changes lasts for that line: the daemon it was said to is made anew. Nothing is saved.
+Rules: what a control line changes lasts for that line: the daemon it was said to is made anew. Nothing is saved: a line
+with save in it is left out, and one that could spell it otherwise.
 """
 
 from __future__ import annotations
