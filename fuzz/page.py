@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from fuzz.mutating import bytes_changed, either, tree_changed
@@ -85,7 +85,7 @@ def _published(data: bytes) -> None:
     json.dumps(published(data.decode()), allow_nan=False)
 
 
-def _text(read: Any) -> Any:
+def _text(read: Callable[[bytes], None]) -> Callable[[bytes], None]:
     """A websocket's text and a body decoded as such are UTF-8 already, or never get here."""
 
     def reads(data: bytes) -> None:
