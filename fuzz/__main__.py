@@ -58,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _again(readers, options.again)
     chosen = [readers[name] for name in options.readers or readers]
     with contextlib.ExitStack() as held:
+        held.callback(_files_gone)
         work = options.work
         if work is None:
             work = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="nomad-fuzz-")))
@@ -76,6 +77,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for reader in chosen:
                 print(f"{reader.name:16}  {keep(reader, work):4} inputs kept")
     return _FOUND if bad else _CLEAN
+
+
+def _files_gone() -> None:
+    from fuzz.place import folder
+
+    folder().cleanup()
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -141,6 +148,9 @@ def _again(readers: dict[str, Reader], path: Path) -> int:
 
 def _all(readers: list[Reader], goals: Goals, jobs: int) -> bool:
     """Every reader once, so many at a time; whether anything is wrong."""
+    from fuzz.place import folder
+
+    folder()
     print(f"{'reader':16} {'executions':>11} {'/s':>7} {'taken':>6} {'slowest':>8} {'RSS MB':>13} {'objects':>8}")
     waiting, running, bad, work = list(readers), dict[int, "Reader"](), False, goals.work
     try:

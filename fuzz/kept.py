@@ -16,6 +16,10 @@ from fuzz.place import file_of
 from fuzz.reader import Reader
 from localization import kept_file
 from nclient.errors import EstimateFileError, RecordingError, SnapshotError
+from nclient.protocol.commands import Call
+from nclient.protocol.language import line_request, tcp_request
+from nclient.protocol.models import MODELS
+from nclient.protocol.terms import line_terms
 from nclient.recording.follower import Follower
 from nclient.recording.log import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
 from nclient.recording.player import LOOSE, Player
@@ -23,8 +27,6 @@ from nclient.recording.readable import lines_of
 from nclient.recording.script import script_of, state_before
 from nserver_emu.server import snapshot
 from nserver_emu.server.in_process import open_address
-
-_LINE = {"n150": "serial", "n200": "hello"}
 
 
 def _recording(data: bytes) -> None:
@@ -69,11 +71,6 @@ def _recording_seeds() -> list[bytes]:
 
 def _written(wire: str, model: str) -> bytes:
     """A recording of one exchange with a simulated robot."""
-    from nclient.protocol.commands import Call
-    from nclient.protocol.language import line_request, tcp_request
-    from nclient.protocol.models import MODELS
-    from nclient.protocol.terms import line_terms
-
     line = wire != "tcp"
     end = open_address(f"sim:thesis_room?robot={model}&line={int(line)}")
     follower = Follower(wire, MODELS[model])

@@ -1,13 +1,14 @@
 """Readers of what comes from the page, from who publishes to it, and at the control socket.
 
-Rules: what a control line changes lasts for that line: the daemon it was said to is made anew. Nothing is saved.
+Rules: what a control line changes lasts for that line: the daemon it was said to is made anew. Nothing is saved: a line
+with save in it is left out, and one that could spell it otherwise.
 """
 
 from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from fuzz.mutating import bytes_changed, either, tree_changed
@@ -84,7 +85,7 @@ def _published(data: bytes) -> None:
     json.dumps(published(data.decode()), allow_nan=False)
 
 
-def _text(read: Any) -> Any:
+def _text(read: Callable[[bytes], None]) -> Callable[[bytes], None]:
     """A websocket's text and a body decoded as such are UTF-8 already, or never get here."""
 
     def reads(data: bytes) -> None:

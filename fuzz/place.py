@@ -1,11 +1,13 @@
 """Where an input stands as a file, for readers that take a path: in memory where the system has such a place.
 
-Rules: one file an ending, written over each time; gone when the process that made it ends as it should.
+Rules: one file an ending and a process, written over each time, in one folder of whoever forked these processes, and
+gone with it.
 """
 
 from __future__ import annotations
 
 import functools
+import os
 import tempfile
 from pathlib import Path
 
@@ -13,12 +15,13 @@ _IN_MEMORY = Path("/dev/shm")
 
 
 @functools.cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
+def folder() -> tempfile.TemporaryDirectory[str]:
+    """The folder; whoever forks asks for it first, and cleans it up."""
     return tempfile.TemporaryDirectory(prefix="nomad-fuzz-", dir=_IN_MEMORY if _IN_MEMORY.is_dir() else None)
 
 
 def file_of(data: bytes, ending: str) -> Path:
     """A file that holds these bytes."""
-    path = Path(_folder().name) / f"input{ending}"
+    path = Path(folder().name) / f"{os.getpid()}{ending}"
     path.write_bytes(data)
     return path

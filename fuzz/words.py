@@ -79,9 +79,7 @@ def _coded(lines: tuple[str, ...], head: bytes = b"") -> list[bytes]:
     return [head + line.encode() for line in lines]
 
 
-_SAID = tuple(row.name.encode() for row in (*COMMANDS, *OWN.values()) if hasattr(row, "name")) + tuple(
-    name.encode() for name in OWN
-)
+_SAID = tuple(name.encode() for name in (*(row.name for row in COMMANDS), *OWN))
 _QUERY = (b"&", b"?", b"=", b"%00", b"%", b"//", b":", b"@", b"[", b"]", b"#", b"+", b";")
 _OPTION = tuple(f"&{option.name}=".encode() for option in OPTIONS)
 _SIMULATED = (b"&robots=", b"&start=", b"&seed=", b"&step_s=", b"&setup=", b"&model_file=", b"&line=", b",", b"robot=")

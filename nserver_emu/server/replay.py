@@ -9,9 +9,9 @@ well. Nothing here knows a clock or a socket; the first difference ends it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
-from nclient.errors import RecordingError
+from nclient.errors import NomadError, RecordingError
 from nclient.protocol.models import model_named
 from nclient.recording.follower import HELLO_FIRST, TCP
 from nclient.recording.log import IN, OUT, Entry, Recording
@@ -24,6 +24,8 @@ from nserver_emu.server.session import Conversation, Session
 from nserver_emu.server.switches import put_world, show_world, switch_noise
 
 _SHOWN = 12
+_NONSENSE: Final = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError)
+"""What values lead to that no daemon wrote."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +44,18 @@ class Again(Protocol):
 
 
 def replay(recording: Recording) -> Outcome:
-    """Ask an emulator as the recording's header describes it once more. Raises RecordingError where that cannot be."""
-    again = _emulator(recording)
+    """Ask an emulator as the recording's header describes it once more.
+
+    Raises RecordingError where that cannot be, or what a daemon's start and its owner's commands may raise.
+    """
+    try:
+        again = _emulator(recording)
+    except NomadError:
+        raise
+    except _NONSENSE as error:
+        raise RecordingError(
+            f"{recording.name}, line 1: does not tell how the simulation began ({error!r:.80})"
+        ) from None
     answers = size = 0
     for entry in recording.entries:
         try:
@@ -51,6 +63,12 @@ def replay(recording: Recording) -> Outcome:
         except KeyError:
             raise RecordingError(
                 f"{recording.name}, line {entry.line}: connection {entry.connection!r} was never opened"
+            ) from None
+        except NomadError:
+            raise
+        except _NONSENSE as error:
+            raise RecordingError(
+                f"{recording.name}, line {entry.line}: nothing that a daemon writes ({error!r:.80}); take it out"
             ) from None
         if said != entry.data and entry.kind == IN:
             return Outcome(answers, size, _difference(recording, entry, said))

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from fuzz import __main__ as command
-from fuzz import campaign
+from fuzz import campaign, place
 from fuzz.campaign import Campaign, Progress
 from fuzz.reader import Reader
 from nclient.errors import WireError
@@ -105,6 +105,15 @@ def test_growth_and_crashes_are_told(tmp_path: Path) -> None:
         assert words in told
     assert not list(command._wrong(Progress("toy"), 0, tmp_path))
     assert "10" in command._row(grown)
+
+
+def test_files_of_inputs_are_gone_with_their_folder() -> None:
+    place.folder.cache_clear()
+    made = place.file_of(b"x", ".toml")
+    assert made.read_bytes() == b"x"
+    command._files_gone()
+    assert not made.parent.exists()
+    place.folder.cache_clear()
 
 
 def test_the_command_lists_and_refuses(capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,4 +28,3 @@ def test_a_slice_finds_nothing_and_one_that_is_stopped_goes_on(tmp_path: Path) -
     assert f"stopped; --work {tmp_path} goes on from here" in err
     row = out.splitlines()[-1].split()
     assert (row[0], int(row[1].replace(",", "")) > 0) == ("hello", True)
-    assert "Fuzz" not in err

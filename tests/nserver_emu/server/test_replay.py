@@ -22,7 +22,7 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
-from nclient.recording.log import LogWriter, Recording, read_recording
+from nclient.recording.log import Entry, LogWriter, Recording, read_recording
 from nclient.recording.recorder import Recorder
 from nclient.recording.stream import RecordingStream
 from nclient.transports.byte_stream import Deadline
@@ -341,6 +341,30 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     recorder.close()
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
     with pytest.raises(RecordingError, match="line 3: connection 'a' was never opened"):
+        replay(read_recording(path))
+
+
+@pytest.mark.parametrize(("changes", "told"), [
+    ({"steps": 3}, "line 2: nothing that a daemon writes"), ({"steps": [["x", 1]]}, "line 2: nothing that a daemon"),
+    ({"steps": [[float("nan"), 1]]}, "line 2: nothing that"), ({"steps": [[10**400, 1]]}, "line 2: nothing that"),
+    ({"pace": 5}, "line 2: nothing that"), ({"hold": []}, "line 2: nothing that"),
+    ({"world": 3}, "line 2: nothing that"),
+])  # fmt: skip
+def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
+    path = tmp_path / "run.log"
+    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer.write(Entry(0.0, "time", more=changes))
+    writer.close()
+    with pytest.raises(RecordingError, match=told):
+        replay(read_recording(path))
+
+
+@pytest.mark.parametrize("setting", [{"seed": "x"}, {"world": 3}, {"robot": None}, {"start": {"x_in": 1}}])
+def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, setting: dict[str, Any]) -> None:
+    head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
+    path = tmp_path / "run.log"
+    LogWriter(path, head | {"setting": head["setting"] | setting}).close()
+    with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
 
 

@@ -13,7 +13,7 @@ from nclient.errors import SnapshotError
 from nserver_emu.server import snapshot, trial
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.in_process import open_address
-from nserver_emu.server.trial import try_out
+from nserver_emu.server.trial import Budget, try_out
 
 
 def saved() -> dict[str, Any]:
@@ -64,15 +64,24 @@ def test_a_list_of_no_length_is_refused(damage: dict[str, Any]) -> None:
     assert "is damaged" in refusal(whole)
 
 
-def test_what_is_sound_passes_and_leaves_no_trace(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = sys.gettrace()
+def test_what_is_sound_passes_and_leaves_no_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = sys.getprofile()
     sound = simulation(noisy=True)
     try_out(sound)
-    assert sys.gettrace() is before
+    assert sys.getprofile() is before
     monkeypatch.setattr(trial, "CALLS", 10)
     with pytest.raises(SnapshotError, match="its time has no end"):
         try_out(sound)
-    assert sys.gettrace() is before
+    assert sys.getprofile() is before
+
+
+def test_calls_are_counted_and_what_else_happens_is_not() -> None:
+    budget = Budget(2)
+    for event in ("call", "return", "c_call", "c_return", "c_exception"):
+        budget.count(None, event, None)
+    assert budget.left == 0
+    with pytest.raises(SnapshotError, match="its time has no end"):
+        budget.count(None, "call", None)
 
 
 def test_a_crowd_that_hears_as_measured_is_within_the_bound() -> None:
