@@ -31,7 +31,9 @@ from soak_visitors import KINDS, MODELS, House, ask_owner
 
 from nclient.leaving import left_in_order
 
-QUIET_S: Final = 60.0
+PATIENCE_S: Final = 600.0
+"""How long a daemon on a machine that others load may take to answer: no verdict on speed."""
+QUIET_S: Final = 600.0
 """Real time that a daemon may take to notice that all are gone."""
 AUTOSAVE_S: Final = 5
 LOOK_S: Final = 0.2
@@ -94,7 +96,7 @@ class Daemon:
 
     def numbers(self) -> dict[str, float]:
         """/metrics, by their names without `nserver_`."""
-        with urllib.request.urlopen(self.house.page.partition("/?")[0] + "/metrics", timeout=30) as answer:
+        with urllib.request.urlopen(self.house.page.partition("/?")[0] + "/metrics", timeout=PATIENCE_S) as answer:
             lines = answer.read().decode().splitlines()
         rows = (line.removeprefix("nserver_").split() for line in lines if not line.startswith("#"))
         return {name: float(value) for name, value in rows}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+import weakref
 from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
@@ -109,11 +110,16 @@ class Connection(Talker, asyncio.BufferedProtocol):
 
     def _meet(self, name: str) -> None:
         """Begin the conversation."""
+        # A session that held its connection would keep both until Python looks for garbage, seldom (garbage.py).
+        asks = weakref.WeakMethod(self._met_before)
         self.session = Session(
-            self._behind.answer, name, lambda wide: self._daemon.acquaintances.find(self, self.host, wide),
+            self._behind.answer, name, lambda wide: ask(wide) if (ask := asks()) else None,
             self._daemon.emulator.allowed.frame,
         )
         self._tape = self._daemon.recorder.open(name, TCP, N150)
+
+    def _met_before(self, wide: bool | None) -> Acquaintance | None:
+        return self._daemon.acquaintances.find(self, self.host, wide)
 
     def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
         super()._guarded(speak, by_time)
