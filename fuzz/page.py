@@ -125,9 +125,11 @@ def _published_seeds() -> list[bytes]:
     said = {
         "robot": 1, "clock_s": 3.5, "pose": [1.0, 2.0, 0.5], "turret": 0.1, "odometry": [1.0, 2.0, 0.5],
         "cov": [[1.0, 0.1, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 0.1]], "truth": None, "echoes": [echo, echo],
-        "waypoints": [[1, 2], [3, 4]], "passed": 1, "began": True,
+        "waypoints": [[1, 2], [3, 4]], "passed": 1, "began": True, "trust": "OK", "reason": "", "places": [],
     }  # fmt: skip
-    return [json.dumps(each).encode() for each in (said, said | {"truth": [0.0, 0.0, 0.0], "echoes": []})]
+    lost = {"trust": "LOST", "reason": "two places are alike", "places": [
+        {"pose": [1.0, 2.0, 0.5], "share": 0.5}, {"pose": [9.0, 2.0, 3.5], "share": 0.25}]}  # fmt: skip
+    return [json.dumps(each).encode() for each in (said, said | {"truth": [0.0, 0.0, 0.0], "echoes": []}, said | lost)]
 
 
 _TREE = either(tree_changed, tree_changed, tree_changed, bytes_changed)
