@@ -142,10 +142,11 @@ def _port(place: str) -> int:
 
 
 async def soak(daemon: Daemon, hours: float, wanted: Wanted, rng: random.Random) -> list[Sample]:
-    """The samples of a run: before anybody came, then every so many simulated seconds."""
+    """The samples of a run: before anybody came, then every so many simulated seconds, for so many hours from then."""
     samples = [await _quiet(daemon)]
-    while samples[-1].simulated_s < 3600 * hours:
-        until_s = min(samples[-1].simulated_s + wanted.every_s, 3600 * hours)
+    end_s = samples[0].simulated_s + 3600 * hours
+    while samples[-1].simulated_s < end_s:
+        until_s = min(samples[-1].simulated_s + wanted.every_s, end_s)
         go_on = asyncio.Event()
         chances = [random.Random(rng.random()) for _ in range(wanted.visitors)]
         going = [asyncio.create_task(_visits(daemon.house, chance, wanted.rest_s, go_on)) for chance in chances]

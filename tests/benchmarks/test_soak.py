@@ -67,7 +67,7 @@ def test_a_broken_number_is_told_and_is_the_exit_code(
 
 def test_a_slice_of_some_minutes() -> None:
     """Everything but memory, of which the first minutes say nothing."""
-    samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=15.0), seed=2)
+    samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=30.0), seed=2)
     assert samples[0].steps < samples[-1].steps
     assert set(house.visits) == set(KINDS)
     assert [what for what in broken(found) if what != "memory"] == []
