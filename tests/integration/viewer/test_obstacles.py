@@ -106,3 +106,20 @@ def test_two_viewers_undo_each_their_own_steps(browser: Browser) -> None:
         one.wait(f"{words}.includes('cannot undo “remove all”: the world has been changed since')")
         undone(two)
         one.wait(f"{OBSTACLES}.length === 0")
+
+
+def test_undo_pressed_before_the_answer_takes_back_that_step(browser: Browser) -> None:
+    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        page.value(
+            """(() => { const ask = nserver.link.ask; nserver.link.ask = async (message) => {
+            const answer = await ask(message);
+            await new Promise((then) => setTimeout(then, 300));
+            return answer; }; })()"""
+        )
+        for count, corners in enumerate(("40,40 50,40 50,50", "70,40 80,40 80,50"), 1):
+            page.page.fill("#corners", corners)
+            page.page.press("#corners", "Enter")
+            page.wait(f"{OBSTACLES}.length === {count}")
+        page.value("Promise.all([nserver.undo.undo(), nserver.undo.redo(), nserver.undo.undo()])")
+        page.wait(f"{OBSTACLES}.map((thing) => thing.corners[0][0]).join() === '40'")
+        page.wait("document.querySelector('#undo').innerText === 'Undo: add obstacle'")
