@@ -14,7 +14,7 @@ from pathlib import Path
 import aiohttp
 
 AT_ONCE_S = 2.0
-"""With the interpreter's own end on a busy machine; it was 2.9 s more with a page open."""
+"""With the interpreter's own end, the best of three for busy machines; it was 2.9 s more with a page open, each time."""
 
 
 @contextlib.contextmanager
@@ -44,9 +44,10 @@ def test_an_open_page_keeps_no_daemon_from_ending(tmp_path: Path) -> None:
             assert code == 0
             return time.monotonic() - began
 
-    tokens = set()
-    for _ in range(2):
+    tokens, took = set(), []
+    for _ in range(3):
         with nserver(*words) as (process, url):
-            assert asyncio.run(look(url, process)) < AT_ONCE_S
+            took.append(asyncio.run(look(url, process)))
             tokens.add(url.partition("?")[2])
+    assert min(took) < AT_ONCE_S
     assert len(tokens) == 1
