@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
     parser.add_argument("--map", "--world", required=True, metavar="WORLD",
                         help="the walls: a shipped world or a TOML file")
-    goals = parser.add_mutually_exclusive_group(required=True)
+    parser.set_defaults(refuse=parser.error)
+    goals = parser.add_mutually_exclusive_group()
     goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
     goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
     parser.add_argument("--start", type=start, metavar="X,Y,HEADING",
@@ -61,8 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
     parser.add_argument("--stay", action="store_true",
-                        help="with --publish: where there is nowhere left to go, stand and wait for way-points of the "
-                             "page, until the time limit or Ctrl-C")
+                        help="with --publish: where there is nowhere left to go, or no way-point was given, stand and "
+                             "wait for way-points of the page, until the time limit or Ctrl-C")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
 
 
@@ -73,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
                                 "alone: leave --resume and other methods out")
     check_writable(options.save)
-    points = [*options.waypoints] if options.waypoints else _points_of(world, options.path)
+    points = _goals(options, world)
     if options.picture:
         from localization.drawing import require_matplotlib
 
@@ -154,6 +155,16 @@ def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: in
     if wanted is not None:
         navigator.go(wanted)
         done.waypoints = wanted
+
+
+def _goals(options: argparse.Namespace, world: World) -> list[tuple[float, float]]:
+    if options.waypoints:
+        return [*options.waypoints]
+    if options.path is not None:
+        return _points_of(world, options.path)
+    if not (options.stay and options.publish):
+        options.refuse("where to? --waypoints X,Y or --path NAME; only --stay with --publish waits for the page's")
+    return []
 
 
 def _points_of(world: World, name: str) -> list[tuple[float, float]]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import aiohttp
 
 AT_ONCE_S = 2.0
-"""With the interpreter's own end, the best of three for busy machines; it was 2.9 s more with a page open, each time."""
+"""With the interpreter's own end, the best of three for busy machines; with a page open it was 2.9 s more each time."""
 
 
 @contextlib.contextmanager

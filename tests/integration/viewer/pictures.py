@@ -70,6 +70,20 @@ def the_estimate(browser: Browser, folder: Path, scheme: str) -> None:
             localizer.terminate()
 
 
+def the_places(browser: Browser, folder: Path, scheme: str) -> None:
+    """A robot that was told nothing, in a room that looks the same from four places."""
+    words = ("thesis_room", "--noisy", "--seed", "1", "--start", "20,12,0,0")
+    with nserver(*words) as program, shown(browser, program.url, scheme, 1280, 900) as page:
+        told = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", "thesis_room", "--start", "unknown",
+                "--method", "finder", "--stay", "--publish", program.url]  # fmt: skip
+        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *told], stdout=subprocess.DEVNULL) as localizer:
+            page.wait("(nserver.estimateOf('1')?.places ?? []).length > 1", 60.0)
+            page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
+            page.page.wait_for_timeout(1500)
+            page.page.screenshot(path=folder / "lost.png")
+            localizer.terminate()
+
+
 def main() -> None:
     """Take them all."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/window")
@@ -79,6 +93,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         the_map_and_the_windows(browser, folder, scheme)
         the_estimate(browser, folder, scheme)
+        the_places(browser, folder, scheme)
         browser.close()
 
 

@@ -1,4 +1,4 @@
-"""`nomad go --publish` and `nomad mission --publish`: what a page is told, and that none there ends it at once."""
+"""`go`, `mission` and `localize` with `--publish`: what a page is told, and that none there ends it at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIM = "sim:thesis_room?noisy=1&seed=1"
 
 @contextmanager
 def a_page() -> Iterator[tuple[str, list[Any]]]:
-    """A page that takes what it is told as the daemon's does; its address and that."""
+    """A page that takes what it is told as the daemon's does, and soon sets a way-point; its address and what it was told."""
     told: list[Any] = []
 
     class Handler(BaseHTTPRequestHandler):
@@ -28,7 +28,7 @@ def a_page() -> Iterator[tuple[str, list[Any]]]:
 
         def do_POST(self) -> None:  # http.server names it
             told.append(published(self.rfile.read(int(self.headers["Content-Length"])).decode()))
-            body = b'{"waypoints": [[1, 2]], "set": 7}'
+            body = b'{"waypoints": [[1, 2]], "set": %d}' % (7 + (len(told) > 2))
             self.send_response(200)
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
@@ -57,6 +57,15 @@ def test_go_shows_goal_estimate_and_truth_of_each_period_and_goes_its_own_way() 
     off = [math.dist(one["pose"][:2], one["truth"][:2]) for one in told]
     assert 0 < max(off) < 2, "the truth is that of the estimate's own instant"
     assert any(echo["refusal"] == "none" for one in told for echo in one["echoes"])
+
+
+def test_localize_that_stays_needs_no_way_point_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    with a_page() as (url, told):
+        words = ["--map", "thesis_room", "--stay", "--time-limit", "4", "--publish", url]
+        assert main(["localize", SIM, *words]) == 0
+    assert told[0]["waypoints"] == []
+    assert told[-1]["waypoints"] == [[1, 2]]
+    assert "1 of 1 way-points reached" in capsys.readouterr().out
 
 
 def test_a_mission_shows_as_well(tmp_path: Path) -> None:
