@@ -21,6 +21,7 @@ from typing import Any
 from nclient.errors import ConnectionLost
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
+from nserver_emu.garbage import look_between_steps
 from nserver_emu.server.acquaintances import Acquaintances
 from nserver_emu.server.connection import Connection
 from nserver_emu.server.door import Door, Doorkeeper
@@ -169,6 +170,7 @@ class Daemon:
             now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
+            look_between_steps()
 
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.pace

@@ -15,6 +15,7 @@ import contextlib
 import json
 import os
 import sys
+from array import array
 from collections import deque
 from collections.abc import Mapping
 from enum import Enum
@@ -168,6 +169,8 @@ class _Writer:
                 return {"is": "record", "class": _name(type(thing)), "of": [self.value(item) for item in thing]}
             case list() | tuple() | set() | frozenset():
                 return {"is": type(thing).__name__, "of": [self.value(item) for item in thing]}
+            case array(typecode="d"):
+                return {"is": "track", "of": thing.tolist()}
             case deque():
                 return {"is": "deque", "most": thing.maxlen, "of": [self.value(item) for item in thing]}
             case _:
@@ -211,9 +214,9 @@ class _Reader:
                 kept = np.dtype(data["dtype"])
                 if kept.kind not in _NUMBERS:
                     raise SnapshotError("is damaged: an array of no numbers")
-                array = np.array(of, dtype=kept).reshape(data["shape"])
-                array.setflags(write=not data["locked"])
-                return array if data["shape"] else array[()]
+                numbers = np.array(of, dtype=kept).reshape(data["shape"])
+                numbers.setflags(write=not data["locked"])
+                return numbers if data["shape"] else numbers[()]
             case "chance":
                 bits = np.random.PCG64()
                 bits.state = of
@@ -223,6 +226,8 @@ class _Reader:
                 return filled if kind == "dict" else MappingProxyType(filled)
             case "record":
                 return tuple.__new__(_class(data["class"]), [self.value(item) for item in of])
+            case "track":
+                return array("d", of)
             case "deque":
                 return deque((self.value(item) for item in of), maxlen=data["most"])
             case _ if kind in self._COLLECTIONS:
