@@ -1,23 +1,29 @@
 """When Python looks for garbage while a simulation runs: between steps, and not among what was there from the start.
 
+    seldom_sought()              around a run: no look in the middle of a step
+    Tidying.tidy(now_s)          between steps: a look now and then, and what is free goes back to the system
+
 A step of a thousand robots makes tens of thousands of objects, nearly all of which go by their counts of references.
 With its usual 700 Python would look through the young ones every few robots, and through all of them now and then: a
-fifth of the time, and pauses. Between two steps there is only what is kept, and what visitors left: asyncio and aiohttp
-make of each connection some thirty objects that hold one another. There a look is worth its time once they are many.
+fifth of the time, and pauses. But asyncio and aiohttp leave of each visitor some thirty objects that hold one another,
+and whoever serves for days keeps them until somebody looks.
 """
 
 from __future__ import annotations
 
+import ctypes
 import gc
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
 NEW_OBJECTS: Final = 100_000
 """So many more of them are made than go before Python looks in the middle of a step: some tens of megabytes."""
-LEFT_OBJECTS: Final = 10_000
-"""So many more are there between two steps than after the last look before it is looked again: some three hundred
-visitors, a few megabytes."""
+TIDY_S: Final = 30.0
+"""From one look between steps to the next: some milliseconds, ninety with a thousand robots."""
+FEW_OBJECTS: Final = 1000
+"""So few new ones are not worth a look."""
 
 
 @contextmanager
@@ -34,7 +40,27 @@ def seldom_sought() -> Iterator[None]:
         gc.unfreeze()
 
 
-def look_between_steps() -> None:
-    """Free what visitors left, if that may be much. Costs some milliseconds then, and nothing else."""
-    if gc.get_count()[0] > LEFT_OBJECTS:
+class Tidying:
+    """Frees what visitors left."""
+
+    def __init__(self) -> None:
+        self._due_s: float | None = None
+        self._give_back = _trim()
+
+    def tidy(self, now_s: float) -> None:
+        """Now is between two steps, by a clock in seconds that only grows."""
+        if self._due_s is None:
+            self._due_s = now_s + TIDY_S
+        if now_s < self._due_s or gc.get_count()[0] < FEW_OBJECTS:
+            return
+        self._due_s = now_s + TIDY_S
         gc.collect()
+        self._give_back(0)
+
+
+def _trim() -> Callable[[int], object]:
+    """glibc's malloc_trim: pages that are free somewhere in the heap are the system's again. Elsewhere: nothing."""
+    trim: Callable[[int], object] | None = None
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    return (lambda _: None) if trim is None else trim

@@ -1,16 +1,18 @@
-"""Garbage is looked for between steps, when there may be much, while the daemon runs; as before when it is over."""
+"""Garbage is looked for between steps, now and then, while the daemon runs; as before when it is over."""
 
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import gc
+import sys
 import weakref
 
 import pytest
 from daemon_house import House, with_daemon
 
-from nserver_emu import cli
-from nserver_emu.garbage import LEFT_OBJECTS, NEW_OBJECTS, look_between_steps, seldom_sought
+from nserver_emu import cli, garbage
+from nserver_emu.garbage import FEW_OBJECTS, NEW_OBJECTS, TIDY_S, Tidying, seldom_sought
 from nserver_emu.server.daemon import Daemon
 
 
@@ -42,29 +44,52 @@ def test_the_daemon_serves_so(monkeypatch: pytest.MonkeyPatch) -> None:
     assert seen == [(NEW_OBJECTS, True)]
 
 
-def test_a_look_between_steps_is_for_many_only() -> None:
+def test_it_is_tidied_now_and_then_where_there_is_much() -> None:
     with seldom_sought():
-        first = weakref.ref(Ring())
-        look_between_steps()
+        tidying, first = Tidying(), weakref.ref(Ring())
+        tidying.tidy(100.0)
+        leave(2 * FEW_OBJECTS)
+        tidying.tidy(100.0 + 0.9 * TIDY_S)
         assert first() is not None
-        rings = [Ring() for _ in range(LEFT_OBJECTS)]
-        rings.clear()
-        look_between_steps()
+        tidying.tidy(100.0 + TIDY_S)
         assert first() is None
-        assert gc.get_count()[0] < LEFT_OBJECTS
+        second = weakref.ref(Ring())
+        tidying.tidy(100.0 + 2.0 * TIDY_S)
+        assert second() is not None
+        leave(2 * FEW_OBJECTS)
+        tidying.tidy(100.0 + 2.0 * TIDY_S)
+        assert second() is None
 
 
-def test_what_visitors_leave_does_not_pile_up_in_a_daemon() -> None:
+def leave(rings: int) -> None:
+    """Garbage that only a look finds."""
+    left = [Ring() for _ in range(rings)]
+    left.clear()
+
+
+def test_what_visitors_leave_does_not_pile_up_in_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(garbage, "TIDY_S", 0.01)
+
     async def visits(house: House) -> None:
         client = await house.call()
         first = weakref.ref(Ring())
-        for _ in range(3):
-            rings = [Ring() for _ in range(LEFT_OBJECTS)]
-            rings.clear()
-            await client.ask("gs")
+        leave(2 * FEW_OBJECTS)
+        await client.ask("gs")
         async with asyncio.timeout(30):
             while first() is not None:
                 await asyncio.sleep(0.01)
 
     with seldom_sought():
         with_daemon(visits)
+
+
+@pytest.mark.parametrize("system", ["win32", "linux"])
+def test_a_system_without_malloc_trim_is_tidied_as_well(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
+    with seldom_sought():
+        tidying, first = Tidying(), weakref.ref(Ring())
+        tidying.tidy(0.0)
+        leave(2 * FEW_OBJECTS)
+        tidying.tidy(TIDY_S)
+        assert first() is None
