@@ -1,7 +1,7 @@
 """When Python looks for garbage while a simulation runs: between steps, and not among what was there from the start.
 
     seldom_sought()              around a run: no look in the middle of a step
-    Tidying.tidy(now_s)          between steps: a look now and then, and what is free goes back to the system
+    Tidying.tidy()               between steps: a look now and then, and what is free goes back to the system
 
 A step of a thousand robots makes tens of thousands of objects, nearly all of which go by their counts of references.
 With its usual 700 Python would look through the young ones every few robots, and through all of them now and then: a
@@ -20,10 +20,12 @@ from typing import Final
 
 NEW_OBJECTS: Final = 100_000
 """So many more of them are made than go before Python looks in the middle of a step: some tens of megabytes."""
-TIDY_S: Final = 30.0
-"""From one look between steps to the next: some milliseconds, ninety with a thousand robots."""
-FEW_OBJECTS: Final = 1000
-"""So few new ones are not worth a look."""
+TIDY_S: Final = 10.0
+"""From one look between steps to the next, at least."""
+SHARE: Final = 100.0
+"""And so many times as long as the last one took: some milliseconds, a hundred and more with a thousand robots."""
+FEW_OBJECTS: Final = 100
+"""So few new ones are not worth a look: nobody was here."""
 
 
 @contextmanager
@@ -41,21 +43,22 @@ def seldom_sought() -> Iterator[None]:
 
 
 class Tidying:
-    """Frees what visitors left."""
+    """Frees what visitors left. `clock`: seconds that only grow."""
 
-    def __init__(self) -> None:
-        self._due_s: float | None = None
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._due_s = clock() + TIDY_S
         self._give_back = _trim()
 
-    def tidy(self, now_s: float) -> None:
-        """Now is between two steps, by a clock in seconds that only grows."""
-        if self._due_s is None:
-            self._due_s = now_s + TIDY_S
+    def tidy(self) -> None:
+        """Now is between two steps."""
+        now_s = self._clock()
         if now_s < self._due_s or gc.get_count()[0] < FEW_OBJECTS:
             return
-        self._due_s = now_s + TIDY_S
         gc.collect()
         self._give_back(0)
+        done_s = self._clock()
+        self._due_s = done_s + max(TIDY_S, SHARE * (done_s - now_s))
 
 
 def _trim() -> Callable[[int], object]:

@@ -163,14 +163,14 @@ class Daemon:
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()
-        last, tidying = loop.time(), Tidying()
+        last, tidying = loop.time(), Tidying(loop.time)
         while not self.emulator.quitting:
             pace = self.emulator.pace
             await asyncio.sleep(0 if pace.runs_alone and pace.factor is None else TICK_S)
             now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
-            tidying.tidy(now)
+            tidying.tidy()
 
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.pace

@@ -12,7 +12,7 @@ import pytest
 from daemon_house import House, with_daemon
 
 from nserver_emu import cli, garbage
-from nserver_emu.garbage import FEW_OBJECTS, NEW_OBJECTS, TIDY_S, Tidying, seldom_sought
+from nserver_emu.garbage import FEW_OBJECTS, NEW_OBJECTS, SHARE, TIDY_S, Tidying, seldom_sought
 from nserver_emu.server.daemon import Daemon
 
 
@@ -44,21 +44,52 @@ def test_the_daemon_serves_so(monkeypatch: pytest.MonkeyPatch) -> None:
     assert seen == [(NEW_OBJECTS, True)]
 
 
-def test_it_is_tidied_now_and_then_where_there_is_much() -> None:
+class Clock:
+    """Shows what it is set to, and a look's time later each time that it is looked at."""
+
+    def __init__(self, look_s: float = 0.0) -> None:
+        self.now_s, self._look_s = 100.0, look_s
+
+    def __call__(self) -> float:
+        self.now_s += self._look_s
+        return self.now_s
+
+
+def test_it_is_tidied_now_and_then_where_somebody_was() -> None:
+    clock = Clock()
     with seldom_sought():
-        tidying, first = Tidying(), weakref.ref(Ring())
-        tidying.tidy(100.0)
+        tidying, first = Tidying(clock), weakref.ref(Ring())
         leave(2 * FEW_OBJECTS)
-        tidying.tidy(100.0 + 0.9 * TIDY_S)
+        clock.now_s += 0.9 * TIDY_S
+        tidying.tidy()
         assert first() is not None
-        tidying.tidy(100.0 + TIDY_S)
+        clock.now_s += 0.2 * TIDY_S
+        tidying.tidy()
         assert first() is None
         second = weakref.ref(Ring())
-        tidying.tidy(100.0 + 2.0 * TIDY_S)
+        clock.now_s += 2.0 * TIDY_S
+        tidying.tidy()
         assert second() is not None
         leave(2 * FEW_OBJECTS)
-        tidying.tidy(100.0 + 2.0 * TIDY_S)
+        tidying.tidy()
         assert second() is None
+
+
+def test_it_takes_a_hundredth_of_the_time_at_most() -> None:
+    clock, took_s = Clock(look_s=1.0), 1.0
+    with seldom_sought():
+        tidying = Tidying(clock)
+        clock.now_s += TIDY_S
+        leave(2 * FEW_OBJECTS)
+        tidying.tidy()
+        first = weakref.ref(Ring())
+        leave(2 * FEW_OBJECTS)
+        clock.now_s += 0.9 * SHARE * took_s
+        tidying.tidy()
+        assert first() is not None
+        clock.now_s += 0.2 * SHARE * took_s
+        tidying.tidy()
+        assert first() is None
 
 
 def leave(rings: int) -> None:
@@ -87,9 +118,10 @@ def test_what_visitors_leave_does_not_pile_up_in_a_daemon(monkeypatch: pytest.Mo
 def test_a_system_without_malloc_trim_is_tidied_as_well(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", system)
     monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
+    clock = Clock()
     with seldom_sought():
-        tidying, first = Tidying(), weakref.ref(Ring())
-        tidying.tidy(0.0)
+        tidying, first = Tidying(clock), weakref.ref(Ring())
         leave(2 * FEW_OBJECTS)
-        tidying.tidy(TIDY_S)
+        clock.now_s += TIDY_S
+        tidying.tidy()
         assert first() is None
