@@ -6,8 +6,7 @@ Target: memory within 5 % after the first hour, clock and steps the same, no tas
 
 The daemon is a process of its own, time as fast as it goes (--speed max); its visitors (soak_visitors.py) are real
 clients over real sockets. Every 30 simulated minutes all leave, the daemon tidies up, and what is there then is
-counted. Each number is
-printed beside its bound (soak_verdict.py), and the exit code is 1 where one is broken.
+counted. Each number is printed beside its bound (soak_verdict.py), and the exit code is 1 where one is broken.
 """
 
 from __future__ import annotations
