@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
 import pytest
+from published_to import page_that
 
 from nclient.cli import main
 from nserver_emu.viewer.localization import published
@@ -23,25 +23,12 @@ def a_page() -> Iterator[tuple[str, list[Any]]]:
     """A page that takes what it is told as the daemon's does; its address and that."""
     told: list[Any] = []
 
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
+    def taken(said: Any) -> tuple[int, str]:
+        told.append(published(json.dumps(said)))
+        return 200, '{"waypoints": [[1, 2]], "set": 7}'
 
-        def do_POST(self) -> None:  # http.server names it
-            told.append(published(self.rfile.read(int(self.headers["Content-Length"])).decode()))
-            body = b'{"waypoints": [[1, 2]], "set": 7}'
-            self.send_response(200)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: object) -> None: ...
-
-    with HTTPServer(("127.0.0.1", 0), Handler) as server:
-        serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        serving.start()
-        yield f"http://127.0.0.1:{server.server_port}/?token=secret", told
-        server.shutdown()
-        serving.join()
+    with page_that(taken) as (url, _):
+        yield url, told
 
 
 def test_go_shows_goal_estimate_and_truth_of_each_period_and_goes_its_own_way() -> None:
