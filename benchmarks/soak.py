@@ -5,8 +5,8 @@
 Target: memory within 5 % after the first hour, clock and steps the same, no task and no descriptor left over.
 
 The daemon is a process of its own, time as fast as it goes (--speed max); its visitors (soak_visitors.py) are real
-clients over real sockets. Every 30 simulated minutes all leave, and what is there then is counted. Each number is
-printed beside its bound (soak_verdict.py), and the exit code is 1 where one is broken.
+clients over real sockets. Every 30 simulated minutes all leave, the daemon tidies up, and what is there then is
+counted. Each number is printed beside its bound (soak_verdict.py), and the exit code is 1 where one is broken.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from soak_verdict import Finding, Sample, ended, verdict, visited
 from soak_visitors import KINDS, MODELS, House, ask_owner
 
 from nclient.leaving import left_in_order
+from nserver_emu.garbage import TIDY_S
 
 PATIENCE_S: Final = 600.0
 """How long a daemon on a machine that others load may take to answer: no verdict on speed."""
@@ -38,7 +39,10 @@ QUIET_S: Final = 600.0
 AUTOSAVE_S: Final = 5
 LOOK_S: Final = 0.2
 LOOKS: Final = 3
-"""Descriptors are counted so often: the fewest are there to stay, others belong to whoever asked for the numbers."""
+"""Descriptors and memory are counted so often: the fewest are there to stay, others belong to whoever asked for the
+numbers, and to a save that is under way."""
+SETTLE_S: Final = TIDY_S + 2.0
+"""Real time that a daemon has to free what visitors left, simulated time standing (nserver_emu/garbage.py)."""
 COMPLAINTS: Final = ("Traceback", "was never retrieved", "was destroyed")
 FAULTS: Final = """
 seed = 1
@@ -86,12 +90,15 @@ class Daemon:
     def sample(self) -> Sample:
         """What it is now, by its own numbers and by the system's."""
         told, place = self.numbers(), Path(f"/proc/{self.process.pid}")
-        descriptors = min(_count_after_a_moment(place / "fd") for _ in range(LOOKS))
-        status = dict(line.split(":", 1) for line in (place / "status").read_text().splitlines())
+        descriptors, looks = [], []
+        for _ in range(LOOKS):
+            time.sleep(LOOK_S)
+            descriptors.append(sum(1 for _ in (place / "fd").iterdir()))
+            looks.append(dict(line.split(":", 1) for line in (place / "status").read_text().splitlines()))
         return Sample(
             time.monotonic() - self.began_s, told["simulated_seconds"], int(told["steps_total"]),
-            int(status["VmRSS"].split()[0]), descriptors, int(status["Threads"]), int(told["tasks"]),
-            int(told["answers_total"]), int(told["shapes"]), int(told["obstacles"]),
+            min(int(status["VmRSS"].split()[0]) for status in looks), min(descriptors), int(looks[-1]["Threads"]),
+            int(told["tasks"]), int(told["answers_total"]), int(told["shapes"]), int(told["obstacles"]),
         )  # fmt: skip
 
     def numbers(self) -> dict[str, float]:
@@ -104,11 +111,6 @@ class Daemon:
     def complaints(self) -> int:
         """How many faults of its own it logged."""
         return sum(self.log.read_text().count(word) for word in COMPLAINTS)
-
-
-def _count_after_a_moment(folder: Path) -> int:
-    time.sleep(LOOK_S)
-    return sum(1 for _ in folder.iterdir())
 
 
 @contextlib.contextmanager
@@ -174,7 +176,7 @@ async def _visits(house: House, rng: random.Random, rest_s: float, enough: async
 
 
 async def _quiet(daemon: Daemon) -> Sample:
-    """When the daemon has noticed that nobody is there."""
+    """When the daemon has noticed that nobody is there, and tidied up; time stands meanwhile."""
     end_s = time.monotonic() + QUIET_S
     while True:
         told = await asyncio.to_thread(daemon.numbers)
@@ -183,8 +185,11 @@ async def _quiet(daemon: Daemon) -> Sample:
         if time.monotonic() > end_s:
             raise SystemExit(f"after {QUIET_S:g} s still there: {told}, {await ask_owner(daemon.house, 'status')}")
         await asyncio.sleep(LOOK_S)
-    await asyncio.sleep(LOOK_S)  # what they left behind is put away with the next turns of the loop
-    return await asyncio.to_thread(daemon.sample)
+    await ask_owner(daemon.house, "pause")
+    await asyncio.sleep(SETTLE_S)
+    sample = await asyncio.to_thread(daemon.sample)
+    await ask_owner(daemon.house, "resume")
+    return sample
 
 
 def _tell(sample: Sample, house: House) -> None:

@@ -1,19 +1,31 @@
-"""How often Python looks for garbage while a simulation runs: seldom, and not among what was there from the start.
+"""When Python looks for garbage while a simulation runs: between steps, and not among what was there from the start.
+
+    seldom_sought()              around a run: no look in the middle of a step
+    Tidying.tidy()               between steps: a look now and then, and what is free goes back to the system
 
 A step of a thousand robots makes tens of thousands of objects, nearly all of which go by their counts of references.
 With its usual 700 Python would look through the young ones every few robots, and through all of them now and then: a
-fifth of the time, and pauses.
+fifth of the time, and pauses. But asyncio and aiohttp leave of each visitor some thirty objects that hold one another,
+and whoever serves for days keeps them until somebody looks.
 """
 
 from __future__ import annotations
 
+import ctypes
 import gc
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
 NEW_OBJECTS: Final = 100_000
-"""So many more of them are made than go before Python looks: some tens of megabytes at worst."""
+"""So many more of them are made than go before Python looks in the middle of a step: some tens of megabytes."""
+TIDY_S: Final = 10.0
+"""From one look between steps to the next, at least."""
+SHARE: Final = 100.0
+"""And so many times as long as the last one took: some milliseconds, a hundred and more with a thousand robots."""
+FEW_OBJECTS: Final = 100
+"""So few new ones are not worth a look: nobody was here."""
 
 
 @contextmanager
@@ -28,3 +40,30 @@ def seldom_sought() -> Iterator[None]:
     finally:
         gc.set_threshold(*usual)
         gc.unfreeze()
+
+
+class Tidying:
+    """Frees what visitors left. `clock`: seconds that only grow."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._due_s = clock() + TIDY_S
+        self._give_back = _trim()
+
+    def tidy(self) -> None:
+        """Now is between two steps."""
+        now_s = self._clock()
+        if now_s < self._due_s or gc.get_count()[0] < FEW_OBJECTS:
+            return
+        gc.collect()
+        self._give_back(0)
+        done_s = self._clock()
+        self._due_s = done_s + max(TIDY_S, SHARE * (done_s - now_s))
+
+
+def _trim() -> Callable[[int], object]:
+    """glibc's malloc_trim: pages that are free somewhere in the heap are the system's again. Elsewhere: nothing."""
+    trim: Callable[[int], object] | None = None
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    return (lambda _: None) if trim is None else trim

@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "gateway"))
 sys.path.insert(0, str(Path(__file__).parent / "hardware"))
+sys.path.insert(0, str(Path(__file__).parent / "localization"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

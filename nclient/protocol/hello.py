@@ -12,6 +12,7 @@ from typing import NamedTuple
 from construct import Bytes, ConstructError, Int8ub, Padding, Struct, Terminated
 
 from nclient.errors import WireError
+from nclient.protocol import layouts
 from nclient.protocol.mask import COMPASS_SLOT, LASER_SLOT, Mask, mask_from_line
 from nclient.protocol.terms import Terms
 
@@ -29,7 +30,7 @@ class Hello(NamedTuple):
 def read_hello(data: bytes) -> Hello:
     """The hello that these eleven bytes are. Raises WireError for any other number of bytes."""
     try:
-        found = _LAYOUT.parse(data)
+        found = layouts.parse(_LAYOUT, data)
     except ConstructError:
         raise WireError(f"a hello has {HELLO_SIZE} bytes, not {len(data)}") from None
     as_ct = (*found.common, found.laser & 1, found.compass & 1 | found.laser & 0x3E)
@@ -40,12 +41,12 @@ def build_hello(hello: Hello) -> bytes:
     """The eleven bytes of a hello. Raises WireError when the laser mode is no byte."""
     smask = hello.mask.smask
     try:
-        return bytes(_LAYOUT.build({
+        return layouts.build(_LAYOUT, {
             "common": bytes(hello.mask.line_bytes()[:5]),
             "compass": smask[COMPASS_SLOT],
             "laser": smask[LASER_SLOT] | hello.mask.position << 1,
             "mode": hello.laser_mode,
-        }))
+        })
     except ConstructError as error:
         raise WireError(f"a hello cannot carry this: {error}") from None
 

@@ -13,8 +13,8 @@ from typing import Any
 from construct import ConstructError
 
 from nclient.errors import WireError
+from nclient.protocol import layouts, serial_frame, tcp_frame
 from nclient.protocol import replies as shape
-from nclient.protocol import serial_frame, tcp_frame
 from nclient.protocol.bounds import beyond_line
 from nclient.protocol.commands import (
     BY_LINE_TYPE,
@@ -137,7 +137,7 @@ def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:
         names = ", ".join(argument.name for argument in row.arguments) or "nothing"
         raise WireError(f"{row.name} takes {len(row.arguments)} numbers ({names}), got {len(args)}")
     try:
-        return bytes(layout.build(args))
+        return layouts.build(layout, args)
     except (ConstructError, TypeError, OverflowError, ValueError) as error:
         raise WireError(f"{row.name}{args}: {one_line(error)}") from None
 
@@ -155,6 +155,6 @@ def _parsed(row: Command, data: bytes, line: bool) -> Call:
     if not data and not row.arguments:
         return Call(row.name)
     try:
-        return Call(row.name, tuple((row.line_request if line else row.tcp_request).parse(data)))
+        return Call(row.name, tuple(layouts.parse(row.line_request if line else row.tcp_request, data)))
     except (ConstructError, WireError) as error:
         raise WireError(f"{row.name}: {one_line(error)}") from None

@@ -59,7 +59,11 @@ class _Agreed:
 
     def __init__(self, terms: Terms) -> None:
         self.terms = terms
-        self._params = self
+
+    @property
+    def _params(self) -> _Agreed:
+        """Itself, as in construct; kept, it would be garbage after each reply."""
+        return self
 
 
 class _Member(NamedTuple):

@@ -33,6 +33,7 @@ from construct import (
     this,
 )
 
+from nclient.protocol import layouts
 from nclient.protocol.fields import WORD, Words
 from nclient.protocol.line_fields import LINE_BYTE, LINE_UNSIGNED
 from nclient.protocol.mask import Mask, mask_from_line, mask_from_tcp
@@ -236,11 +237,11 @@ class ByteWords(Adapter):
         self.packet = packet
 
     def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        parsed: tuple[int, ...] = self.packet.parse(bytes(word & 255 for word in obj))
+        parsed: tuple[int, ...] = layouts.parse(self.packet, bytes(word & 255 for word in obj))
         return parsed
 
     def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        return tuple(self.packet.build(obj))
+        return tuple(layouts.build(self.packet, obj))
 
 
 ARM_ZERO = ArmPacket(40, LINE_UNSIGNED)

@@ -21,6 +21,7 @@ from typing import Any
 from nclient.errors import ConnectionLost
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import OFF, AnyRecorder, Recorder
+from nserver_emu.garbage import Tidying
 from nserver_emu.server.acquaintances import Acquaintances
 from nserver_emu.server.connection import Connection
 from nserver_emu.server.door import Door, Doorkeeper
@@ -162,13 +163,14 @@ class Daemon:
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()
-        last = loop.time()
+        last, tidying = loop.time(), Tidying(loop.time)
         while not self.emulator.quitting:
             pace = self.emulator.pace
             await asyncio.sleep(0 if pace.runs_alone and pace.factor is None else TICK_S)
             now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
+            tidying.tidy()
 
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.pace

@@ -8,6 +8,7 @@ well. Nothing here knows a clock or a socket; the first difference ends it.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -16,6 +17,7 @@ from nclient.protocol.models import model_named
 from nclient.recording.follower import HELLO_FIRST, TCP
 from nclient.recording.log import IN, OUT, Entry, Recording
 from nserver_emu.server.acquaintances import FORGOTTEN_AFTER_S, Acquaintances
+from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.in_process import SCHEME, InProcess, open_address
 from nserver_emu.server.line_session import LineSession
 from nserver_emu.server.obstacles import change_obstacle
@@ -107,27 +109,10 @@ class _DaemonAgain:
         self._leaving: list[tuple[float, str]] = []
 
     def follow(self, entry: Entry) -> bytes:
-        while self._leaving and self._leaving[0][0] <= entry.time_s:
-            self._acquaintances.leave(self._leaving.pop(0)[1])
-        for dt_s, count in entry.more.get("steps", ()):
-            for _ in range(count):
-                self._emulator.pass_time(dt_s)
-        self._line_clock_s = entry.more.get("at", self._line_clock_s)
-        if "pace" in entry.more:
-            self._emulator.pace.factor, self._emulator.pace.paused = entry.more["pace"]
-            self._emulator.look_anew()
-        if "noise" in entry.more:
-            switch_noise(self._emulator, entry.more["noise"])
-        for robot_id in entry.more.get("hold", {}).get("robots", ()):
-            self._emulator.hold(robot_id, entry.more["hold"]["by"])
-        for robot_id in entry.more.get("release", ()):
-            self._emulator.holds.release(robot_id)
-        if "shown" in entry.more:
-            show_world(self._emulator)
-        if "obstacle" in entry.more:
-            change_obstacle(self._emulator, entry.more["obstacle"])
-        if "world" in entry.more:
-            put_world(self._emulator, **entry.more["world"])
+        self._pass_time(entry)
+        for name, what in entry.more.items():
+            if name in _CHANGES:
+                _CHANGES[name](self._emulator, what)
         match entry.kind:
             case "open":
                 self._open(entry)
@@ -136,13 +121,17 @@ class _DaemonAgain:
             case "in":
                 return self._turn(entry)
             case "close":
-                session = self._sessions.pop(entry.connection)
-                if session.closing:
-                    self._acquaintances.leave(entry.connection, disconnected=True)
-                else:
-                    self._leaving.append((entry.time_s + FORGOTTEN_AFTER_S, entry.connection))
-                self._emulator.leave(session.visit)
+                self._close(entry)
         return b""
+
+    def _pass_time(self, entry: Entry) -> None:
+        """The time that the entry says had passed before it, and who was forgotten meanwhile."""
+        while self._leaving and self._leaving[0][0] <= entry.time_s:
+            self._acquaintances.leave(self._leaving.pop(0)[1])
+        for dt_s, count in entry.more.get("steps", ()):
+            for _ in range(count):
+                self._emulator.pass_time(dt_s)
+        self._line_clock_s = entry.more.get("at", self._line_clock_s)
 
     def _open(self, entry: Entry) -> None:
         answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
@@ -160,6 +149,14 @@ class _DaemonAgain:
         self._sessions[name] = line
         self._greetings[name] = line.greeting if wire == HELLO_FIRST else b""
 
+    def _close(self, entry: Entry) -> None:
+        session = self._sessions.pop(entry.connection)
+        if session.closing:
+            self._acquaintances.leave(entry.connection, disconnected=True)
+        else:
+            self._leaving.append((entry.time_s + FORGOTTEN_AFTER_S, entry.connection))
+        self._emulator.leave(session.visit)
+
     def _turn(self, entry: Entry) -> bytes:
         """What the daemon did at such an entry: greet, look whether time has brought an answer, or take a turn."""
         name = entry.connection
@@ -175,6 +172,33 @@ class _DaemonAgain:
         if session.met != before:
             self._acquaintances.note(name, _host(name), session.met)
         return said
+
+
+def _pace(emulator: Emulator, what: tuple[float | None, bool]) -> None:
+    emulator.pace.factor, emulator.pace.paused = what
+    emulator.look_anew()
+
+
+def _hold(emulator: Emulator, what: Mapping[str, Any]) -> None:
+    for robot_id in what.get("robots", ()):
+        emulator.hold(robot_id, what["by"])
+
+
+def _release(emulator: Emulator, robot_ids: list[int]) -> None:
+    for robot_id in robot_ids:
+        emulator.holds.release(robot_id)
+
+
+_CHANGES: Final[Mapping[str, Callable[[Emulator, Any], object]]] = {
+    "pace": _pace,
+    "noise": switch_noise,
+    "hold": _hold,
+    "release": _release,
+    "shown": lambda emulator, _: show_world(emulator),
+    "obstacle": change_obstacle,
+    "world": lambda emulator, what: put_world(emulator, **what),
+}
+"""What was done to the simulation by no request, as the daemon has it written down (daemon.py, control.py)."""
 
 
 class _InProcessAgain:

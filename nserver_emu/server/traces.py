@@ -2,12 +2,12 @@
 
 Rules: a point is kept where the last one is POINT_IN away or more, as time passes; the oldest of
 MOST_POINTS is forgotten for a new one. Inches. Who drives and who looks is not known here.
+Robots that drive for days fill their tracks: a coordinate is kept in eight bytes, not as an object of Python's.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from itertools import islice
+from array import array
 from math import floor, hypot
 from typing import Final
 
@@ -22,6 +22,9 @@ INTERVAL_S: Final = 0.025
 MOST_POINTS: Final = 4000
 """At least 2000 inches of way; some days of clients fill no memory."""
 
+FORGOTTEN_AT_ONCE: Final = 400
+"""Points; a track moves up in memory when it forgets its oldest."""
+
 
 class Trace:
     """A track as points; coordinates one after another, which a snapshot keeps in little room."""
@@ -30,12 +33,12 @@ class Trace:
     """How many points there were so far, those forgotten as well."""
 
     def __init__(self) -> None:
-        self._flat: deque[float] = deque(maxlen=2 * MOST_POINTS)
+        self._flat = array("d")
 
     @property
     def points(self) -> list[tuple[float, float]]:
         """(x, y) in inches, the oldest first."""
-        flat = iter(self._flat)
+        flat = iter(self._flat[-2 * MOST_POINTS :])
         return list(zip(flat, flat, strict=True))
 
     def go(self, x_in: float, y_in: float) -> None:
@@ -43,10 +46,13 @@ class Trace:
         if not self._flat or hypot(x_in - self._flat[-2], y_in - self._flat[-1]) >= POINT_IN:
             self._flat.extend((x_in, y_in))
             self.gone += 1
+            if len(self._flat) >= 2 * (MOST_POINTS + FORGOTTEN_AT_ONCE):
+                del self._flat[: 2 * FORGOTTEN_AT_ONCE]
 
     def newer(self, gone: int) -> list[float]:
         """The coordinates of the points after the first `gone`, as far as they are kept: x, y, x, y ... in inches."""
-        return list(islice(reversed(self._flat), 2 * max(self.gone - gone, 0)))[::-1]
+        count = min(max(self.gone - gone, 0), MOST_POINTS)
+        return self._flat[max(len(self._flat) - 2 * count, 0) :].tolist()
 
 
 class Traces:

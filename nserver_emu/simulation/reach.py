@@ -7,7 +7,14 @@ n, if that is positive, and what it may stray.
 
 from __future__ import annotations
 
+from math import cos, sin
 from typing import Final, NamedTuple
+
+from nserver_emu.simulation.drive import Drive
+from nserver_emu.simulation.setup import RobotSetup
+
+STRAY: Final = 6.0
+"""Standard deviations of the noise of a way that are allowed for: one in a thousand million goes beyond."""
 
 
 class Reach(NamedTuple):
@@ -27,3 +34,34 @@ class Reach(NamedTuple):
 
 STAYS: Final = Reach(0.0, 0.0, 0.0, 0.0, 0.0)
 """It goes nowhere."""
+
+
+def way_in(drive: Drive, setup: RobotSetup | None, span_s: float) -> float:
+    """No less than it goes within some seconds if no command comes, inches; 0 only where it stays.
+
+    setup    how its motion errs; None: every motion is as commanded
+    """
+    if setup is None:
+        return drive.fastest * span_s
+    span_s *= max(map(abs, setup.odometry.scales[:2]))
+    told_in = drive.fastest * span_s
+    return told_in + STRAY * setup.motion.way_std_in(told_in, drive.fastest_turn * span_s)
+
+
+def reach(drive: Drive, setup: RobotSetup | None, heading_rad: float, span_s: float) -> Reach:
+    """The same by directions, for a robot that heads this way."""
+    farthest_in = way_in(drive, setup, span_s)
+    if not farthest_in:
+        return STAYS
+    least, most = drive.extremes
+    aside_rad, stray_in = drive.fastest_turn * span_s, 0.0
+    if setup is not None:
+        odometry, noise = setup.odometry, setup.motion
+        span_s *= max(map(abs, odometry.scales[:2]))
+        told_in, angle_rad = drive.fastest * span_s, drive.fastest_turn * span_s
+        drift_rad = max(map(abs, odometry.drifts)) * (drive.axes[0].fastest + drive.axes[1].fastest) * span_s
+        aside_rad = angle_rad + drift_rad + STRAY * noise.turn_std_rad(told_in, angle_rad)
+        stray_in = farthest_in - told_in
+    x, y = span_s * cos(heading_rad), span_s * sin(heading_rad)
+    stray_in += max(most, -least) * span_s * aside_rad
+    return Reach(most * x, most * y, least * x, least * y, stray_in)

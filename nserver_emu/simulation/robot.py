@@ -1,65 +1,28 @@
-"""One simulated robot: its commands, and what a moment of time does to it. No socket, no clock, no wire units.
+"""One simulated robot as others have it: what can be seen of it, its commands, its surroundings.
 
-Two robots in one: the encoder robot is what the wheels were told and what State reports; the actual robot moves in the
-map and drives the sensors. Time is cut at time-outs, flashes and changes of acceleration, so that no result depends on
-the caller's steps (with noise: only which numbers are drawn, not their spread); in each piece first motion, then
-contact, then sensors. Sonars fire inside a piece, from where the closed form says; only where motion draws chance or
-a search for zero may end time is cut at firings too.
+What a moment of time does to it is in running.py. No socket, no clock, no wire units.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from math import copysign, cos, sin
-from typing import Final, NamedTuple
 
-from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Command
-from nserver_emu.simulation.chassis import Chassis
-from nserver_emu.simulation.compass import Compass, last_reading_ps
+from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.contact import Ground
 from nserver_emu.simulation.encoders import Encoders
-from nserver_emu.simulation.individual import setup_of
-from nserver_emu.simulation.infrared import InfraredRing
-from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S, to_ps, to_s
+from nserver_emu.simulation.instants import PS_PER_S, to_ps
 from nserver_emu.simulation.laser import ranges, thinned
-from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import Identity, Purpose
-from nserver_emu.simulation.passage import AT_REST, Moment, Passage
 from nserver_emu.simulation.poses import Pose, Velocities
-from nserver_emu.simulation.reach import STAYS, Reach
-from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.sighting import NOBODY, Eye, Lookout
-from nserver_emu.simulation.sonar import DEFAULT_ORDER, DEFAULT_RATE, SonarRing
+from nserver_emu.simulation.reach import Reach, reach, way_in
+from nserver_emu.simulation.running import RunningRobot
+from nserver_emu.simulation.setup import RobotSetup
+from nserver_emu.simulation.sighting import Lookout
 from nserver_emu.simulation.standing import Disc
-from nserver_emu.simulation.stretch import Stretch
 from worlds.geometry import FloatArray
-from worlds.world import StartPose
-
-STRAY: Final = 6.0
-"""Standard deviations of the noise of a way that are allowed for."""
 
 
-class Leg(NamedTuple):
-    """A piece of a robot's track: from this instant and place along this stretch, for so long; then it stood."""
-
-    begin_ps: int
-    x_in: float
-    y_in: float
-    heading_rad: float
-    stretch: Stretch
-    free_s: float
-
-    def place(self, time_s: float) -> tuple[float, float]:
-        """(x, y) in inches, so long after its beginning; before that, where it begins."""
-        _, x, y, heading, stretch, free_s = self
-        if time_s <= 0.0:
-            return x, y
-        dx, dy = stretch.displacement(heading, time_s if time_s < free_s else free_s)
-        return x + dx, y + dy
-
-
-class SimulatedRobot:
+class SimulatedRobot(RunningRobot):
     """A robot in a world. Three numbers of a command go to the axes in their order: translation, steering, turret
     (Scout: right wheel, left wheel, none), in inches where `model.rolls`, else in radians.
 
@@ -67,62 +30,7 @@ class SimulatedRobot:
     silently. A motion that is blocked is over: the wheels wait for the next command.
     """
 
-    def __init__(
-        self,
-        identity: Identity,
-        start: StartPose,
-        walls: FloatArray,
-        model: RobotModel = N150,
-        setup: RobotSetup = IDEAL,
-        now_ps: int = 0,
-        lookout: Lookout = NOBODY,
-        own: int = 0,
-        *,
-        awake: bool = True,
-    ) -> None:
-        self.identity = identity
-        self.model = model
-        self.setup = self.began_as = setup = setup_of(model, setup)
-        self._time_ps = now_ps
-        self._timeout_ps = 0
-        self._deadline_ps = NEVER_PS
-        self.timed_out_s: float | None = None
-        """When the time-out last struck, simulated time."""
-        self._zeroing = False
-        self._walls = walls
-        self._track: list[Leg] | None = None
-        self.join(lookout, own)
-        self._drive = model.drive(setup.ramps)
-        self._drive.put(start.steering_rad, start.turret_rad)
-        self._encoders = Encoders(start.x_in, start.y_in)
-        self._chassis = Chassis(model.body, Ground(walls), start.x_in, start.y_in)
-        self._chance = identity.stream(Purpose.MOTION)
-        self._exact = setup.moves_as_told
-        self.sonar = SonarRing(model.body, setup.sonar, walls, identity.stream(Purpose.SONAR))
-        self.infrared: InfraredRing | None = None
-        if model.sees:
-            light = identity.stream(Purpose.INFRARED)
-            self.infrared = InfraredRing(model.body, setup.infrared, walls, now_ps, light)
-        self.compass: Compass | None = None
-        if model.compass:
-            needle = identity.stream(Purpose.COMPASS)
-            self.compass = Compass(setup.compass, self.actual.turret_rad, now_ps, needle)
-        self.awake = False
-        if awake:
-            self.wake()
-
-    def wake(self) -> None:
-        """Power on what looks around, once: all sonars have a reading, and the ring runs."""
-        self.awake = True
-        self.sonar.fire_all(self._eye(), self._moment(self._time_ps))
-        self.configure_sonars(DEFAULT_RATE, DEFAULT_ORDER)
-
     # What can be seen
-
-    @property
-    def time_s(self) -> float:
-        """Simulated time of the whole simulation."""
-        return to_s(self._time_ps)
 
     @property
     def encoder(self) -> Pose:
@@ -152,32 +60,12 @@ class SimulatedRobot:
     def reach_in(self, span_s: float) -> float:
         """No less than it goes within some seconds if no command comes, inches; 0 only where it stays. Noise may take
         it farther, but not once in a thousand million times."""
-        drive, setup = self._drive, self.setup
-        if self._exact:
-            return drive.fastest * span_s
-        span_s *= max(map(abs, setup.odometry.scales[:2]))
-        way_in = drive.fastest * span_s
-        return way_in + STRAY * setup.motion.way_std_in(way_in, drive.fastest_turn * span_s)
+        return way_in(self._drive, None if self._exact else self.setup, span_s)
 
     def reach(self, span_s: float) -> Reach:
         """The same by directions."""
         drive = self._drive
-        reach_in = self.reach_in(span_s)
-        if not reach_in:
-            return STAYS
-        least, most = drive.extremes
-        aside_rad, stray_in = drive.fastest_turn * span_s, 0.0
-        if not self._exact:
-            odometry, noise = self.setup.odometry, self.setup.motion
-            span_s *= max(map(abs, odometry.scales[:2]))
-            way_in, angle_rad = drive.fastest * span_s, drive.fastest_turn * span_s
-            drift_rad = max(map(abs, odometry.drifts)) * (drive.axes[0].fastest + drive.axes[1].fastest) * span_s
-            aside_rad = angle_rad + drift_rad + STRAY * noise.turn_std_rad(way_in, angle_rad)
-            stray_in = reach_in - way_in
-        heading = self._chassis.heading(drive.steering_rad)
-        x, y = span_s * cos(heading), span_s * sin(heading)
-        stray_in += max(most, -least) * span_s * aside_rad
-        return Reach(most * x, most * y, least * x, least * y, stray_in)
+        return reach(drive, None if self._exact else self.setup, self._chassis.heading(drive.steering_rad), span_s)
 
     @property
     def velocities(self) -> Velocities:
@@ -196,12 +84,6 @@ class SimulatedRobot:
         """How far each axis went since power-on or the last `zero`, the ways back taken off."""
         first, second, third = self._drive.axes
         return first.count, second.count, third.count
-
-    @property
-    def moving(self) -> tuple[bool, bool, bool]:
-        """Which axes move."""
-        first, second, third = self._drive.axes
-        return first.moving, second.moving, third.moving
 
     @property
     def bumpers(self) -> int:
@@ -313,10 +195,6 @@ class SimulatedRobot:
         self._timeout_ps = to_ps(max(seconds, 0.0))
         self.feed()
 
-    def feed(self) -> None:
-        """A command came: the time-out starts anew."""
-        self._deadline_ps = self._time_ps + self._timeout_ps if self._timeout_ps else NEVER_PS
-
     def configure_sonars(self, rate: int, order: Sequence[int]) -> None:
         """Restart the ring at rate x 4 ms a sonar; order ends at 255. Its first sonar fires now. C: conf_sn."""
         self.feed()
@@ -356,25 +234,7 @@ class SimulatedRobot:
         """
         return thinned(ranges(self._eye(), self._walls, self.model.body), columns)
 
-    # Time and surroundings
-
-    def advance_to(self, end_ps: int) -> None:
-        """Let time pass until an instant that is not before now."""
-        while self._time_ps < end_ps:
-            until = min(end_ps, self._deadline_ps)
-            if self._zeroing or not self._exact:
-                until = min(until, self.sonar.due_ps)
-            if self.infrared is not None:
-                until = min(until, self.infrared.due_ps)
-            if self.compass is not None and until >= self.compass.due_ps:
-                self._read_compass(self.compass, until)
-            self._move((until - self._time_ps) / PS_PER_S)
-            self._time_ps = until
-            if self._zeroing:
-                self._end_zero()
-            if until == self._deadline_ps:
-                self._expire()
-            self._fire_due()
+    # Surroundings
 
     def stand_beside(self, discs: Sequence[Disc]) -> None:
         """From now on these discs, x y radius in inches, can be touched, and no others."""
@@ -402,138 +262,3 @@ class SimulatedRobot:
         """A motion command came: it ends what was under way."""
         self.feed()
         self._zeroing = False
-
-    def _stop_axes(self) -> None:
-        for axis in self._drive.axes:
-            axis.stop()
-
-    def _expire(self) -> None:
-        """The time-out: motion stops, but for a search for zero."""
-        if self._zeroing:
-            self.feed()
-            return
-        self._deadline_ps = NEVER_PS
-        self.timed_out_s = self.time_s
-        self._stop_axes()
-
-    def _end_zero(self) -> None:
-        if not any(self.moving):
-            self._zeroing = False
-            before_rad = self._drive.turret_rad
-            self._drive.found_zero()
-            self._carry_compass(before_rad)
-            for axis in self._drive.axes:
-                axis.count = 0.0
-            self._chassis.found_zero()
-            self._encoders.define_position(0.0, 0.0)
-            self._encoders.define_angles(-self._drive.steering_rad, -self._drive.turret_rad)
-
-    def _fire_due(self) -> None:
-        while self.sonar.due_ps <= self._time_ps:
-            self.sonar.fire_due(self._eye(), self._moment(self.sonar.due_ps))
-        while self.infrared is not None and self.infrared.due_ps <= self._time_ps:
-            self.infrared.flash_due(self._eye(), self._moment(self._time_ps).stamp)
-
-    def _read_compass(self, compass: Compass, until_ps: int) -> None:
-        """Its last reading up to an instant that this piece of time reaches, if one is due, before anything moves.
-
-        Time is not cut for it: the drive tells how far the turret will have turned by then.
-        """
-        due_ps = last_reading_ps(until_ps)
-        turret_rad = self._drive.turret_in((due_ps - self._time_ps) / PS_PER_S)
-        compass.take(due_ps, self._chassis.turret_direction(turret_rad), turret_rad)
-
-    def _carry_compass(self, before_rad: float) -> None:
-        """The turret's angle was set, and not by turning."""
-        if self.compass is not None:
-            self.compass.carried(before_rad, self._drive.turret_rad)
-
-    def _eye(self) -> Eye:
-        return Eye(*self._chassis.outlook(self._drive.turret_rad), self._lookout.at(self._time_ps), self._own)
-
-    def _moment(self, instant_ps: int) -> Moment:
-        """The moment of what is read here and now."""
-        turret_rad = self._encoders.turret(self._drive.turret_rad)
-        return Moment(self._passage(AT_REST), 0.0, turret_rad, instant_ps / PS_PER_S)
-
-    def _passage(self, stretch: Stretch) -> Passage:
-        """A stretch that begins here and now, as the encoders know it."""
-        drive, encoders = self._drive, self._encoders
-        first, second, third = drive.axes
-        heading_rad = encoders.heading(drive.steering_rad)
-        return Passage(*encoders.place, heading_rad, stretch, (first.run, second.run, third.run))
-
-    def _fire_along(self, stretch: Stretch, begin_s: float, taken_s: float) -> None:
-        """Let the sonars fire that are due in the first seconds of a stretch, which is about to begin; `begin_s` of
-        this piece of time are over. Who is due at its very end fires from what comes after."""
-        sonar, due_ps, before_s = self.sonar, self.sonar.due_ps, taken_s - TIME_TOLERANCE_S
-        into_s = (due_ps - self._time_ps) / PS_PER_S - begin_s
-        if into_s >= before_s:
-            return
-        drive, chassis, encoders, passage = self._drive, self._chassis, self._encoders, self._passage(stretch)
-        (x, y), heading = chassis.place, chassis.heading(drive.steering_rad)
-        while into_s < before_s:
-            into_s = max(into_s, 0.0)
-            turret_rad = drive.turret_in(into_s)
-            dx, dy = stretch.displacement(heading, into_s)
-            eye = Eye(x + dx, y + dy, chassis.turret_direction(turret_rad), self._lookout.at(due_ps), self._own)
-            sonar.fire_due(eye, Moment(passage, into_s, encoders.turret(turret_rad), due_ps / PS_PER_S))
-            due_ps = sonar.due_ps
-            into_s = (due_ps - self._time_ps) / PS_PER_S - begin_s
-
-    def _move(self, span_s: float) -> None:
-        """Let all axes run; the path is cut where they change their acceleration and where the robot is stopped."""
-        left_s = span_s
-        while left_s > 0.0:
-            stretch = self._drive.stretch(left_s)
-            if stretch.at_rest:
-                self._fire_along(stretch, span_s - left_s, left_s)
-                turned_rad = self._drive.advance(left_s)
-                if not self._exact:
-                    self._drift(0.0, turned_rad)
-                return
-            left_s -= self._glide(stretch, span_s - left_s)
-
-    def _glide(self, stretch: Stretch, begin_s: float) -> float:
-        """Follow a stretch that begins so long after now to its end or to where the robot is stopped; returns the
-        seconds that took.
-
-        Only the commanded motion stops the wheels. Where noise or a turn on the spot that goes astray pushes a robot
-        into a wall it is held there for the stretch, wheels turning.
-        """
-        drive, chassis, duration = self._drive, self._chassis, stretch.duration_s
-        steering_rad, told_in = drive.steering_rad, 0.0
-        steady = driven = stretch
-        if not self._exact:
-            steady = self.setup.odometry.driven(stretch, drive)
-            driven = self.setup.motion.disturbed(steady, self._chance)
-        heading = chassis.heading(steering_rad)
-        contact = chassis.first_contact(driven, steering_rad)
-        blocked = False
-        free_s = duration
-        if contact is not None:
-            free_s, told_in = contact.time_s, stretch.distance_at(duration)
-            pressing = driven is steady or contact.pressed_by(heading + driven.turn_at(free_s), told_in)
-            blocked = told_in != 0.0 and pressing
-        taken_s = free_s if blocked else duration
-        if self._track is not None:
-            begin_ps = self._time_ps + round(begin_s * PS_PER_S)
-            self._track.append(Leg(begin_ps, *chassis.place, heading, driven, free_s))
-        self._fire_along(stretch, begin_s, taken_s)
-        way = chassis.follow(driven, free_s, steering_rad)
-        if driven is stretch and taken_s == free_s and self._encoders.heading(steering_rad) == heading:
-            self._encoders.shift(*way)
-        else:
-            self._encoders.follow(stretch, taken_s, steering_rad)
-        turned_rad = drive.advance(taken_s)
-        if not self._exact:
-            self._drift(driven.turn_at(taken_s) - stretch.turn_at(taken_s), turned_rad)
-        if blocked:
-            self._encoders.slip(copysign(self.setup.odometry.slip_in, told_in), drive.steering_rad)
-            drive.block()
-        return taken_s
-
-    def _drift(self, body_rad: float, counted_rad: float) -> None:
-        """What no encoder counts: a turn of the body, and of the turret where its gears err."""
-        self._chassis.turn(body_rad)
-        self._chassis.turn_turret((self.setup.odometry.scales[2] - 1.0) * counted_rad)

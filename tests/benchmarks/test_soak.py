@@ -65,8 +65,9 @@ def test_a_broken_number_is_told_and_is_the_exit_code(
         assert capsys.readouterr().out.startswith("kept   tasks" if kept else "BROKEN tasks left over: 2 (asked: 0)")
 
 
-def test_a_slice_of_some_minutes() -> None:
+def test_a_slice_of_some_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything but memory, of which the first minutes say nothing."""
+    monkeypatch.setattr(soak, "SETTLE_S", 0.2)
     samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=30.0), seed=2)
     assert samples[0].steps < samples[-1].steps
     assert set(house.visits) == set(KINDS)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import logging
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 import numpy as np
 import pytest
+from published_to import page_that
 
 from localization.belief import Belief
 from localization.filters.method import Place
@@ -36,29 +35,10 @@ def a_moment(truth: tuple[float, float, float] | None = None) -> Moment:
 
 @contextmanager
 def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
-    """A page that answers so; its address and what it was told."""
-    told: list[Any] = []
-    left = list(answers)
-
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-
-        def do_POST(self) -> None:  # http.server names it
-            told.append((self.path, json.loads(self.rfile.read(int(self.headers["Content-Length"])))))
-            status, body = left.pop(0)
-            self.send_response(status)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body.encode())
-
-        def log_message(self, *_: object) -> None: ...
-
-    with HTTPServer(("127.0.0.1", 0), Handler) as server:
-        serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        serving.start()
-        yield f"http://127.0.0.1:{server.server_port}/?token=secret", told
-        server.shutdown()
-        serving.join()
+    """A page that answers so, one after the other; its address and what it was told."""
+    left = iter(answers)
+    with page_that(lambda _: next(left)) as there:
+        yield there
 
 
 def test_a_moment_as_it_is_published() -> None:

@@ -15,6 +15,7 @@ import pytest
 from wire_client import WireClient
 
 from nserver_emu import cli
+from nserver_emu.options import as_long_option
 
 pytestmark = pytest.mark.long
 
@@ -79,7 +80,7 @@ def test_help_by_its_first_letters(word: str, capsys: pytest.CaptureFixture[str]
      ("--port", "--port"), ("-5,3", "-5,3"), ("-noisier", "-noisier"), ("-", "-"), ("noisy", "noisy")],
 )  # fmt: skip
 def test_options_of_the_original_by_their_first_letters(words: str, long: str) -> None:
-    assert cli._as_long_option(words) == long
+    assert as_long_option(words) == long
 
 
 def test_the_old_style_with_both_setup_files(tmp_path: Path) -> None:

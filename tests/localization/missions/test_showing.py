@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
 import pytest
+from published_to import page_that
 
 from nclient.cli import main
 from nserver_emu.viewer.localization import published
@@ -20,28 +20,15 @@ SIM = "sim:thesis_room?noisy=1&seed=1"
 
 @contextmanager
 def a_page() -> Iterator[tuple[str, list[Any]]]:
-    """A page that takes what it is told as the daemon's does, and soon sets a way-point; its address and what it was told."""
+    """A page that takes what it is told as the daemon's does, and soon sets a way-point; its address and that."""
     told: list[Any] = []
 
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
+    def taken(said: Any) -> tuple[int, str]:
+        told.append(published(json.dumps(said)))
+        return 200, json.dumps({"waypoints": [[15, 10]], "set": 7 if len(told) < 3 else 8})
 
-        def do_POST(self) -> None:  # http.server names it
-            told.append(published(self.rfile.read(int(self.headers["Content-Length"])).decode()))
-            body = b'{"waypoints": [[1, 2]], "set": %d}' % (7 + (len(told) > 2))
-            self.send_response(200)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: object) -> None: ...
-
-    with HTTPServer(("127.0.0.1", 0), Handler) as server:
-        serving = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        serving.start()
-        yield f"http://127.0.0.1:{server.server_port}/?token=secret", told
-        server.shutdown()
-        serving.join()
+    with page_that(taken) as (url, _):
+        yield url, told
 
 
 def test_go_shows_goal_estimate_and_truth_of_each_period_and_goes_its_own_way() -> None:
@@ -61,10 +48,10 @@ def test_go_shows_goal_estimate_and_truth_of_each_period_and_goes_its_own_way() 
 
 def test_localize_that_stays_needs_no_way_point_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     with a_page() as (url, told):
-        words = ["--map", "thesis_room", "--stay", "--time-limit", "4", "--publish", url]
+        words = ["--map", "thesis_room", "--stay", "--time-limit", "9", "--publish", url]
         assert main(["localize", SIM, *words]) == 0
     assert told[0]["waypoints"] == []
-    assert told[-1]["waypoints"] == [[1, 2]]
+    assert told[-1]["waypoints"] == [[15, 10]]
     assert "1 of 1 way-points reached" in capsys.readouterr().out
 
 

@@ -19,15 +19,18 @@ from nserver_emu.server.handlers import Emulator
 
 
 class Client:
-    """A plain asyncio client on a real socket."""
+    """A plain asyncio client on a real socket; it follows mask and laser shape as clients do."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
+        self.terms = tcp_terms(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._frames: list[TcpFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
-        self.writer.write(language.tcp_request(Call(name, args)))
+        call = Call(name, args)
+        language.note(call, self.terms)
+        self.writer.write(language.tcp_request(call))
         return await self.reply(name)
 
     async def reply(self, name: str) -> Reply:
@@ -35,7 +38,7 @@ class Client:
             data = await self.reader.read(65536)
             assert data, "the daemon closed the connection"
             self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
-        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), tcp_terms(N150))
+        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
 
 
 class House:
@@ -62,12 +65,18 @@ class House:
                 await writer.wait_closed()
 
 
+Visit = Callable[[House], Awaitable[None]]
+
+
 def with_daemon(
-    visit: Callable[[House], Awaitable[None]], speed: float | None = 1.0, emulator: Emulator | None = None
+    visit: Visit, speed: float | None = 1.0, emulator: Emulator | None = None,
+    before: Callable[[House], None] = lambda _: None,
 ) -> None:
+    """A visit to a daemon of its own; `before`: what is to be done to that before time passes."""
     async def evening() -> None:
         daemon = Daemon(emulator or Emulator(simulation()), speed)
         house = House(daemon, await daemon.listen("127.0.0.1", 0))
+        before(house)
         stop = asyncio.Event()
         serving = asyncio.create_task(daemon.serve(stop))
         try:

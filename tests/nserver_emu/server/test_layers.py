@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from math import hypot
 
 import pytest
@@ -11,7 +12,7 @@ from wire_client import meet, simulation
 from nserver_emu.server.graphics import Layer
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.snapshot import dumps, loads
-from nserver_emu.server.traces import MOST_POINTS, POINT_IN, Trace
+from nserver_emu.server.traces import FORGOTTEN_AT_ONCE, MOST_POINTS, POINT_IN, Trace
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.setup import MEASURED
 from nserver_emu.simulation.simulation import Simulation
@@ -34,6 +35,19 @@ def test_a_track_has_a_point_every_half_inch_and_forgets_its_oldest() -> None:
     assert min(gaps) >= POINT_IN
     assert max(gaps) < POINT_IN + 0.11
     assert trace.points[-1][0] > 0.1 * 20 * MOST_POINTS - 1.0
+
+
+def test_a_full_track_takes_little_memory() -> None:
+    tracemalloc.start()
+    try:
+        trace = Trace()
+        for number in range(MOST_POINTS + FORGOTTEN_AT_ONCE - 1):
+            trace.go(float(number), 0.5)
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert trace.newer(0) == [coordinate for point in trace.points for coordinate in point]
+    assert taken < 20 * (MOST_POINTS + FORGOTTEN_AT_ONCE), "two coordinates of eight bytes, and room to grow"
 
 
 def test_the_two_robots_leave_tracks_that_dp_and_noise_tell_apart() -> None:

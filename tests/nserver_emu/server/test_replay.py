@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import dataclasses
 import json
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from daemon_house import Client, House, Visit, with_daemon
 from lockstep_run import request
 
 from nclient.errors import RecordingError
 from nclient.faults.kinds import Nak
 from nclient.faults.plan import Direction, Plan, Rule
 from nclient.protocol import language
-from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.commands import Call
 from nclient.protocol.models import N150
-from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nclient.protocol.terms import tcp_terms
 from nclient.recording.log import Entry, LogWriter, Recording, read_recording
 from nclient.recording.recorder import Recorder
 from nclient.recording.stream import RecordingStream
@@ -29,7 +25,6 @@ from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
 from nserver_emu.server import snapshot
 from nserver_emu.server.control import answer_line
-from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.in_process import open_address
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.recording import Beginning, beginning_of, header
@@ -49,73 +44,13 @@ THREE = Setting(
 )  # fmt: skip
 
 
-class Client:
-    """Asks, and follows mask and laser shape as clients do."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-        self.terms = tcp_terms(N150)
-        self._framer = TcpFramer(reply_bounds, wide=False)
-        self._frames: list[TcpFrame] = []
-
-    async def ask(self, name: str, *args: int) -> Reply:
-        call = Call(name, args)
-        language.note(call, self.terms)
-        self.writer.write(language.tcp_request(call))
-        return await self.reply(name)
-
-    async def reply(self, name: str) -> Reply:
-        while not self._frames:
-            data = await self.reader.read(65536)
-            assert data, "the daemon closed the connection"
-            self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
-        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
-
-
-class House:
-    """A daemon that listens, and the clients that came."""
-
-    def __init__(self, daemon: Daemon, port: int) -> None:
-        self.daemon, self.port = daemon, port
-        self.writers: list[asyncio.StreamWriter] = []
-
-    async def knock(self) -> Client:
-        reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
-        self.writers.append(writer)
-        return Client(reader, writer)
-
-    async def call(self) -> Client:
-        client = await self.knock()
-        assert (await client.ask("connect_robot", 1, 1)).values == (self.port,)
-        return client
-
-    async def see_out(self) -> None:
-        for writer in self.writers:
-            writer.close()
-            with contextlib.suppress(OSError):
-                await writer.wait_closed()
-
-
-Visit = Callable[[House], Awaitable[None]]
-
-
 def recorded(path: Path, beginning: Beginning, visit: Visit, speed: float | None = 1.0) -> Recording:
     """The recording of a daemon that was visited."""
-    async def evening() -> None:
-        daemon = Daemon(beginning.emulator(), speed)
-        port = await daemon.listen("127.0.0.1", 0)
-        daemon.record(path, header(beginning, "2026-01-01T00:00:00", port=port, requests_a_turn=REQUESTS_A_TURN))
-        house, stop = House(daemon, port), asyncio.Event()
-        serving = asyncio.create_task(daemon.serve(stop))
-        try:
-            async with asyncio.timeout(30):
-                await visit(house)
-        finally:
-            stop.set()
-            await serving
-            await house.see_out()
+    def record(house: House) -> None:
+        numbers = {"port": house.port, "requests_a_turn": REQUESTS_A_TURN}
+        house.daemon.record(path, header(beginning, "2026-01-01T00:00:00", **numbers))
 
-    asyncio.run(evening())
+    with_daemon(visit, speed, beginning.emulator(), record)
     return read_recording(path)
 
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import struct
+import sys
+import tracemalloc
+from base64 import b64decode
 from pathlib import Path
 
 import pytest
@@ -13,8 +17,10 @@ from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
 from nserver_emu.server import snapshot
+from nserver_emu.server.graphics import Figure
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.setting import Setting
+from nserver_emu.server.traces import MOST_POINTS
 from worlds.world import StartPose
 
 pytestmark = pytest.mark.long
@@ -70,6 +76,45 @@ def test_a_restored_simulation_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert future(restored, again) == future(emulator, client)
     assert again.ask("delete_obstacle", *BOX).kind == "simple"
     assert [path.name for path in tmp_path.iterdir()] == ["saved.json"]
+
+
+def test_days_of_driving_and_drawing_are_saved_in_little_memory() -> None:
+    """What a save takes and lets go stays with the process: it would look like a leak, for as long as tracks fill."""
+    emulator = Emulator(simulation())
+    emulator.pass_time(0.1)
+    for trace in (emulator.traces.actual[1], emulator.traces.encoder[1]):
+        for number in range(MOST_POINTS):
+            trace.go(number + 1 / 3, 0.1 * number)
+    for number in range(2000):
+        emulator.graphics.draw(Figure.LINE, (number, 1000, 2000, 3000), 1)
+    tracemalloc.start()
+    try:
+        text = snapshot.dumps(emulator)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 6 * len(text)
+    restored = Emulator(simulation())
+    snapshot.loads(restored, text)
+    assert restored.traces.actual[1].points == emulator.traces.actual[1].points
+    assert restored.graphics.numbered == emulator.graphics.numbered
+
+
+def test_tracks_are_kept_alike_by_machines_of_either_byte_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    def saved() -> str:
+        text: str = next(o["of"] for o in json.loads(snapshot.dumps(emulator))["objects"] if o["is"] == "doubles")
+        return text
+
+    emulator = Emulator(simulation())
+    emulator.pass_time(0.1)
+    x_in, y_in = emulator.traces.actual[1].points[0]
+    assert b64decode(saved()) == struct.pack("<2d", x_in, y_in)
+    monkeypatch.setattr(sys, "byteorder", "big")
+    whole = snapshot.dumps(emulator)
+    assert b64decode(saved()) == struct.pack(">2d", x_in, y_in), "turned round from what this machine has"
+    restored = Emulator(simulation())
+    snapshot.loads(restored, whole)
+    assert restored.traces.actual[1].points == [(x_in, y_in)]
 
 
 @pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "worn"])

@@ -1,0 +1,206 @@
+"""What the words after `nserver` mean: its options, the original's spelling of some, and what is wrong usage.
+
+    read_options(parser, words) ──> options, ready to serve by; or the parser says what is wrong, and exit code 2
+
+Rules: no file is opened here but to see whether it is there. A room's own options are in the room (`add_options`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import TypeVar
+
+from nclient.arguments import Parser
+from nclient.suggesting import did_you_mean
+from nserver_emu import logs
+from nserver_emu.gateway import options as real_options
+from nserver_emu.server import access, autosave, control_options, limits, line_options, restore_options
+from nserver_emu.server.daemon import LOOPBACK
+from nserver_emu.server.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
+from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS
+from nserver_emu.simulation.setup import SETUPS
+from nserver_emu.simulation.setup_toml import SUFFIX
+from nserver_emu.viewer import options as viewer_options
+from worlds.files import world_names
+
+Number = TypeVar("Number", int, float)
+DEFAULT_PORT = 7019
+MAX_SPEED = "max"
+SETUP_SUFFIX = ".setup"
+MOST_SETUPS = 2
+OLD_OPTIONS = ("help", "noisy", "port")
+"""What the original took after a single dash, by as few first letters as one likes."""
+
+
+def nserver_parser() -> Parser:
+    """Every option that there is."""
+    parser = Parser(
+        prog="nserver",
+        description="An Nserver for Nomad robots: a simulated robot that old and new client programs connect to.",
+        epilog="example: nserver thesis_room --noisy --seed 1 --start 0,0,0,0; "
+        "nserver ctl --help: what can be said to one that runs",
+    )
+    parser.add_argument("files", nargs="*", metavar="WORLD | SETUP",
+                        help=f"a shipped world or a TOML file (default: {DEFAULT_WORLD}; see --list-worlds); and the "
+                        "original's robot.setup and world.setup, read for the keys that are known")
+    parser.add_argument("--port", type=_port, help=f"default {DEFAULT_PORT}; 0 takes a free one")
+    parser.add_argument("--bind", type=_host, default=LOOPBACK, metavar="HOST",
+                        help=f"address to listen on (default {LOOPBACK}; the protocol has no authentication)")
+    _add_robots(parser)
+    _add_time(parser)
+    _add_keeping(parser)
+    _add_setup(parser)
+    for room in (line_options, real_options, control_options, access, limits, viewer_options):
+        room.add_options(parser)
+    parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
+    logs.add_options(parser)
+    parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
+    return parser
+
+
+def _add_robots(parser: Parser) -> None:
+    parser.add_argument("--robot", action="append", metavar="MODEL",
+                        help=f"the robot's model: {', '.join(READY_MODELS)} or one of --model-file (default "
+                        f"{READY_MODELS[0]}); once more for robot 2, and so on")
+    parser.add_argument("--robots", type=_robot_count, default=1, metavar="N",
+                        help="how many robots, numbers 1 to N; clients find the second at nserver://HOST/2")
+    parser.add_argument("--model-file", type=Path, metavar="FILE",
+                        help="a TOML file of models that override or add to the known ones")
+    parser.add_argument("--start", action="append", metavar="X,Y,STEER,TURRET",
+                        help="start pose in inches and degrees; once more for robot 2, and so on")
+    parser.add_argument("--seed", type=_seed, default=0, help="seed of all noise (default 0)")
+
+
+def _add_time(parser: Parser) -> None:
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X",
+                        help=f"simulated seconds a second, {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED} (default 1)")
+    parser.add_argument("--paused", action="store_true", help="let time stand until a client resumes it")
+    parser.add_argument("--lockstep", type=_lockstep, metavar="DT",
+                        help="let DT simulated seconds pass when a client asks something, and none else")
+    parser.add_argument("--allow-control", action="store_true", help="let clients pause, step and speed up the time")
+    parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
+
+
+def _add_keeping(parser: Parser) -> None:
+    parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
+                        "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
+                        "are its own")
+    autosave.add_options(parser)
+    parser.add_argument("--record", type=Path, metavar="FILE",
+                        help="write down all that is said, with what it takes to have it said again")
+    parser.add_argument("--replay", type=Path, metavar="FILE",
+                        help="ask what a recording asked once more, compare every byte, and stop")
+
+
+def _add_setup(parser: Parser) -> None:
+    parser.add_argument("--setup", type=_setup, metavar="NAME | FILE.toml",
+                        help="how real: ideal (default), noisy (ramps, noise of motion and sonars), measured (sonars "
+                        "like a Polaroid ring, compass errs too), worn (wheels that err the same way every time); or a "
+                        "file made from one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] "
+                        "(every key is in docs/setups.md)")
+    parser.add_argument("--noisy", action="store_true", help="the same as --setup noisy")
+
+
+def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
+    """The options that these words are, with the world, the old setup files (`setups`) and `keeps_pace` sorted out."""
+    words = [_as_value(as_long_option(word)) for word in words]
+    options: argparse.Namespace = parser.parse_args(words)
+    options.world, options.setups = _sorted_files(parser, options.files)
+    _refuse_unknown_models(parser, options)
+    line_options.refuse(parser, options)
+    real_options.refuse(parser, options)
+    viewer_options.refuse(parser, options)
+    restore_options.refuse(parser, options, words)
+    autosave.refuse(parser, options)
+    options.keeps_pace = restore_options.keeps_pace(parser, words)
+    return options
+
+
+def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Wrong usage, where no file could know the model."""
+    for name in options.robot or ():
+        if options.model_file is None and name.lower() not in READY_MODELS:
+            hint = did_you_mean(name.lower(), READY_MODELS)
+            parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
+
+
+def as_long_option(word: str) -> str:
+    """-noisy, -p: an option of the original by its first letters, as the long one that it is now."""
+    letters = word[1:]
+    if not word.startswith("-") or not letters.isalpha():
+        return word
+    return next((f"--{name}" for name in OLD_OPTIONS if name.startswith(letters)), word)
+
+
+def _sorted_files(parser: argparse.ArgumentParser, files: list[str]) -> tuple[str, list[Path]]:
+    """The world among the files, and the old setup files: those that are called so, or are there and no TOML."""
+    setups = [name for name in files if _is_setup(name)]
+    worlds = [name for name in files if not _is_setup(name)]
+    if len(worlds) > 1 or len(setups) > MOST_SETUPS:
+        parser.error(f"one world and two setup files at most, not {' '.join(files)}")
+    return (worlds[0] if worlds else DEFAULT_WORLD), [Path(name) for name in setups]
+
+
+def _is_setup(name: str) -> bool:
+    path = Path(name)
+    return path.suffix == SETUP_SUFFIX or (name not in world_names() and path.suffix != ".toml" and path.is_file())
+
+
+def _as_value(word: str) -> str:
+    """Coordinates such as -5,3 are a value: argparse takes what begins with a minus and is no number for an option."""
+    return f" {word}" if re.match(r"-[\d.][^,]*,", word) else word
+
+
+def _speed(text: str) -> float | None:
+    if text == MAX_SPEED:
+        return None
+    return _number(text, float, (SLOWEST, FASTEST), f"a speed is {SLOWEST} to {FASTEST:.0f}, or {MAX_SPEED}")
+
+
+def _lockstep(text: str) -> float:
+    step_s = float(text)
+    if not 0.0 < step_s <= LONGEST_LOCKSTEP_S:
+        raise argparse.ArgumentTypeError(f"a step is more than 0 and at most {LONGEST_LOCKSTEP_S:.0f} s")
+    return step_s
+
+
+def _robot_count(text: str) -> int:
+    return _number(text, int, (1, MOST_ROBOTS), f"robots are 1 to {MOST_ROBOTS}")
+
+
+def _port(text: str) -> int:
+    return _number(text, int, (0, 65535), "a port is 0 to 65535")
+
+
+def _seed(text: str) -> int:
+    return _number(text, int, (0, 2**31 - 1), "a seed is 0 to 2147483647")
+
+
+def _setup(text: str) -> str:
+    """The name of a setup, or a file, which is read later."""
+    if text not in SETUPS and not text.endswith(SUFFIX):
+        raise argparse.ArgumentTypeError(
+            f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
+            f"{did_you_mean(text, SETUPS)}"
+        )
+    return text
+
+
+def _host(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError(f"an address or a host name, such as {LOOPBACK}, or 0.0.0.0 for all")
+    return text
+
+
+def _number(text: str, kind: Callable[[str], Number], bounds: tuple[float, float], wanted: str) -> Number:
+    try:
+        number = kind(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}") from None
+    if not bounds[0] <= number <= bounds[1]:
+        raise argparse.ArgumentTypeError(f"{wanted}, not {text}")
+    return number

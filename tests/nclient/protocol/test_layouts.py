@@ -1,0 +1,86 @@
+"""Requests and replies leave nothing that holds itself: a daemon would keep it until it looks for garbage, seldom."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+
+import pytest
+from construct import Construct, Int8ub, Sequence, Struct
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
+
+from nclient.errors import WireError
+from nclient.protocol import language, layouts, serial_frame, tcp_frame
+from nclient.protocol.commands import Command
+from nclient.protocol.hello import Hello, build_hello, read_hello
+from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.models import N150, Model
+from nclient.protocol.replies import STATE, Reply
+from nclient.protocol.terms import line_terms, tcp_terms
+
+few = settings(max_examples=3, deadline=None)
+
+
+def garbage_of(act: Callable[[], object]) -> int:
+    """How many objects only Python's search for garbage would free, of those that it makes the second time."""
+    act()
+    gc.disable()
+    gc.freeze()
+    try:
+        act()
+        return gc.collect()
+    finally:
+        gc.unfreeze()
+        gc.enable()
+
+
+@pytest.mark.parametrize("row", TCP_ROWS, ids=lambda row: row.name)
+@few
+@given(data=st.data())
+def test_a_request_over_tcp(row: Command, data: st.DataObject) -> None:
+    call = data.draw(calls(row, line=False))
+
+    def there_and_back() -> None:
+        frame = tcp_frame.only_frame(language.tcp_request(call), tcp_frame.request_bounds, False)
+        assert language.tcp_call(frame) == call
+
+    assert garbage_of(there_and_back) == 0
+
+
+@pytest.mark.parametrize(("row", "model"), LINE_CASES, ids=LINE_CASE_NAMES)
+@few
+@given(data=st.data())
+def test_a_request_on_the_line(row: Command, model: Model, data: st.DataObject) -> None:
+    call, terms = data.draw(calls(row, line=True)), line_terms(model)
+
+    def there_and_back() -> None:
+        assert language.line_call(serial_frame.only_frame(language.line_request(call, terms)), terms) == call
+
+    assert garbage_of(there_and_back) == 0
+
+
+def test_a_reply() -> None:
+    terms, said = tcp_terms(N150), Reply("state", slots=dict.fromkeys(range(1, 45), 0), laser=(0,), clock=1)
+    assert garbage_of(lambda: STATE.parse(STATE.build(said, terms), terms)) == 0
+
+
+def test_a_hello() -> None:
+    assert garbage_of(lambda: read_hello(build_hello(Hello(EVERYTHING, 51)))) == 0
+
+
+def test_bytes_that_are_no_request() -> None:
+    def refused() -> None:
+        with pytest.raises(WireError):
+            language.tcp_call(tcp_frame.TcpFrame(language.row_named("vm").tcp_type or 0, b"12345"))
+
+    assert garbage_of(refused) == 0
+
+
+@pytest.mark.parametrize("layout", [Int8ub, Sequence(Int8ub, Int8ub), Struct("a" / Struct("b" / Int8ub))])
+def test_it_says_what_construct_says(layout: Construct) -> None:
+    data = bytes(range(layout.sizeof()))
+    value = layout.parse(data)
+    assert layouts.parse(layout, data) == value
+    assert layouts.build(layout, value) == layout.build(value) == data
