@@ -66,14 +66,19 @@ Plain = dict[str, Any]
 class Mark(NamedTuple):
     """How far everything that grows or changes was at a picture."""
 
-    bodies: tuple[tuple[int, RobotSetup], ...]
-    world: World
+    number: int
+    bodies: tuple[tuple[int, RobotSetup], ...] | None
+    world: World | None
     graphics: int
     lasers: int
-    laser_modes: Modes
+    laser_modes: Modes | None
     said: object
     traces: dict[int, tuple[int, int]]
     cries: dict[int, tuple[Cry | None, ...]]
+
+
+NOTHING: Final = Mark(0, None, None, -1, -1, None, "not even silence", {}, {})
+"""What who has no picture was told: it is like no picture's, so all is new."""
 
 
 class Album:
@@ -101,38 +106,37 @@ class Album:
             self._lasers_taken += bool(seen or self._lasers)
             self._lasers = seen
         now, mark = _now(self._stage), self._mark()
-        self.number += 1
-        self._now = now
+        self.number, self._now = mark.number, now
         self._marks.append(mark)
 
     def since(self, number: int) -> Plain:
         """The newest picture for who has that one: what is always there, and what changed."""
-        age = self.number - number
-        old = self._marks[-1 - age] if number > 0 and 0 <= age < len(self._marks) else None
-        new = self._marks[-1]
-        told: Plain = {"frame": self.number, "since": number if old else 0} | self._now
-        if old is None or old.bodies != new.bodies:
+        old, new = self._mark_of(number), self._marks[-1]
+        told: Plain = {"frame": new.number, "since": old.number} | self._now
+        if new.bodies != old.bodies:
             told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
-        if old is None or old.world is not new.world:
+        if new.world and new.world is not old.world:
             told["world"] = ground(new.world)
-        told |= self._drawn(old.graphics if old else None, new.graphics)
-        if old is None or old.lasers != new.lasers:
+        told |= self._drawn(old.graphics, new.graphics)
+        if new.lasers != old.lasers:
             told["lasers"] = self._lasers
-        if old is None or old.laser_modes != new.laser_modes:
-            told["laser_modes"] = {str(n): clients for n, clients in new.laser_modes.items()}
-        if old is None or old.said is not new.said:
+        if new.laser_modes != old.laser_modes:
+            told["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
+        if new.said is not old.said:
             told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
-        if grown := self._grown(old.traces if old else {}, new.traces):
-            told["traces"] = grown
-        if cried := _cried(old.cries if old else {}, new.cries):
-            told["beams"] = cried
-        return told
+        grown = {"traces": self._grown(old.traces, new.traces), "beams": _cried(old.cries, new.cries)}
+        return told | {name: more for name, more in grown.items() if more}
 
-    def _drawn(self, before: int | None, now: int) -> Plain:
+    def _mark_of(self, number: int) -> Mark:
+        """How far all was at that picture, NOTHING where that is not known any more, or never was."""
+        age = self.number - number
+        return self._marks[-1 - age] if number > 0 and 0 <= age < len(self._marks) else NOTHING
+
+    def _drawn(self, before: int, now: int) -> Plain:
         graphics = self._stage.graphics
         if before == now:
             return {}
-        changes = None if before is None else graphics.changes(before, now)
+        changes = graphics.changes(before, now) if before >= 0 else None
         if changes is None:
             return {"graphics": [_shape(number, shape) for number, shape in graphics.numbered if number <= now]}
         gone, come = changes
@@ -145,7 +149,7 @@ class Album:
         counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
         simulation = stage.simulation
         return Mark(
-            tuple((n, robot.setup) for n, robot in simulation.robots.items()),
+            self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
             simulation.world, stage.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
             {n: robot.sonar.cries for n, robot in simulation.robots.items()},
