@@ -6,8 +6,9 @@ MOST_POINTS is forgotten for a new one. Inches. Who drives and who looks is not 
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import deque
-from itertools import islice
+from collections.abc import Iterable
 from math import floor, hypot
 from typing import Final
 
@@ -22,12 +23,18 @@ INTERVAL_S: Final = 0.025
 MOST_POINTS: Final = 4000
 """At least 2000 inches of way; some days of clients fill no memory."""
 
+JUMP_IN: Final = 6.0
+"""Points farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
+
 
 class Trace:
     """A track as points; coordinates one after another, which a snapshot keeps in little room."""
 
     gone: int = 0
-    """How many points there were so far, those forgotten as well."""
+    """How many points there were so far, those forgotten as well: the number of the last one."""
+
+    jumps: tuple[int, ...] = ()
+    """The numbers of those that the robot did not drive to but was put down at, as long as they are kept."""
 
     def __init__(self) -> None:
         self._flat: deque[float] = deque(maxlen=2 * MOST_POINTS)
@@ -38,15 +45,24 @@ class Trace:
         flat = iter(self._flat)
         return list(zip(flat, flat, strict=True))
 
+    @property
+    def first(self) -> int:
+        """The number of the oldest that is kept."""
+        return self.gone - len(self._flat) // 2 + 1
+
+    def at(self, numbers: Iterable[int]) -> list[tuple[float, float]]:
+        """(x, y) in inches of those with these numbers, which are kept; however many others there are."""
+        flat, first = self._flat, self.first
+        return [(flat[2 * (number - first)], flat[2 * (number - first) + 1]) for number in numbers]
+
     def go(self, x_in: float, y_in: float) -> None:
         """The robot is here."""
-        if not self._flat or hypot(x_in - self._flat[-2], y_in - self._flat[-1]) >= POINT_IN:
+        way_in = hypot(x_in - self._flat[-2], y_in - self._flat[-1]) if self._flat else POINT_IN
+        if way_in >= POINT_IN:
             self._flat.extend((x_in, y_in))
             self.gone += 1
-
-    def newer(self, gone: int) -> list[float]:
-        """The coordinates of the points after the first `gone`, as far as they are kept: x, y, x, y ... in inches."""
-        return list(islice(reversed(self._flat), 2 * max(self.gone - gone, 0)))[::-1]
+            if way_in > JUMP_IN:
+                self.jumps = (*self.jumps[bisect_left(self.jumps, self.first) :], self.gone)
 
 
 class Traces:

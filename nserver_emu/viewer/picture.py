@@ -54,8 +54,6 @@ LASER_EVERY: Final = 4
 """The laser is looked through at every so many pictures: its 482 rays cost more than all else."""
 MOST_NEW: Final = 25
 """Points of a track that a picture adds: 12 in of way in a twentieth of a second, faster than any robot."""
-JUMP_IN: Final = 6.0
-"""Points of a track farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
 NOTHING_YET: Final = (0, 0)
 SILENT: Final = (None,) * SONARS
 DIGITS: Final = 3
@@ -227,11 +225,15 @@ def _cried(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | No
         str(n): [
             [sonar, *_beam(cry)]
             for sonar, (before, cry) in enumerate(zip(old.get(n, SILENT), cries, strict=True))
-            if cry is not before and _beam(cry) != _beam(before)
+            if cry is not before and _axis(cry) != _axis(before)
         ]
         for n, cries in new.items()
     }
     return {n: beams for n, beams in changed.items() if beams}
+
+
+def _axis(cry: Cry | None) -> tuple[float, ...] | None:
+    return None if cry is None else (cry.x_in, cry.y_in, cry.direction_rad)
 
 
 def _beam(cry: Cry | None) -> list[float]:
@@ -255,17 +257,11 @@ def _shape(number: int, shape: Shape) -> list[Any]:
 def _newer(trace: Trace, had: int, has: int) -> Plain:
     """What a track grew by from so many points to so many, whatever it grew by since; a viewer that follows a
     simulation at a hundred times real time gets every so many of them."""
-    flat = iter(trace.newer(max(had - 1, 0)))
-    pairs = list(zip(flat, flat, strict=True))
-    before = pairs.pop(0) if had and len(pairs) > trace.gone - had else None
-    del pairs[max(len(pairs) - (trace.gone - has), 0) :]
-    every = -(-len(pairs) // MOST_NEW) if had and len(pairs) > MOST_NEW else 1
+    new = range(max(had + 1, trace.first), has + 1)
+    every = -(-len(new) // MOST_NEW) if had and len(new) > MOST_NEW else 1
+    jumps = [number for number in trace.jumps if number in new and (had or number > new.start)]
+    shown = sorted({*new[::every], *jumps})
     told: list[float | None] = []
-    for k, point in enumerate(pairs):
-        jumped = before is not None and math.dist(before, point) > JUMP_IN
-        before = point
-        if jumped:
-            told += (None, None)
-        if jumped or k % every == 0:
-            told += (round(number, 2) for number in point)
+    for number, (x, y) in zip(shown, trace.at(shown), strict=True):
+        told += (None, None, round(x, 2), round(y, 2)) if number in jumps else (round(x, 2), round(y, 2))
     return {"gone": has, "points": told}

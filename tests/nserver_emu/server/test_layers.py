@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import hypot
+from math import cos, hypot, sin
 
 import pytest
 from wire_client import meet, simulation
@@ -97,3 +97,27 @@ def test_a_robot_that_is_made_or_restored_has_its_track() -> None:
     assert restored.layers(2) == emulator.layers(2)
     track = emulator.layers(2)["actual_trace"]
     assert len(track) > 15
+
+
+def test_a_track_knows_where_the_robot_was_put_down_and_gives_points_by_number() -> None:
+    trace = Trace()
+    for number in range(30):
+        trace.go(number + (50.0 if number >= 10 else 0.0), 0.0)
+    trace.go(0.0, 0.0)
+    assert (trace.gone, trace.first, trace.jumps) == (31, 1, (11, 31))
+    assert trace.at([1, 10, 11, 31]) == [(0.0, 0.0), (9.0, 0.0), (60.0, 0.0), (0.0, 0.0)]
+    for number in range(MOST_POINTS - 1):
+        trace.go(float(number + 1), 0.0)
+    assert (trace.first, trace.jumps) == (31, (11, 31))
+    trace.go(0.0, 0.0)
+    assert trace.first == 32
+    assert trace.jumps == (trace.gone,), "those of points that are forgotten are forgotten"
+    assert trace.at(range(trace.first, trace.gone + 1)) == trace.points
+
+
+def test_a_track_that_goes_round_and_round_never_jumps() -> None:
+    trace = Trace()
+    for number in range(1000):
+        trace.go(5.0 * cos(number), 5.0 * sin(number))
+    assert trace.gone == 1000
+    assert trace.jumps == ()
