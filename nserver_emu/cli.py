@@ -97,6 +97,7 @@ def main(argv: list[str] | None = None) -> int:
     autosave.refuse(parser, options)
     options.keeps_pace = restore_options.keeps_pace(parser, words)
     logs.begin(options)
+    restore_options.settle(parser, options)
     try:
         if options.list_worlds:
             _list_worlds()
@@ -262,7 +263,7 @@ def _parser() -> Parser:
     parser.add_argument("--allow-quit", action="store_true", help="let clients end the server")
     parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
                         "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
-                        "are its own")
+                        "are its own; with --save of the same file it begins anew where that is not there yet")
     autosave.add_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="write down all that is said, with what it takes to have it said again")
