@@ -22,6 +22,7 @@ from typing import Any, Final
 from nclient.errors import WorldFileError
 from worlds.bodies import SONARS
 from worlds.tables import Table
+from worlds.texts import read_text
 
 TABLES: Final = ("odometry", "sonar", "spread")
 """The tables of a model that are a calibration's."""
@@ -95,10 +96,9 @@ def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
 
 def load_calibration(path: Path, name: str) -> Calibration:
     """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
+    text = read_text(path)
     try:
-        values: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
+        values: dict[str, Any] = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise WorldFileError(f"{path}: is no TOML: {error}") from error
     names = []

@@ -62,7 +62,7 @@ def settle(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 def _is_kept(options: argparse.Namespace) -> bool:
     """Whether what is restored is also where it is saved."""
-    return options.save is not None and os.path.abspath(options.save) == os.path.abspath(options.restore)
+    return options.save is not None and options.save.absolute() == options.restore.absolute()
 
 
 def keeps_pace(parser: argparse.ArgumentParser, words: Sequence[str]) -> bool:

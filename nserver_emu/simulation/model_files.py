@@ -31,6 +31,7 @@ from worlds.bodies import Body
 from worlds.calibration import TABLES as CALIBRATION_TABLES
 from worlds.calibration import calibration_of
 from worlds.tables import INCHES, Table
+from worlds.texts import read_text
 
 MOST_BUMPERS: Final = 24
 """Bits in the three bytes of State[33]."""
@@ -42,15 +43,7 @@ SPEEDS: Final = ("top_speed", "top_acceleration", "speed", "acceleration")
 
 def load_models(path: Path) -> Mapping[str, RobotModel]:
     """Every model there is with a file's: those it overrides and those it adds. Raises WorldFileError."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise WorldFileError(f"{path}: expected text in UTF-8, found other bytes at {error.start}") from error
-    except ValueError as error:
-        raise WorldFileError(f"{str(path)!r}: cannot be read: {error}") from None
-    return parse_models(text, str(path))
+    return parse_models(read_text(path), str(path))
 
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:

@@ -28,6 +28,7 @@ from nserver_emu.simulation.setup_keys import KEYS, POLAROID, RAY, SONAR_NUMBERS
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
 from worlds.bodies import SONARS
 from worlds.tables import Table
+from worlds.texts import read_text
 
 SUFFIX: Final = ".toml"
 TABLES: Final = tuple(dict.fromkeys(key.table for key in KEYS if key.table))
@@ -48,15 +49,7 @@ def setup_named(name: str) -> RobotSetup:
 
 def load_setup(path: Path) -> RobotSetup:
     """The setup of a file. Raises WorldFileError."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise WorldFileError(f"{path}: expected text in UTF-8, found other bytes at {error.start}") from error
-    except ValueError as error:
-        raise WorldFileError(f"{str(path)!r}: cannot be read: {error}") from None
-    return parse_setup(text, str(path), path.stem)
+    return parse_setup(read_text(path), str(path), path.stem)
 
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:

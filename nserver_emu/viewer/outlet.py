@@ -11,7 +11,6 @@ may wait, which takes a task a page: twenty pictures a second to twenty pages co
 from __future__ import annotations
 
 import asyncio
-import struct
 from typing import Final
 
 from aiohttp import web
@@ -22,6 +21,8 @@ FINAL_TEXT: Final = 0x81
 """A text, whole in this frame, not compressed (RFC 6455, 5.2); what a server says has no mask (5.1)."""
 SHORT, MEDIUM = 125, 0xFFFF
 """The longest payloads whose length stands in 7 and in 16 bits."""
+TWO_BYTES, EIGHT_BYTES = 126, 127
+"""In place of a length: so many bytes behind have it."""
 
 
 class Outlet:
@@ -59,9 +60,9 @@ def frame(text: str) -> bytes:
     payload = text.encode()
     size = len(payload)
     if size <= SHORT:
-        head = struct.pack(">BB", FINAL_TEXT, size)
+        head = bytes((FINAL_TEXT, size))
     elif size <= MEDIUM:
-        head = struct.pack(">BBH", FINAL_TEXT, 126, size)
+        head = bytes((FINAL_TEXT, TWO_BYTES)) + size.to_bytes(2)
     else:
-        head = struct.pack(">BBQ", FINAL_TEXT, 127, size)
+        head = bytes((FINAL_TEXT, EIGHT_BYTES)) + size.to_bytes(8)
     return head + payload
