@@ -157,13 +157,13 @@ def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Pace, spee
 
 
 def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) -> None:
-    """One motion stops as its client vanishes, another's fifty requests wait their turn, a third knows the robot."""
+    """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
     async def visit(house: House) -> None:
         driver, watcher = await house.call(), await house.call()
         await driver.ask("vm", 100, 0, 0)
-        watcher.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2))) + language.tcp_request(Call("gs")) * 50)
+        watcher.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2))) + language.tcp_request(Call("gs")) * 1500)
         driver.writer.close()
-        for name in ("ws", *["gs"] * 50):
+        for name in ("ws", *["gs"] * 1500):
             await watcher.reply(name)
         other = await house.knock()
         assert (await other.ask("gs")).slots[38] == 0
