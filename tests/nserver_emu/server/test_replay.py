@@ -349,7 +349,8 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     ({"steps": 3}, "line 2: nothing that a daemon writes"), ({"steps": [["x", 1]]}, "line 2: nothing that a daemon"),
     ({"steps": [[float("nan"), 1]]}, "line 2: nothing that"), ({"steps": [[10**400, 1]]}, "line 2: nothing that"),
     ({"steps": [[250.1, 1]]}, "line 2: nothing that"), ({"steps": [[1e300, 1]]}, r"a step of 1e\+300 s"),
-    ({"pace": 5}, "line 2: nothing that"), ({"pace": [1e9, False]}, "line 2: nothing that"), ({"hold": []}, "line 2: nothing that"),
+    ({"pace": 5}, "line 2: nothing that"), ({"pace": [1e9, False]}, "line 2: nothing that"),
+    ({"hold": []}, "line 2: nothing that"),
     ({"world": 3}, "line 2: nothing that"),
 ])  # fmt: skip
 def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
