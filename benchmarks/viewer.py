@@ -1,160 +1,196 @@
-"""What twenty viewers at twenty pictures a second cost the simulation: its pace on one processor, with and without.
+"""What twenty viewers at twenty pictures a second cost the simulation: of its processor time, with and without.
 
     python benchmarks/viewer.py [--rounds N] [--seconds S] [--viewers N] [--json]
 
-Target: less than 5 %. The daemon runs as fast as it can with a robot that drives, so that all its time is the
-simulation's; counted are simulated seconds for a second of the daemon's processor time (/proc, so Linux only),
-rounds with viewers and without taking turns. The viewers are a process of their own and acknowledge as the page does.
-Pictures go by the clock on the wall: where others load the machine and the daemon gets a part of a core, the same work
-is a larger share of it. So what the viewers take is told of a whole core too, which it has on a machine of its own.
+Target: less than 5 %. The daemon runs as fast as it can, so that all its time is the simulation's, with a robot that
+drives in a circle and fires its sonars; the viewers are a process of their own (onlookers.py) that comes and goes, and
+acknowledges as the page does. Counted is all processor time of the daemon's process, system calls as well: what the
+steps took (thread_time around each), and all else. From the time without viewers it is known what a step takes and what
+the loop takes around it; so many steps would have taken so much alone, and what they took more is the viewers':
+
+    page      outside the steps: pictures taken and told, what pages say, and the sockets' work
+    steps     what the steps themselves took longer: caches that the page's work turned over; mostly the noise of a
+              machine that others use, so the median of many short rounds counts, and its spread is told beside it
+
+`share`, the sum, is the pace lost: simulated seconds for a processor second with viewers beside those without. Pictures
+go by the clock on the wall: where others load the machine and the daemon gets a part of a core, the same work is a
+larger share of it; so the part it had, and the share of a whole core, are told too.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
-import os
 import statistics
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from asyncio.subprocess import PIPE, Process
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
-import aiohttp
-
-from nclient import Robot, connect
+from nclient.protocol import language
+from nclient.protocol.commands import Call
+from nserver_emu.garbage import seldom_sought
+from nserver_emu.server.daemon import LOOPBACK, Daemon
+from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.setting import Setting
+from nserver_emu.viewer.web import served
+from worlds.world import StartPose
 
 TARGET_SHARE, PICTURES_A_SECOND = 0.05, 20.0
-ACKNOWLEDGE_EVERY = 5
-SETTLE_S = 0.5
+SETTLE_S = 0.2
+START = StartPose(45.0, 30.0)
+ROUND_AND_ROUND = (80, 400, 0)
+"""8 in/s, 40 degrees a second."""
 
 
-class Daemon(NamedTuple):
-    """A daemon that runs: its process, a client of it, its page."""
+class Taken(NamedTuple):
+    """Processor time: of the whole daemon, of its steps, and how many those were; the clock on the wall."""
 
-    pid: int
-    robot: Robot
-    page: str
+    whole_s: float
+    stepping_s: float
+    steps: int
+    wall_s: float
 
-    def processor_s(self) -> float:
-        """Processor time it has used so far."""
-        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def pace(self, seconds: float) -> tuple[float, float]:
-        """Simulated seconds for a second of its processor, and how much of a core it has, over so many real seconds."""
-        time.sleep(SETTLE_S)
-        begin, processor_s, simulated_s = time.monotonic(), self.processor_s(), self.robot.truth().time_s
-        time.sleep(seconds)
-        used_s, passed_s = self.processor_s() - processor_s, time.monotonic() - begin
-        return (self.robot.truth().time_s - simulated_s) / used_s, used_s / passed_s
+    def since(self, began: Taken) -> Taken:
+        """What was taken after that."""
+        whole_s, stepping_s, steps, wall_s = began
+        return Taken(self.whole_s - whole_s, self.stepping_s - stepping_s, self.steps - steps, self.wall_s - wall_s)
 
 
-@contextmanager
-def daemon(*words: str) -> Iterator[Daemon]:
-    """A daemon as fast as it can, its robot driving in a circle."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--viewer", "0", "--start", "45,30,0,0", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            port, page = (process.stdout.readline().split()[-1] for _ in range(2))
-            with connect(f"nserver://{port}/1") as robot:
-                robot.drive(translation_in_s=8, steering_rad_s=0.7)
-                yield Daemon(process.pid, robot, page)
-        finally:
-            process.terminate()
+class Metered(Daemon):
+    """A daemon that knows what its steps take."""
+
+    stepping_s = 0.0
+
+    def step(self, dt_s: float) -> None:
+        """Let simulated time pass."""
+        began_s = time.thread_time()
+        super().step(dt_s)
+        self.stepping_s += time.thread_time() - began_s
+
+    def taken(self) -> Taken:
+        """What it took since ever."""
+        return Taken(time.process_time(), self.stepping_s, self.steps, time.monotonic())
+
+    async def over(self, seconds: float) -> Taken:
+        """What it takes in so many real seconds from soon on."""
+        await asyncio.sleep(SETTLE_S)
+        began = self.taken()
+        await asyncio.sleep(seconds)
+        return self.taken().since(began)
 
 
-@contextmanager
-def viewers(page: str, count: int) -> Iterator[subprocess.Popen[str]]:
-    """So many viewers of a page, in a process of their own; all are there."""
-    command = [sys.executable, __file__, "--look", page, "--viewers", str(count)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
+class Share(NamedTuple):
+    """What viewers take of the processor time that the simulation would have."""
+
+    page: float
+    steps: float
+
+
+def share(alone: Taken, watched: Taken) -> Share:
+    """Of the time with viewers: what is above that of as many steps without."""
+    step_s, around_s = alone.stepping_s / alone.steps, (alone.whole_s - alone.stepping_s) / alone.steps
+    page_s = watched.whole_s - watched.stepping_s - around_s * watched.steps
+    return Share(page_s / watched.whole_s, (watched.stepping_s - step_s * watched.steps) / watched.whole_s)
+
+
+@contextlib.asynccontextmanager
+async def running() -> AsyncIterator[tuple[Metered, str]]:
+    """A daemon as fast as it can, its robot driving; the address of its page."""
+    daemon = Metered(Emulator(Setting(start=START).simulation()), speed=None)
+    port = await daemon.listen(LOOPBACK, 0)
+    stop = asyncio.Event()
+    async with served(daemon, LOOPBACK, 0) as lines:
+        serving = asyncio.create_task(daemon.serve(stop))
+        _, writer = await asyncio.open_connection(LOOPBACK, port)
+        for call in (Call("connect_robot", (1, 0)), Call("vm", ROUND_AND_ROUND)):
+            writer.write(language.tcp_request(call))
+        with seldom_sought():
+            yield daemon, lines[0].split()[-1]
+        if daemon.emulator.simulation.robots[1].still((0,)):
+            raise RuntimeError("the robot stood: nothing was measured")
+        writer.close()
+        stop.set()
+        await serving
+
+
+@contextlib.asynccontextmanager
+async def onlookers(page: str, count: int) -> AsyncIterator[Process]:
+    """So many viewers of a page in a process, which does as `tell` says."""
+    program = str(Path(__file__).with_name("onlookers.py"))
+    process = await asyncio.create_subprocess_exec(sys.executable, program, page, str(count), stdin=PIPE, stdout=PIPE)
+    try:
         yield process
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        await process.wait()
 
 
-async def look(page: str, count: int) -> None:
-    """Be that many viewers until told to stop; print how many pictures a second each got."""
-    origin, _, query = page.partition("/?")
-    pictures = 0
-
-    async def one(session: aiohttp.ClientSession, ready: asyncio.Event) -> None:
-        nonlocal pictures
-        async with session.ws_connect(f"{origin}/ws?{query}", headers={"Origin": origin}) as socket:
-            mine = 0
-            async for message in socket:
-                if message.data.startswith('{"type":"picture"'):
-                    ready.set()
-                    pictures, mine = pictures + 1, mine + 1
-                    if mine % ACKNOWLEDGE_EVERY == 0:
-                        frame = int(message.data[26:40].split(",")[0])
-                        await socket.send_str(f'{{"do":"seen","frame":{frame}}}')
-
-    async with aiohttp.ClientSession(connector=aiohttp.TCPConnector(limit=0)) as session:
-        here = [asyncio.Event() for _ in range(count)]
-        looking = [asyncio.create_task(one(session, ready)) for ready in here]
-        for ready in here:
-            await ready.wait()
-        print("looking", flush=True)
-        began, pictures = time.monotonic(), 0
-        await asyncio.to_thread(sys.stdin.readline)
-        print(pictures / count / (time.monotonic() - began), flush=True)
-        for task in looking:
-            task.cancel()
+async def tell(process: Process, word: str) -> str:
+    """Have them look or leave; what they say then. Raises RuntimeError where they ended."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(f"{word}\n".encode())
+    answer = (await process.stdout.readline()).decode().strip()
+    if not answer:
+        raise RuntimeError(f"the viewers ended at {word!r}")
+    return answer
 
 
-def measure(rounds: int, seconds: float, count: int) -> dict[str, float]:
-    """Paces with and without viewers, in turns, and what the viewers take of the processor."""
-    alone, watched, cores, rates = [], [], [], []
-    with daemon("--speed", "max") as served:
+async def measure(rounds: int, seconds: float, count: int) -> dict[str, float]:
+    """What the viewers take, median of rounds in which they come and go."""
+    shares: list[Share] = []
+    alones, watcheds, rates = [], [], []
+    async with running() as (daemon, page), onlookers(page, count) as process:
+        await daemon.over(seconds)
         for _ in range(rounds):
-            alone.append(served.pace(seconds)[0])
-            with viewers(served.page, count) as process:
-                pace, core = served.pace(seconds)
-                watched.append(pace)
-                cores.append(core)
-                out, _ = process.communicate("stop\n")
-                rates.append(float(out))
-    shares = [1.0 - b / a for a, b in zip(alone, watched, strict=True)]
+            alone = await daemon.over(seconds)
+            await tell(process, "look")
+            watched = await daemon.over(seconds)
+            rates.append(float(await tell(process, "leave")))
+            shares.append(share(alone, watched))
+            alones.append(alone)
+            watcheds.append(watched)
+    sums = [sum(one) for one in shares]
+    quarters = statistics.quantiles(sums, n=4) if rounds > 1 else [sums[0]] * 3
     return {
-        "alone_simulated_s_a_processor_s": statistics.median(alone),
-        "watched_simulated_s_a_processor_s": statistics.median(watched),
-        "share": statistics.median(shares),
-        "core_share": statistics.median(share * core for share, core in zip(shares, cores, strict=True)),
-        "daemons_core": statistics.median(cores),
-        "share_target": TARGET_SHARE,
-        "viewers": count,
-        "pictures_a_second": statistics.median(rates),
-    }
+        "share": statistics.median(sums), "share_quarter": quarters[0], "share_three_quarters": quarters[2],
+        "share_page": statistics.median(one.page for one in shares),
+        "share_steps": statistics.median(one.steps for one in shares), "share_target": TARGET_SHARE,
+        "alone_steps_a_processor_s": statistics.median(one.steps / one.whole_s for one in alones),
+        "watched_steps_a_processor_s": statistics.median(one.steps / one.whole_s for one in watcheds),
+        "share_of_a_core": statistics.median(
+            sum(one) * watched.whole_s / watched.wall_s for one, watched in zip(shares, watcheds, strict=True)
+        ),
+        "daemons_core": statistics.median(one.whole_s / one.wall_s for one in watcheds),
+        "viewers": count, "rounds": rounds, "pictures_a_second": statistics.median(rates),
+    }  # fmt: skip
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=4.0)
+    parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--viewers", type=int, default=20)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--look", metavar="URL", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.look:
-        asyncio.run(look(options.look, options.viewers))
-        return
-    result = measure(options.rounds, options.seconds, options.viewers)
+    found = asyncio.run(measure(options.rounds, options.seconds, options.viewers))
     if options.json:
-        print(json.dumps(result))
+        print(json.dumps(found))
         return
-    print(f"{result['viewers']:.0f} viewers at {result['pictures_a_second']:.1f} pictures a second take "
-          f"{100 * result['share']:.1f} % of the simulation's processor time (target {100 * TARGET_SHARE:.0f} %): "
-          f"{result['alone_simulated_s_a_processor_s']:.0f} simulated seconds a processor second without, "
-          f"{result['watched_simulated_s_a_processor_s']:.0f} with; that is {100 * result['core_share']:.1f} % of a "
-          f"core, of which the daemon had {100 * result['daemons_core']:.0f} %")
+    print(f"{found['viewers']:.0f} viewers at {found['pictures_a_second']:.1f} pictures a second take "
+          f"{100 * found['share']:.1f} % of the simulation's processor time (target {100 * TARGET_SHARE:.0f} %), half "
+          f"of the {found['rounds']:.0f} rounds {100 * found['share_quarter']:.1f} to "
+          f"{100 * found['share_three_quarters']:.1f} %: the page {100 * found['share_page']:.1f} %, slower steps "
+          f"{100 * found['share_steps']:.1f} %; {found['alone_steps_a_processor_s']:.0f} steps a processor second "
+          f"without, {found['watched_steps_a_processor_s']:.0f} with them. The daemon had "
+          f"{100 * found['daemons_core']:.0f} % of a core, of which that is {100 * found['share_of_a_core']:.1f} %")
 
 
 if __name__ == "__main__":

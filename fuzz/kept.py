@@ -8,25 +8,35 @@ from __future__ import annotations
 
 import functools
 import json
+from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
 
 from fuzz.mutating import bytes_changed, either, tree_changed
 from fuzz.place import file_of
 from fuzz.reader import Reader
 from localization import kept_file
-from nclient.errors import EstimateFileError, RecordingError, SnapshotError
+from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
 from nclient.protocol.commands import Call
 from nclient.protocol.language import line_request, tcp_request
 from nclient.protocol.models import MODELS
 from nclient.protocol.terms import line_terms
-from nclient.recording.follower import Follower
+from nclient.recording.follower import TCP, Follower
 from nclient.recording.log import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
 from nclient.recording.player import LOOSE, Player
 from nclient.recording.readable import lines_of
 from nclient.recording.script import script_of, state_before
 from nserver_emu.server import snapshot
 from nserver_emu.server.in_process import open_address
+from nserver_emu.server.pace import Pace
+from nserver_emu.server.recording import Beginning, header
+from nserver_emu.server.replay import replay
+from nserver_emu.server.session import Session
+from nserver_emu.server.setting import Setting
+from nserver_emu.server.stage import Allowed
+
+MOST_STEPS: Final = 100
+"""Pieces of time, or seconds, that a recording asks to pass: more takes longer than an input may."""
 
 
 def _recording(data: bytes) -> None:
@@ -41,6 +51,21 @@ def _recording(data: bytes) -> None:
         for entry in recording.entries:
             if entry.kind == OUT and entry.connection == name:
                 player.answers(entry.data)
+
+
+def _again(data: bytes) -> None:
+    """As `nserver --replay` does; one that says that much time passed takes its time, and is left out."""
+    recording = read_recording(file_of(data, ".log"))
+    steps = [step for entry in recording.entries for step in _steps(entry.more.get("steps"))]
+    if sum(steps) <= MOST_STEPS:
+        replay(recording)
+
+
+def _steps(told: object) -> Iterator[float]:
+    """How often time passes, so far as what should say so does."""
+    for piece in told if isinstance(told, list) else []:
+        if isinstance(piece, list) and len(piece) == 2 and all(isinstance(part, int | float) for part in piece):
+            yield max(min(piece[1], 2 * MOST_STEPS), 0) * min(max(piece[0], 1), 2 * MOST_STEPS)
 
 
 def _snapshot(data: bytes) -> None:
@@ -86,6 +111,30 @@ def _written(wire: str, model: str) -> bytes:
     return "\n".join(json.dumps(whole) for whole in (header, *map(as_object, entries))).encode() + b"\n"
 
 
+def _daemon_seeds() -> list[bytes]:
+    """What a daemon writes of one client, in real time and in lockstep."""
+    return [_evening(Pace(), [[0.1, 3], [0.25, 1]]), _evening(Pace(lockstep_s=0.5), [])]
+
+
+def _evening(pace: Pace, steps: list[list[float]]) -> bytes:
+    beginning = Beginning(Setting(noisy=True), pace, Allowed(control=True))
+    emulator = beginning.emulator()
+    emulator.port = 7019
+    session = Session(emulator.answer, "127.0.0.1:1")
+    entries = [Entry(0.0, "open", session.name, more={"wire": TCP, "model": "n150"})]
+    for number, call in enumerate((Call("connect_robot", (1, 7)), Call("vm", (50, 0, 90)), Call("gs"), Call("st"))):
+        asked = tcp_request(call)
+        entries.append(Entry(float(number), OUT, session.name, asked, more={"steps": steps} if steps else {}))
+        for dt_s, count in steps:
+            for _ in range(int(count)):
+                emulator.pass_time(dt_s)
+        session.receive(asked)
+        entries.append(Entry(float(number), IN, session.name, session.answers(MOST_STEPS)))
+    entries.append(Entry(4.0, "close", session.name))
+    top = {"format": FORMAT, "version": VERSION} | header(beginning, "", port=7019, requests_a_turn=5, real_robots=0)
+    return "\n".join(json.dumps(whole) for whole in (top, *map(as_object, entries))).encode() + b"\n"
+
+
 def _snapshot_seeds() -> list[bytes]:
     return [snapshot.dumps(open_address(f"sim:thesis_room?{options}").emulator).encode()
             for options in ("robot=scout", "robot=n150&noisy=1", "setup=measured")]  # fmt: skip
@@ -106,6 +155,7 @@ _TREE = either(tree_changed, tree_changed, tree_changed, bytes_changed)
 READERS = (
     Reader("recordings", "recordings: read, shown, played", _recording, (RecordingError,), _recording_seeds, _TREE,
            longest=16384),
+    Reader("replays", "recordings, asked again (--replay)", _again, (NomadError,), _daemon_seeds, _TREE, longest=16384),
     Reader("snapshots", "saved simulations", _snapshot, (SnapshotError,), _snapshot_seeds, _TREE, longest=32768),
     Reader("kept_estimates", "saved estimates (--resume)", lambda data: kept_file.load(file_of(data, ".json")),
            (EstimateFileError,), _kept_seeds, _TREE),

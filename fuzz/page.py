@@ -1,4 +1,4 @@
-"""Readers of what comes from the page, from who publishes to it, and at the control socket.
+"""Readers of what comes from the page, from who publishes to it, and at the control socket, from either end.
 
 Rules: what a control line changes lasts for that line: the daemon it was said to is made anew. Nothing is saved: a line
 with save in it is left out, and one that could spell it otherwise.
@@ -14,6 +14,8 @@ from typing import Any
 from fuzz.mutating import bytes_changed, either, tree_changed
 from fuzz.reader import Reader
 from localization.publishing import waypoints_in
+from nclient.errors import ControlError
+from nserver_emu.ctl_answers import said_in, shown
 from nserver_emu.server.control import COMMANDS, answer_line
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.in_process import open_address
@@ -85,6 +87,11 @@ def _published(data: bytes) -> None:
     json.dumps(published(data.decode()), allow_nan=False)
 
 
+def _answer(data: bytes) -> None:
+    """What `nserver ctl` makes of an answer can be printed."""
+    "\n".join(shown(said_in(data))).encode()
+
+
 def _text(read: Callable[[bytes], None]) -> Callable[[bytes], None]:
     """A websocket's text and a body decoded as such are UTF-8 already, or never get here."""
 
@@ -106,6 +113,11 @@ def _control_seeds() -> list[bytes]:
         json.dumps({"command": row.name, "argument": argument}).encode()
         for row in COMMANDS if row.name != "save" for argument in _ARGUMENTS.get(row.name, [None])
     ]  # fmt: skip
+
+
+def _answer_seeds() -> list[bytes]:
+    """What a daemon answers to each command, well and ill said."""
+    return [answer_line(House(), line) for line in (*_control_seeds(), b'{"command": "speed", "argument": "no"}')]
 
 
 def _message_seeds() -> list[bytes]:
@@ -140,5 +152,7 @@ READERS = (
     Reader("publish_answers", "what a page answers to it", waypoints_in, (ValueError,),
            lambda: [b'{"waypoints": [[1, 2], [3.5, 4]], "set": 2}', b'{"waypoints": null, "set": 0}'], _TREE,
            longest=1024),
+    Reader("control_answers", "what nserver ctl is answered", _answer, (ControlError,), _answer_seeds, _TREE,
+           longest=8192),
     Reader("control_lines", "lines at the control socket", _control, (), _control_seeds, _TREE, longest=2048),
 )  # fmt: skip

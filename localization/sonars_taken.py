@@ -19,6 +19,7 @@ from localization.calibration.fit import Fit
 from localization.localizer import Echo
 from nclient.address import parsed
 from nclient.connect import address_or_default
+from worlds.texts import read_text
 
 FEWEST: Final = 30
 """Of fewer readings chance alone makes a bad fit."""
@@ -63,8 +64,8 @@ def rays_told_by(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values: dict[str, Any] = tomllib.loads(Path(setup).read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError):
+        values: dict[str, Any] = tomllib.loads(read_text(Path(setup)))
+    except ValueError:  # no file that can be read is one as well
         return None
     sonar = values.get("sonar", {})
     model = sonar.get("model") if isinstance(sonar, dict) else None

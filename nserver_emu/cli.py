@@ -46,6 +46,7 @@ from nserver_emu.server.line_options import at_port, open_lines
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.recording import Beginning, header
 from nserver_emu.server.replay import replay
+from nserver_emu.server.restore_options import settle
 from nserver_emu.server.setting import READY_MODELS, Setting, placed
 from nserver_emu.server.setup_files import OldSetup, read_setups
 from nserver_emu.server.stage import Allowed
@@ -66,8 +67,10 @@ def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if words[:1] == [CONTROL]:
         return ctl.main(words[1:])
-    options = read_options(nserver_parser(), words)
+    parser = nserver_parser()
+    options = read_options(parser, words)
     logs.begin(options)
+    settle(parser, options)
     try:
         if options.list_worlds:
             _list_worlds()

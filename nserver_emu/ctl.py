@@ -18,12 +18,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.arguments import Parser
-from nclient.errors import ConnectionLost, ControlError, NomadError, WorldFileError
+from nclient.errors import ConnectionLost, NomadError
 from nclient.exit_codes import ExitCode
 from nclient.faults.plan_file import read_plan
 from nclient.suggesting import did_you_mean
+from nserver_emu.ctl_answers import said_in, shown
 from nserver_emu.server.control import BY_NAME, COMMANDS
-from nserver_emu.server.control_socket import default_path
+from nserver_emu.server.control_socket import LONGEST_LINE, default_path
+from worlds.texts import read_text
 
 HELP: Final = "help"
 """Answered here, daemon or not."""
@@ -45,10 +47,11 @@ def main(argv: Sequence[str]) -> int:
     path = options.control or default_path(os.environ)
     try:
         said = ask(path, name, _argument(name, argument))
+        lines = [json.dumps(said, indent=2)] if options.json else shown(said)
     except NomadError as error:
         print(f"nserver ctl: {error}", file=sys.stderr)
         return ExitCode.FAILED
-    print(json.dumps(said, indent=2) if options.json else "\n".join(shown(said)))
+    print("\n".join(lines))
     return ExitCode.DONE
 
 
@@ -66,6 +69,8 @@ def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:
                 if not piece:
                     raise ConnectionLost(f"the daemon at {path} hung up; its own stderr says why")
                 answer += piece
+                if len(answer) > LONGEST_LINE:
+                    raise ConnectionLost(f"what answers at {path} goes on without an end: is it an nserver?")
     except (TimeoutError, OSError) as error:
         if isinstance(error, ConnectionLost):
             raise
@@ -73,78 +78,7 @@ def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:
             f"no daemon answers at {path} ({error.strerror or error}); start it with nserver --control, "
             "or say where it is: nserver ctl --control PATH"
         ) from error
-    told = json.loads(answer)
-    if not told["ok"]:
-        raise ControlError(told["error"])
-    said: dict[str, Any] = told["said"]
-    return said
-
-
-def shown(said: dict[str, Any]) -> Iterator[str]:
-    """An answer for people to read."""
-    if "plan" in said:
-        yield said["plan"].rstrip()
-    elif "text" in said:
-        yield said["text"].rstrip()
-    elif "noise" in said:
-        yield from (f"robot {number}: {_noise(noise)}" for number, noise in said["noise"].items())
-    elif "held" in said:
-        yield from (f"robot {number}{_held(hold)}" for number, hold in said["held"].items())
-        if not said["held"]:
-            yield "no robot is held"
-    elif "counts" in said:
-        yield from _counts(said["counts"])
-    elif "robots" in said:
-        yield from _status(said)
-    elif "time_s" in said:
-        yield _time(said)
-    else:
-        yield ", ".join(f"{name}: {value}" for name, value in said.items())
-
-
-def _status(said: dict[str, Any]) -> Iterator[str]:
-    yield f"nserver {said['version']}, {said['world']}, seed {said['seed']}"
-    yield _time(said)
-    for robot in said["robots"]:
-        touched = f", bumpers {robot['bumpers']:#x}" if robot["bumpers"] else ""
-        yield (
-            f"robot {robot['number']}: {robot['model']} at {robot['x_in']:.1f}, {robot['y_in']:.1f} in, "
-            f"{robot['steering_deg']:.1f} deg, {'moving' if robot['moving'] else 'standing'}{touched}, "
-            f"{_noise(robot['noise'])}{_held(robot['held'])}"
-        )
-    for name, place in said["lines"].items():
-        yield f"line {name}: {place}"
-    for client in said["connections"]:
-        whose = "no robot yet" if client["robot"] is None else f"robot {client['robot']}"
-        yield f"client {client['name']}: {whose}, {client['refused']} refused{', waiting' if client['waiting'] else ''}"
-    struck = ", ".join(f"{kind} {count}" for kind, count in said["faults"]["struck"].items())
-    yield f"faults: {said['faults']['rules']} rules{f', so far {struck}' if struck else ''}"
-
-
-def _noise(noise: dict[str, str]) -> str:
-    return f"sensors {noise['sensors']}, motion {noise['motion']}"
-
-
-def _held(hold: dict[str, Any] | None) -> str:
-    return "" if hold is None else f", held by {hold['by']}, told to move {hold['ignored']} times since"
-
-
-def _time(said: dict[str, Any]) -> str:
-    if said["paused"]:
-        pace = "paused"
-    elif said["lockstep_s"] is not None:
-        pace = f"lockstep, {said['lockstep_s']:g} s a request"
-    else:
-        pace = "as fast as it can" if said["speed"] == "max" else f"{said['speed']:g} x real time"
-    return f"time {said['time_s']:.3f} s, {pace}"
-
-
-def _counts(counts: dict[str, dict[str, dict[str, int]]]) -> Iterator[str]:
-    if not counts:
-        yield "no faults"
-    for line, rules in counts.items():
-        for rule, tally in rules.items():
-            yield f"{line}, {rule}: " + ", ".join(f"{kind} {count}" for kind, count in tally.items())
+    return said_in(answer)
 
 
 def _rows(rows: dict[str, str]) -> Iterator[str]:
@@ -168,23 +102,16 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
 
 
 def _argument(name: str, given: str | None) -> object:
-    """The argument as it is sent. Raises FaultPlanError for a plan that cannot be read."""
+    """The argument as it is sent. Raises FaultPlanError and WorldFileError for a file that cannot be read."""
     match name, given:
         case "faults set", str():
             return {"file": given, "text": read_plan(Path(given))}
         case "world set", str():
-            return {"file": given, "text": _world(Path(given))}
+            return {"file": given, "text": read_text(Path(given))}
         case "save", str():
             return str(Path(given).absolute())
         case _:
             return given
-
-
-def _world(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise WorldFileError(f"{path}: cannot be read: {error}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

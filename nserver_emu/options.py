@@ -88,7 +88,7 @@ def _add_time(parser: Parser) -> None:
 def _add_keeping(parser: Parser) -> None:
     parser.add_argument("--restore", type=Path, metavar="FILE", help="go on where a saved simulation was, at the pace "
                         "that it had unless --speed, --paused or --lockstep say another; world, robots, seed and setup "
-                        "are its own")
+                        "are its own; with --save of the same file it begins anew where that is not there yet")
     autosave.add_options(parser)
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="write down all that is said, with what it takes to have it said again")

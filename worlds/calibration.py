@@ -21,7 +21,8 @@ from typing import Any, Final
 
 from nclient.errors import WorldFileError
 from worlds.bodies import SONARS
-from worlds.tables import Table, text_of
+from worlds.tables import Table
+from worlds.texts import read_text
 
 TABLES: Final = ("odometry", "sonar", "spread")
 """The tables of a model that are a calibration's."""
@@ -95,7 +96,7 @@ def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
 
 def load_calibration(path: Path, name: str) -> Calibration:
     """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
-    text = text_of(path)
+    text = read_text(path)
     try:
         values: dict[str, Any] = tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""World files: TOML in, a World out; and where the shipped ones are. The only file here that touches the disk.
+"""World files: TOML in, a World out; and where the shipped ones are.
 
     name, title                                         texts, both optional
     [[room]]      corners, name                         a closed outline, free inside
@@ -23,6 +23,7 @@ from nclient.errors import WorldFileError
 from nclient.suggesting import did_you_mean
 from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
 from worlds.tables import SHORTEST_IN, Table
+from worlds.texts import read_text
 from worlds.world import Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
@@ -109,12 +110,7 @@ def _read(path: FilePath) -> str:
     if not path.is_file():
         kind = "a directory" if path.is_dir() else "no regular file"
         raise WorldFileError(f"{path}: expected a world file in TOML, found {kind}")
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise WorldFileError(
-            f"{path}: expected text in UTF-8, found other bytes at {error.start}: {error.reason}"
-        ) from error
+    return read_text(path)
 
 
 def _polygon(table: Table) -> Polygon:

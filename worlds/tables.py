@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite, radians
-from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from nclient.errors import WorldFileError
@@ -27,18 +26,6 @@ SHORTEST_IN: Final = 1e-6
 """A shorter wall is a corner given twice, inches: far above the ray caster's 1e-9, far below any real wall."""
 
 Point = tuple[float, float]
-
-
-def text_of(path: Path) -> str:
-    """The text of a file of tables, UTF-8 with or without a mark in front. Raises WorldFileError."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise WorldFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise WorldFileError(f"{path}: expected text in UTF-8, found other bytes at {error.start}") from error
-    except ValueError as error:  # a name with a zero byte in it
-        raise WorldFileError(f"{str(path)!r}: cannot be read: {error}") from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from typing import Final, NamedTuple
 
+from worlds.texts import MOST_BYTES
+
 _LIMIT: Final = "limit"
 NONE: Final = 0
 """The value that lets go of a limit, for those that may be let go."""
@@ -120,6 +122,8 @@ def page() -> Iterator[str]:
         "Refusals of one", "connection, and of newcomers, are logged once and then counted "
         "(`/metrics`, [service.md](service.md)).", "",
         "Obstacles, graphics and frame decide answers: a recording keeps them, and `--replay` takes them from it.", "",
+        f"Of a world, a setup, models, a calibration no more than {MOST_BYTES >> 20} MiB are read: a longer file is "
+        "refused by name.", "",
         "## Who may connect", "",
         "The original protocol has no authentication and no encryption: whoever connects may drive the robots. So the "
         "daemon", "listens on loopback unless `--bind` says otherwise, and warns when it does. "

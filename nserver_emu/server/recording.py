@@ -73,6 +73,7 @@ def beginning_of(found: Mapping[str, Any], name: str) -> Beginning:
         changes = {"start": _start(told["start"]), "others": others, "model_file": _path(told["model_file"])}
         setting = Setting(**told | changes)
         pace, allowed = Pace(**found["pace"]), Allowed(**found["allowed"])
+        pace.check()
         _ = found["port"], found["requests_a_turn"]
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{name}, line 1: does not tell how the simulation began ({error!r})") from None

@@ -25,6 +25,8 @@ from nserver_emu.server.recording import DAEMON, beginning_of
 from nserver_emu.server.session import Conversation, Session
 from nserver_emu.server.switches import put_world, show_world, switch_noise
 
+LONGEST_STEP_S: Final = 250.0
+"""What a daemon makes up for at once, a quarter of a second, at its fastest; what a client may step is less."""
 _SHOWN = 12
 _NONSENSE: Final = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, RecursionError)
 """What values lead to that no daemon wrote."""
@@ -129,6 +131,8 @@ class _DaemonAgain:
         while self._leaving and self._leaving[0][0] <= entry.time_s:
             self._acquaintances.leave(self._leaving.pop(0)[1])
         for dt_s, count in entry.more.get("steps", ()):
+            if dt_s > LONGEST_STEP_S:
+                raise ValueError(f"a step of {dt_s} s")
             for _ in range(count):
                 self._emulator.pass_time(dt_s)
         self._line_clock_s = entry.more.get("at", self._line_clock_s)

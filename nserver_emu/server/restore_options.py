@@ -1,5 +1,9 @@
 """Options beside --restore: what a snapshot decides cannot be said again, and the pace can.
 
+    --restore FILE                  FILE is there, or it is an error; it decides world, robots, seed and setup
+    --save FILE --restore FILE      a run that is kept: the first time there is no FILE, and it begins as the options
+                                    say; from then on FILE decides, and they are passed over
+
 Rules: wrong usage names the options and ends with 2, before anything starts. Said at all, an option of the pace has
 the whole pace begin as the options say; else it goes on as the snapshot has it.
 """
@@ -8,11 +12,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import logging
+import os
 from collections.abc import Iterable, Sequence
 from typing import Final
 
 from nclient.errors import NomadError
+from nserver_emu.server.setting import DEFAULT_WORLD
 from nserver_emu.server.setup_files import read_setups
+
+log = logging.getLogger(__name__)
 
 DECIDED: Final = ("robot", "robots", "model_file", "start", "seed", "setup", "noisy")
 """Options, by their names in the namespace, that a snapshot has decided."""
@@ -24,7 +33,7 @@ _NOT_SAID: Final = "\0not said"
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str]) -> None:
     """Wrong usage where a snapshot is restored and something is said that it decides. Does not come back then."""
-    if options.restore is None:
+    if options.restore is None or _is_kept(options):
         return
     against = [f"--{name.replace('_', '-')}" for name in said(parser, words, DECIDED)]
     if len(options.files) > len(options.setups):
@@ -35,6 +44,25 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace, words: 
     if against:
         parser.error(f"argument --restore: the snapshot has a world, robots, a seed and a setup of its own: leave out "
                      f"{', '.join(against)}")
+
+
+def settle(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Of a run that is kept: whether it begins, or goes on and what says how to begin counts no more."""
+    if options.restore is None or not _is_kept(options):
+        return
+    if not os.path.lexists(options.restore):
+        log.warning("%s: not there yet: the simulation begins, and is saved there", options.restore)
+        options.restore = None
+        return
+    for name in DECIDED:
+        setattr(options, name, parser.get_default(name))
+    options.world = DEFAULT_WORLD
+    log.info("goes on from %s, with the world, the robots, the seed and the setup that are in it", options.restore)
+
+
+def _is_kept(options: argparse.Namespace) -> bool:
+    """Whether what is restored is also where it is saved."""
+    return options.save is not None and options.save.absolute() == options.restore.absolute()
 
 
 def keeps_pace(parser: argparse.ArgumentParser, words: Sequence[str]) -> bool:

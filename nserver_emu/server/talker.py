@@ -2,8 +2,9 @@
 
     port ──> cable ──> session ──> cable ──> port        no cable: bytes pass in no time, as over TCP
 
-Rules: nobody waits for another: so many requests a turn, the rest after the others' turn; what goes wrong in a session
-costs that connection only. The port's own ways are its class's: Connection (TCP), SerialLine (a pseudo-terminal).
+Rules: nobody waits for another: so many bytes and requests a turn, the rest after the others' turn, and until then the
+port is not read; what goes wrong in a session costs that connection only. The port's own ways are its class's:
+Connection (TCP), SerialLine (a pseudo-terminal).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import asyncio
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from nclient.faults.language import Language
 from nclient.recording.recorder import OFF, Tape
@@ -26,9 +27,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-REQUESTS_A_TURN = 20
-READ_SIZE = 4096
-"""Bytes of one client that are looked at before it is the others' turn."""
+READ_SIZE: Final = 4096
+"""Bytes that are read from a port at once."""
+HEARD_A_TURN: Final = 512
+"""Bytes that are looked at before it is the others' turn: a request has four at least, and takes 2 us to be found."""
+REQUESTS_A_TURN: Final = 5
+"""Requests that are answered, 25 us each, before it is the others' turn. Both are what a flood adds to their wait."""
 
 
 class Talker(ABC):
@@ -53,6 +57,8 @@ class Talker(ABC):
         """Whether what is said is not taken at present."""
         self._held_back = False
         """Whether it is not read from because too much was on its way when that was looked at last."""
+        self._unheard = b""
+        """What came and was not looked at yet."""
         self._turn: asyncio.Handle | None = None
         self._alarm: asyncio.TimerHandle | None = None
         self._moment_s: float | None = None
@@ -81,9 +87,25 @@ class Talker(ABC):
         self._deliver()
 
     def _heard(self, data: bytes) -> None:
-        self._tape.to_robot(data)
-        self.session.receive(data)
+        if self._unheard or len(data) > HEARD_A_TURN:
+            self._unheard += data
+            data = b"" if self._turn else self._next_unheard()
+        if data:
+            self._tape.to_robot(data)
+            self.session.receive(data)
         self._answer()
+
+    def _next_unheard(self) -> bytes:
+        """What is to be looked at in this turn."""
+        if not self._hearing:
+            return b""
+        data, self._unheard = self._unheard[:HEARD_A_TURN], self._unheard[HEARD_A_TURN:]
+        return data
+
+    @property
+    def _hearing(self) -> bool:
+        """Whether something came that is to be looked at now."""
+        return bool(self._unheard) and not (self.session.ready or self.session.crowded or self.session.closing)
 
     def _answer(self) -> None:
         if not self.blocked and self._turn is None:
@@ -116,7 +138,7 @@ class Talker(ABC):
 
         While an answer takes its time the reading goes on, up to a crowd, so that a client's leaving is seen.
         """
-        ready = self.session.ready and not self.blocked
+        ready = (self.session.ready or self._hearing) and not self.blocked
         if ready and self._turn is None:
             owed_s = self._owed_s()
             later = self._loop.call_later
@@ -126,7 +148,7 @@ class Talker(ABC):
 
     def _next_turn(self) -> None:
         self._turn = None
-        self._answer()
+        self._heard(b"")
 
     def _deliver(self) -> None:
         """What has come through the cable, to where it goes; for what is still on its way an alarm is set.
@@ -163,10 +185,15 @@ class Talker(ABC):
     def _plug_in_faults(self) -> None:
         """From the first plan that acts on this line on, its faults lie between port and session."""
         desk, line = self._daemon.faults, self.line
-        if self._faulty or not desk.plan.rules or self.session.unfinished or not desk.acts_on(line):
+        if self._faulty or not desk.plan.rules or self._unfinished or not desk.acts_on(line):
             return
         self._faulty = True
         self._cable = FaultyCable(self._language(), lambda: desk.injector(line), self._cable)
+
+    @property
+    def _unfinished(self) -> bool:
+        """Whether more is needed of what was begun, or is to be looked at."""
+        return bool(self.session.unfinished or self._unheard)
 
     def _silence(self) -> None:
         """Nothing more comes through the cable, and nobody gets a turn."""

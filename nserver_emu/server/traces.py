@@ -8,6 +8,8 @@ Robots that drive for days fill their tracks: a coordinate is kept in eight byte
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
+from collections.abc import Iterable
 from math import floor, hypot
 from typing import Final
 
@@ -25,12 +27,18 @@ MOST_POINTS: Final = 4000
 FORGOTTEN_AT_ONCE: Final = 400
 """Points; a track moves up in memory when it forgets its oldest."""
 
+JUMP_IN: Final = 6.0
+"""Points farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
+
 
 class Trace:
     """A track as points; coordinates one after another, which a snapshot keeps in little room."""
 
     gone: int = 0
-    """How many points there were so far, those forgotten as well."""
+    """How many points there were so far, those forgotten as well: the number of the last one."""
+
+    jumps: tuple[int, ...] = ()
+    """The numbers of those that the robot did not drive to but was put down at, as long as they are kept."""
 
     def __init__(self) -> None:
         self._flat = array("d")
@@ -41,18 +49,26 @@ class Trace:
         flat = iter(self._flat[-2 * MOST_POINTS :])
         return list(zip(flat, flat, strict=True))
 
+    @property
+    def first(self) -> int:
+        """The number of the oldest that is kept."""
+        return self.gone - min(len(self._flat) // 2, MOST_POINTS) + 1
+
+    def at(self, numbers: Iterable[int]) -> list[tuple[float, float]]:
+        """(x, y) in inches of those with these numbers, which are kept; however many others there are."""
+        flat, first = self._flat, self.gone - len(self._flat) // 2 + 1
+        return [(flat[2 * (number - first)], flat[2 * (number - first) + 1]) for number in numbers]
+
     def go(self, x_in: float, y_in: float) -> None:
         """The robot is here."""
-        if not self._flat or hypot(x_in - self._flat[-2], y_in - self._flat[-1]) >= POINT_IN:
+        way_in = hypot(x_in - self._flat[-2], y_in - self._flat[-1]) if self._flat else POINT_IN
+        if way_in >= POINT_IN:
             self._flat.extend((x_in, y_in))
             self.gone += 1
             if len(self._flat) >= 2 * (MOST_POINTS + FORGOTTEN_AT_ONCE):
                 del self._flat[: 2 * FORGOTTEN_AT_ONCE]
-
-    def newer(self, gone: int) -> list[float]:
-        """The coordinates of the points after the first `gone`, as far as they are kept: x, y, x, y ... in inches."""
-        count = min(max(self.gone - gone, 0), MOST_POINTS)
-        return self._flat[max(len(self._flat) - 2 * count, 0) :].tolist()
+            if way_in > JUMP_IN:
+                self.jumps = (*self.jumps[bisect_left(self.jumps, self.first) :], self.gone)
 
 
 class Traces:

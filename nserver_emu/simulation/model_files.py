@@ -30,7 +30,8 @@ from nserver_emu.simulation.models import MODELS, RobotModel
 from worlds.bodies import Body
 from worlds.calibration import TABLES as CALIBRATION_TABLES
 from worlds.calibration import calibration_of
-from worlds.tables import INCHES, Table, text_of
+from worlds.tables import INCHES, Table
+from worlds.texts import read_text
 
 MOST_BUMPERS: Final = 24
 """Bits in the three bytes of State[33]."""
@@ -42,7 +43,7 @@ SPEEDS: Final = ("top_speed", "top_acceleration", "speed", "acceleration")
 
 def load_models(path: Path) -> Mapping[str, RobotModel]:
     """Every model there is with a file's: those it overrides and those it adds. Raises WorldFileError."""
-    return parse_models(text_of(path), str(path))
+    return parse_models(read_text(path), str(path))
 
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:

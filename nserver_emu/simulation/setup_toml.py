@@ -27,7 +27,8 @@ from nserver_emu.simulation.setup import IDEAL, SETUPS, RobotSetup
 from nserver_emu.simulation.setup_keys import KEYS, POLAROID, RAY, SONAR_NUMBERS, Key
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
 from worlds.bodies import SONARS
-from worlds.tables import Table, text_of
+from worlds.tables import Table
+from worlds.texts import read_text
 
 SUFFIX: Final = ".toml"
 TABLES: Final = tuple(dict.fromkeys(key.table for key in KEYS if key.table))
@@ -48,7 +49,7 @@ def setup_named(name: str) -> RobotSetup:
 
 def load_setup(path: Path) -> RobotSetup:
     """The setup of a file. Raises WorldFileError."""
-    return parse_setup(text_of(path), str(path), path.stem)
+    return parse_setup(read_text(path), str(path), path.stem)
 
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:

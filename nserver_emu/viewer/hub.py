@@ -11,7 +11,7 @@ picture share the text that takes them on. A viewer that is gone is forgotten.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 from nserver_emu.viewer.laser_modes import Modes
@@ -48,8 +48,10 @@ class Viewer:
         self._news.append(text)
         self.ring()
 
-    def news(self) -> list[str]:
+    def news(self) -> Sequence[str]:
         """What is new and was not told yet."""
+        if not self._news:
+            return ()
         told = list(self._news)
         self._news.clear()
         if self.missed:

@@ -54,8 +54,6 @@ LASER_EVERY: Final = 4
 """The laser is looked through at every so many pictures: its 482 rays cost more than all else."""
 MOST_NEW: Final = 25
 """Points of a track that a picture adds: 12 in of way in a twentieth of a second, faster than any robot."""
-JUMP_IN: Final = 6.0
-"""Points of a track farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
 NOTHING_YET: Final = (0, 0)
 SILENT: Final = (None,) * SONARS
 DIGITS: Final = 3
@@ -66,14 +64,19 @@ Plain = dict[str, Any]
 class Mark(NamedTuple):
     """How far everything that grows or changes was at a picture."""
 
-    bodies: tuple[tuple[int, RobotSetup], ...]
-    world: World
+    number: int
+    bodies: tuple[tuple[int, RobotSetup], ...] | None
+    world: World | None
     graphics: int
     lasers: int
-    laser_modes: Modes
+    laser_modes: Modes | None
     said: object
     traces: dict[int, tuple[int, int]]
     cries: dict[int, tuple[Cry | None, ...]]
+
+
+NOTHING: Final = Mark(0, None, None, -1, -1, None, "not even silence", {}, {})
+"""What who has no picture was told: it is like no picture's, so all is new."""
 
 
 class Album:
@@ -101,38 +104,37 @@ class Album:
             self._lasers_taken += bool(seen or self._lasers)
             self._lasers = seen
         now, mark = _now(self._stage), self._mark()
-        self.number += 1
-        self._now = now
+        self.number, self._now = mark.number, now
         self._marks.append(mark)
 
     def since(self, number: int) -> Plain:
         """The newest picture for who has that one: what is always there, and what changed."""
-        age = self.number - number
-        old = self._marks[-1 - age] if number > 0 and 0 <= age < len(self._marks) else None
-        new = self._marks[-1]
-        told: Plain = {"frame": self.number, "since": number if old else 0} | self._now
-        if old is None or old.bodies != new.bodies:
+        old, new = self._mark_of(number), self._marks[-1]
+        told: Plain = {"frame": new.number, "since": old.number} | self._now
+        if new.bodies != old.bodies:
             told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
-        if old is None or old.world is not new.world:
+        if new.world and new.world is not old.world:
             told["world"] = ground(new.world)
-        told |= self._drawn(old.graphics if old else None, new.graphics)
-        if old is None or old.lasers != new.lasers:
+        told |= self._drawn(old.graphics, new.graphics)
+        if new.lasers != old.lasers:
             told["lasers"] = self._lasers
-        if old is None or old.laser_modes != new.laser_modes:
-            told["laser_modes"] = {str(n): clients for n, clients in new.laser_modes.items()}
-        if old is None or old.said is not new.said:
+        if new.laser_modes != old.laser_modes:
+            told["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
+        if new.said is not old.said:
             told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
-        if grown := self._grown(old.traces if old else {}, new.traces):
-            told["traces"] = grown
-        if cried := _cried(old.cries if old else {}, new.cries):
-            told["beams"] = cried
-        return told
+        grown = {"traces": self._grown(old.traces, new.traces), "beams": _cried(old.cries, new.cries)}
+        return told | {name: more for name, more in grown.items() if more}
 
-    def _drawn(self, before: int | None, now: int) -> Plain:
+    def _mark_of(self, number: int) -> Mark:
+        """How far all was at that picture, NOTHING where that is not known any more, or never was."""
+        age = self.number - number
+        return self._marks[-1 - age] if number > 0 and 0 <= age < len(self._marks) else NOTHING
+
+    def _drawn(self, before: int, now: int) -> Plain:
         graphics = self._stage.graphics
         if before == now:
             return {}
-        changes = None if before is None else graphics.changes(before, now)
+        changes = graphics.changes(before, now) if before >= 0 else None
         if changes is None:
             return {"graphics": [_shape(number, shape) for number, shape in graphics.numbered if number <= now]}
         gone, come = changes
@@ -145,7 +147,7 @@ class Album:
         counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
         simulation = stage.simulation
         return Mark(
-            tuple((n, robot.setup) for n, robot in simulation.robots.items()),
+            self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
             simulation.world, stage.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
             {n: robot.sonar.cries for n, robot in simulation.robots.items()},
@@ -223,11 +225,15 @@ def _cried(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | No
         str(n): [
             [sonar, *_beam(cry)]
             for sonar, (before, cry) in enumerate(zip(old.get(n, SILENT), cries, strict=True))
-            if cry is not before and _beam(cry) != _beam(before)
+            if cry is not before and _axis(cry) != _axis(before)
         ]
         for n, cries in new.items()
     }
     return {n: beams for n, beams in changed.items() if beams}
+
+
+def _axis(cry: Cry | None) -> tuple[float, ...] | None:
+    return None if cry is None else (cry.x_in, cry.y_in, cry.direction_rad)
 
 
 def _beam(cry: Cry | None) -> list[float]:
@@ -251,17 +257,11 @@ def _shape(number: int, shape: Shape) -> list[Any]:
 def _newer(trace: Trace, had: int, has: int) -> Plain:
     """What a track grew by from so many points to so many, whatever it grew by since; a viewer that follows a
     simulation at a hundred times real time gets every so many of them."""
-    flat = iter(trace.newer(max(had - 1, 0)))
-    pairs = list(zip(flat, flat, strict=True))
-    before = pairs.pop(0) if had and len(pairs) > trace.gone - had else None
-    del pairs[max(len(pairs) - (trace.gone - has), 0) :]
-    every = -(-len(pairs) // MOST_NEW) if had and len(pairs) > MOST_NEW else 1
+    new = range(max(had + 1, trace.first), has + 1)
+    every = -(-len(new) // MOST_NEW) if had and len(new) > MOST_NEW else 1
+    jumps = [number for number in trace.jumps if number in new and (had or number > new.start)]
+    shown = sorted({*new[::every], *jumps})
     told: list[float | None] = []
-    for k, point in enumerate(pairs):
-        jumped = before is not None and math.dist(before, point) > JUMP_IN
-        before = point
-        if jumped:
-            told += (None, None)
-        if jumped or k % every == 0:
-            told += (round(number, 2) for number in point)
+    for number, (x, y) in zip(shown, trace.at(shown), strict=True):
+        told += (None, None, round(x, 2), round(y, 2)) if number in jumps else (round(x, 2), round(y, 2))
     return {"gone": has, "points": told}

@@ -55,6 +55,7 @@ CONTROLS: Final = frozenset({
 })  # fmt: skip
 """What the owner may do at the page: all of control.py but what writes files."""
 LOOKING: Final = frozenset({"seen", "watch"})
+_COMPACT: Final = json.JSONEncoder(separators=(",", ":"))
 Message = dict[str, Any]
 
 
@@ -87,7 +88,7 @@ def from_page(text: str) -> Message:
 
 def to_page(kind: str, **fields: Any) -> str:
     """A message to the page."""
-    return json.dumps({"type": kind} | fields, separators=(",", ":"))
+    return _COMPACT.encode({"type": kind} | fields)
 
 
 def _short(value: object) -> str:

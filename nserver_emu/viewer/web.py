@@ -38,6 +38,7 @@ from nserver_emu.viewer.entrance import (
 from nserver_emu.viewer.hub import Hub, Viewer
 from nserver_emu.viewer.laser_modes import Modes, laser_modes
 from nserver_emu.viewer.numbers import CONTENT_TYPE, health, metrics
+from nserver_emu.viewer.outlet import Outlet
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
 
@@ -53,8 +54,6 @@ PERIOD_S: Final = 0.05
 """Twenty pictures a second."""
 HEARTBEAT_S: Final = 6.0
 """How often a page is asked whether it is there; half as long it may take to answer."""
-STALLED_S: Final = 8.0
-"""How long a page that says something, but takes nothing, is put up with."""
 FORGOTTEN_S: Final = 10.0
 """Both of them, and the clock's coarseness."""
 CLOSING_S: Final = 0.5
@@ -78,7 +77,7 @@ class Viewing:
         self.token, self.watch_token = self._tokens
         self.hub = Hub(Album(daemon.emulator))
         self.desk = Desk(daemon, self.hub)
-        self._bells: dict[Viewer, asyncio.Event] = {}
+        self._outlets: dict[Viewer, Outlet] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._known = LOOPBACK_NAME
         self._door = daemon.door
@@ -139,8 +138,8 @@ class Viewing:
             self.desk.tick(_now())
         with self.desk.guard.over("the picture"):
             self.hub.take(self._laser_modes())
-        for bell in self._bells.values():
-            bell.set()
+        for viewer in tuple(self._outlets):
+            self._tell(viewer)
 
     def _laser_modes(self) -> Modes:
         robots = self._daemon.emulator.simulation.robots
@@ -207,14 +206,14 @@ class Viewing:
         self._sockets.add(socket)  # it counts from now on, not only once it is there
         try:
             await socket.prepare(request)
+            outlet = Outlet(socket, _transport(request), _now())
         except BaseException:
             self._sockets.discard(socket)
             raise
         viewer = self.desk.arrive(_now(), may_act=may_act, watch_token=self.watch_token)
-        self._bells[viewer] = bell = asyncio.Event()
-        viewer.ring = bell.set
-        bell.set()
-        teller = asyncio.create_task(self._tell(viewer, socket, request))
+        self._outlets[viewer] = outlet
+        viewer.ring = lambda: asyncio.get_running_loop().call_soon(self._tell, viewer)
+        viewer.ring()
         try:
             async for message in socket:
                 if message.type == WSMsgType.TEXT:
@@ -224,31 +223,24 @@ class Viewing:
                 await asyncio.sleep(0)  # it is the others' turn, however much this one has to say
         finally:
             self._sockets.discard(socket)
-            teller.cancel()
-            del self._bells[viewer]
+            del self._outlets[viewer]
             self.desk.leave(viewer)
             if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
-                _hang_up(request)
+                outlet.hang_up()
         return socket
 
-    async def _tell(self, viewer: Viewer, socket: web.WebSocketResponse, request: web.Request) -> None:
-        bell = self._bells[viewer]
-        with contextlib.suppress(ConnectionError):
-            while True:
-                await bell.wait()
-                bell.clear()
-                told: list[str] = []
-                with self.desk.guard.over("the news and the picture", viewer.name):
-                    for text in self.hub.next_for(viewer):
-                        told.append(text)  # what came before a fault is told all the same
-                for text in told:
-                    try:
-                        async with asyncio.timeout(STALLED_S):
-                            await socket.send_str(text)
-                    except TimeoutError:
-                        log.info("%s takes nothing: hung up", viewer.name)
-                        _hang_up(request)
-                        return
+    def _tell(self, viewer: Viewer) -> None:
+        """What is new for a page, where it takes it; what comes before a fault is told all the same."""
+        outlet, now = self._outlets.get(viewer), _now()
+        if outlet is None:
+            return
+        if outlet.takes(now):
+            with self.desk.guard.over("the news and the picture", viewer.name):
+                for text in self.hub.next_for(viewer):
+                    outlet.say(text)
+        elif outlet.stalled(now):
+            log.info("%s takes nothing: hung up", viewer.name)
+            outlet.hang_up()
 
 
 def next_due(due_s: float, now_s: float) -> float:
@@ -262,10 +254,11 @@ def _now() -> float:
     return asyncio.get_running_loop().time()
 
 
-def _hang_up(request: web.Request) -> None:
-    """Let go of a page that is gone; closing would wait until it has taken all that was said."""
-    if request.transport is not None:
-        request.transport.abort()
+def _transport(request: web.Request) -> asyncio.Transport:
+    """What goes to who asks. Raises ConnectionResetError, which aiohttp passes over, where it is gone already."""
+    if request.transport is None:
+        raise ConnectionResetError("gone before it was answered")
+    return request.transport
 
 
 async def _no_icon(_request: web.Request) -> web.StreamResponse:

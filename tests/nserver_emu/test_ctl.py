@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from nserver_emu import cli, ctl
+from nserver_emu import cli, ctl, ctl_answers
 from nserver_emu.server.control import COMMANDS
 from nserver_emu.server.control_socket import default_path
 
@@ -138,7 +138,7 @@ def test_everything_at_a_glance(path: Path, capsys: pytest.CaptureFixture[str]) 
     ],
 )
 def test_answers_are_shown_for_people(said: dict[str, Any], shown: str) -> None:
-    assert "\n".join(ctl.shown(said)) == shown
+    assert "\n".join(ctl_answers.shown(said)) == shown
 
 
 def test_a_refusal_is_told_with_exit_code_1(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -157,6 +157,18 @@ def test_where_nobody_answers_the_remedy_is_told(
     with answering(path, b""):
         assert cli.main(["ctl", "--control", str(path), "status"]) == 1
     assert "hung up" in capsys.readouterr().err
+
+
+def test_what_answers_and_is_no_daemon_is_told(
+    path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with answering(path, b'{"ok": true}\n'):
+        assert cli.main(["ctl", "--control", str(path), "status"]) == 1
+    assert f"nserver ctl: {ctl_answers.NO_ANSWER}" in capsys.readouterr().err
+    monkeypatch.setattr(ctl, "LONGEST_LINE", 100_000)
+    with answering(path.with_name("t"), b"x" * 150_000):
+        assert cli.main(["ctl", "--control", str(path.with_name("t")), "status"]) == 1
+    assert "goes on without an end" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

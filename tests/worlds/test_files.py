@@ -393,12 +393,12 @@ def test_bytes_that_are_no_utf_8_are_told_where(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_read_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(_: Path) -> bytes:
+    def refuse(*_: object) -> bytes:
         raise PermissionError(13, "Permission denied")
 
     file = tmp_path / "locked.toml"
     file.write_text(ROOM)
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(WorldFileError, match=r"locked\.toml: cannot be read: Permission denied"):
         load_world(file)
 

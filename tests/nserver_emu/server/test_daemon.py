@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import struct
+from collections import Counter
 
 import pytest
 from daemon_house import House, with_daemon
@@ -18,11 +19,14 @@ from nclient.errors import ConnectionLost
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
+from nclient.protocol.tcp_frame import Refused, TcpFrame
+from nserver_emu.server.connection import Connection
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.pace import Pace
+from nserver_emu.server.session import Session
 from nserver_emu.server.stage import Allowed
-from nserver_emu.server.talker import REQUESTS_A_TURN
+from nserver_emu.server.talker import HEARD_A_TURN, REQUESTS_A_TURN
 from worlds.world import StartPose
 
 pytestmark = pytest.mark.long
@@ -105,6 +109,74 @@ def test_a_flood_gets_all_its_answers_and_does_not_keep_another_waiting() -> Non
         assert answered < count
         await draining
         assert answered == count
+
+    with_daemon(visit)
+
+
+def test_a_flood_is_looked_at_and_answered_little_by_little_between_the_others_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    heard: Counter[int] = Counter()
+    answered: Counter[int] = Counter()
+    turn = 0
+    receive, answer = Session.receive, Session._answer_one
+
+    def receiving(session: Session, data: bytes) -> None:
+        heard[turn] += len(data)
+        receive(session, data)
+
+    def answering(session: Session, request: TcpFrame | Refused) -> bytes:
+        answered[turn] += 1
+        return answer(session, request)
+
+    async def turns() -> None:
+        nonlocal turn
+        while True:
+            turn += 1
+            await asyncio.sleep(0)
+
+    async def visit(house: House) -> None:
+        flood = await house.call()
+        monkeypatch.setattr(Session, "receive", receiving)
+        monkeypatch.setattr(Session, "_answer_one", answering)
+        counting = asyncio.create_task(turns())
+        flood.writer.write(GS * 3000)
+        for _ in range(3000):
+            await flood.reply("gs")
+        counting.cancel()
+
+    with_daemon(visit)
+    assert (heard.total(), answered.total()) == (12_000, 3000)
+    assert max(heard.values()) == HEARD_A_TURN
+    assert max(answered.values()) == REQUESTS_A_TURN
+
+
+def test_what_comes_while_an_answer_takes_its_time_is_looked_at_up_to_a_crowd_and_then_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    turns = 0
+    honest = Connection._next_turn
+
+    def next_turn(connection: Connection) -> None:
+        nonlocal turns
+        turns += 1
+        honest(connection)
+
+    monkeypatch.setattr(Connection, "_next_turn", next_turn)
+
+    async def visit(house: House) -> None:
+        waiting, other = await house.call(), await house.call()
+        await waiting.ask("vm", 0, 0, 20)
+        waiting.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))) + GS * 1000)
+        while not any(connection.session.crowded for connection in house.daemon.connections):
+            assert (await other.ask("gs")).kind == "state"
+        before = turns
+        for _ in range(50):
+            assert (await other.ask("gs")).kind == "state"
+        assert turns == before, "nobody takes a turn for nothing"
+        await other.ask("st")
+        for name in ("ws", *["gs"] * 1000):
+            await waiting.reply(name)
 
     with_daemon(visit)
 

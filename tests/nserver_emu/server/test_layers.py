@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
-from math import hypot
+from math import cos, hypot, sin
 
 import pytest
 from wire_client import meet, simulation
@@ -46,7 +46,8 @@ def test_a_full_track_takes_little_memory() -> None:
         taken, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert trace.newer(0) == [coordinate for point in trace.points for coordinate in point]
+    assert trace.points == trace.at(range(trace.first, trace.gone + 1))
+    assert trace.points[-1] == (float(number), 0.5)
     assert taken < 20 * (MOST_POINTS + FORGOTTEN_AT_ONCE), "two coordinates of eight bytes, and room to grow"
 
 
@@ -111,3 +112,27 @@ def test_a_robot_that_is_made_or_restored_has_its_track() -> None:
     assert restored.layers(2) == emulator.layers(2)
     track = emulator.layers(2)["actual_trace"]
     assert len(track) > 15
+
+
+def test_a_track_knows_where_the_robot_was_put_down_and_gives_points_by_number() -> None:
+    trace = Trace()
+    for number in range(30):
+        trace.go(number + (50.0 if number >= 10 else 0.0), 0.0)
+    trace.go(0.0, 0.0)
+    assert (trace.gone, trace.first, trace.jumps) == (31, 1, (11, 31))
+    assert trace.at([1, 10, 11, 31]) == [(0.0, 0.0), (9.0, 0.0), (60.0, 0.0), (0.0, 0.0)]
+    for number in range(MOST_POINTS - 1):
+        trace.go(float(number + 1), 0.0)
+    assert (trace.first, trace.jumps) == (31, (11, 31))
+    trace.go(0.0, 0.0)
+    assert trace.first == 32
+    assert trace.jumps == (trace.gone,), "those of points that are forgotten are forgotten"
+    assert trace.at(range(trace.first, trace.gone + 1)) == trace.points
+
+
+def test_a_track_that_goes_round_and_round_never_jumps() -> None:
+    trace = Trace()
+    for number in range(1000):
+        trace.go(5.0 * cos(number), 5.0 * sin(number))
+    assert trace.gone == 1000
+    assert trace.jumps == ()

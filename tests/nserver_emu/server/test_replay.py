@@ -25,10 +25,12 @@ from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
 from nserver_emu.server import snapshot
 from nserver_emu.server.control import answer_line
+from nserver_emu.server.daemon import LONGEST_CATCH_UP_S
+from nserver_emu.server.hosting import LONGEST_STEP_MS
 from nserver_emu.server.in_process import open_address
-from nserver_emu.server.pace import Pace
+from nserver_emu.server.pace import FASTEST, Pace
 from nserver_emu.server.recording import Beginning, beginning_of, header
-from nserver_emu.server.replay import replay
+from nserver_emu.server.replay import LONGEST_STEP_S, replay
 from nserver_emu.server.setting import Setting, pose_from_text
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
@@ -92,13 +94,13 @@ def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Pace, spee
 
 
 def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) -> None:
-    """One motion stops as its client vanishes, another's fifty requests wait their turn, a third knows the robot."""
+    """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
     async def visit(house: House) -> None:
         driver, watcher = await house.call(), await house.call()
         await driver.ask("vm", 100, 0, 0)
-        watcher.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2))) + language.tcp_request(Call("gs")) * 50)
+        watcher.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2))) + language.tcp_request(Call("gs")) * 1500)
         driver.writer.close()
-        for name in ("ws", *["gs"] * 50):
+        for name in ("ws", *["gs"] * 1500):
             await watcher.reply(name)
         other = await house.knock()
         assert (await other.ask("gs")).slots[38] == 0
@@ -282,7 +284,9 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("changes", "told"), [
     ({"steps": 3}, "line 2: nothing that a daemon writes"), ({"steps": [["x", 1]]}, "line 2: nothing that a daemon"),
     ({"steps": [[float("nan"), 1]]}, "line 2: nothing that"), ({"steps": [[10**400, 1]]}, "line 2: nothing that"),
-    ({"pace": 5}, "line 2: nothing that"), ({"hold": []}, "line 2: nothing that"),
+    ({"steps": [[250.1, 1]]}, "line 2: nothing that"), ({"steps": [[1e300, 1]]}, r"a step of 1e\+300 s"),
+    ({"pace": 5}, "line 2: nothing that"), ({"pace": [1e9, False]}, "line 2: nothing that"),
+    ({"hold": []}, "line 2: nothing that"),
     ({"world": 3}, "line 2: nothing that"),
 ])  # fmt: skip
 def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
@@ -291,6 +295,20 @@ def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[s
     writer.write(Entry(0.0, "time", more=changes))
     writer.close()
     with pytest.raises(RecordingError, match=told):
+        replay(read_recording(path))
+
+
+def test_a_step_is_no_longer_than_a_daemon_at_its_fastest_makes_up_for() -> None:
+    assert LONGEST_STEP_S >= FASTEST * LONGEST_CATCH_UP_S
+    assert LONGEST_STEP_S >= LONGEST_STEP_MS / 1000
+
+
+@pytest.mark.parametrize("pace", [{"lockstep_s": 1e300}, {"factor": -1.0}, {"paused": 3}])
+def test_a_pace_that_no_daemon_had_at_its_beginning_is_told(tmp_path: Path, pace: dict[str, Any]) -> None:
+    head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
+    path = tmp_path / "run.log"
+    LogWriter(path, head | {"pace": head["pace"] | pace}).close()
+    with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
 
 

@@ -146,3 +146,49 @@ def test_what_another_robots_client_already_drives_is_not_adopted() -> None:
     _, session = meet(restored)
     restored.leave(session.visit)
     assert restored.simulation.robots[2].moving[2]
+
+
+def test_a_run_that_is_kept_begins_where_there_is_no_file_yet_and_says_so(
+    started: list[Emulator], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    kept = tmp_path / "now.json"
+    words = ["several_walls", "--robots", "2", "--seed", "7", "--save", str(kept), "--restore", str(kept)]
+    assert cli.main(words) == 0
+    assert (started[0].simulation.world.name, len(started[0].simulation.robots)) == ("several_walls", 2)
+    assert started[0].simulation.seed == 7
+    (record,) = caplog.records
+    assert record.getMessage() == f"{kept}: not there yet: the simulation begins, and is saved there"
+
+
+def test_a_run_that_is_kept_goes_on_with_what_is_in_the_file_whatever_the_options_said_at_its_beginning(
+    saved: Path, started: list[Emulator], tmp_path: Path, caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    gone = ["world_that_is_gone.toml", "--model-file", "gone_too.toml", "--robot", "mine", "--seed", "7", "--noisy"]
+    caplog.set_level("INFO", "nserver_emu.server.restore_options")
+    assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
+    assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
+    assert started[0].pace == SAVED_PACE
+    assert "goes on from" in caplog.text
+    assert cli.main([*gone, "--save", saved.name, "--restore", str(saved), "--speed", "7"]) == 0
+    assert started[1].pace == Pace(7.0)
+
+
+@pytest.mark.parametrize("save", [(), ("--save", "other.json"), ("--save", "other.json", "--autosave", "60")])
+def test_a_file_that_is_not_there_is_an_error_where_it_is_not_the_one_that_is_saved(
+    save: tuple[str, ...], started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*save, "--restore", str(tmp_path / "now.json")]) == 1
+    assert "now.json: cannot be read: " in capsys.readouterr().err
+    assert not started
+
+
+def test_a_file_that_is_damaged_is_an_error_and_is_not_begun_anew(
+    started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "now.json"
+    kept.touch()
+    assert cli.main(["--save", str(kept), "--restore", str(kept)]) == 1
+    assert "is damaged" in capsys.readouterr().err
+    assert (started, kept.read_text()) == ([], "")

@@ -11,7 +11,7 @@ from viewed_daemon import HOST, Served, served
 from wire_client import simulation
 
 from nserver_emu.server.handlers import Emulator
-from nserver_emu.viewer import desk, web
+from nserver_emu.viewer import desk, outlet, web
 
 SHORT_S = 0.4
 HANDSHAKE = (
@@ -50,7 +50,7 @@ async def forgotten(here: Served) -> float:
 
 
 def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
-    assert max(1.5 * web.HEARTBEAT_S + 1.0, web.STALLED_S + 1.0) <= web.FORGOTTEN_S
+    assert max(1.5 * web.HEARTBEAT_S + 1.0, outlet.STALLED_S + 1.0) <= web.FORGOTTEN_S
 
 
 def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,7 +67,7 @@ def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pyte
 
 
 def test_a_page_that_goes_on_talking_and_takes_nothing_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web, "STALLED_S", SHORT_S)
+    monkeypatch.setattr(outlet, "STALLED_S", SHORT_S)
 
     async def scenario() -> None:
         async with served(Emulator(simulation())) as here:

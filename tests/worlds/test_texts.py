@@ -1,0 +1,53 @@
+"""Files that somebody wrote, read as far as they may be long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from nclient.errors import WorldFileError
+from nserver_emu.simulation.model_files import load_models
+from nserver_emu.simulation.setup_toml import load_setup
+from worlds.calibration import load_calibration
+from worlds.files import load_world
+from worlds.texts import MOST_BYTES, read_text
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "world": load_world, "setup": load_setup, "models": load_models,
+    "calibration": lambda path: load_calibration(path, "n150"),
+}  # fmt: skip
+
+
+def test_a_file_may_be_so_long_and_no_longer(tmp_path: Path) -> None:
+    file = tmp_path / "long.toml"
+    file.write_bytes(b"#" * MOST_BYTES)
+    assert len(read_text(file)) == MOST_BYTES
+    file.write_bytes(b"#" * (MOST_BYTES + 1))
+    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MOST_BYTES} bytes"):
+        read_text(file)
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_every_reader_of_such_files_stops_there(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "long.toml"
+    with file.open("wb") as hole:
+        hole.truncate(50 * MOST_BYTES)
+    with pytest.raises(WorldFileError, match=rf"long\.toml: is longer than {MOST_BYTES} bytes"):
+        READERS[kind](file)
+
+
+def test_a_mark_of_the_byte_order_is_passed_over_and_other_bytes_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    file.write_bytes(b"\xef\xbb\xbfname = 'x'")
+    assert read_text(file) == "name = 'x'"
+    file.write_bytes(b"name = '\xe4'")
+    with pytest.raises(WorldFileError, match=r"x\.toml: expected text in UTF-8, found other bytes at 8: "):
+        read_text(file)
+
+
+@pytest.mark.parametrize(("name", "said"), [("", "Is a directory"), ("none", "No such file"), ("\0", "null byte")])
+def test_what_cannot_be_read_is_named(name: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(WorldFileError, match=f"cannot be read: .*{said}"):
+        read_text(tmp_path / name)
