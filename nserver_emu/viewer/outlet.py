@@ -5,7 +5,7 @@
 Rules: nobody waits. Whoever has not taken all that was said is told nothing new, so that what is thinned out is thinned
 before it is sent; who has taken nothing of it for STALLED_S is given up. A frame is written in one piece, so pings and
 the goodbye, which aiohttp writes to the same transport, stand between frames. aiohttp's own send_str would do, but it
-may wait, which takes a task a page: twenty pictures a second to twenty pages cost three times as much.
+may wait, which takes a task a page: that was more than half of what pages cost.
 """
 
 from __future__ import annotations

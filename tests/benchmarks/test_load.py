@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import random
 import socket
 
@@ -80,6 +81,20 @@ def test_a_bound_that_is_not_kept_is_the_exit_code(
     monkeypatch.setattr(load, "measure", lambda *_: found)
     assert load.main(["--hostile", "deaf"]) == code
     assert ("NOT KEPT" in capsys.readouterr().out) is bool(code)
+
+
+def test_ahead_of_all_else_the_clients_come_before_the_daemon_and_that_before_the_hostile_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scheduled: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, how, param: scheduled.append((pid, how, param)))
+    monkeypatch.setattr(os, "sched_param", int)
+    monkeypatch.setattr(load, "measure", lambda *given: {"kept": given[-1]})
+    assert load.main(["--hostile", "deaf", "--ahead", "--json"]) == 0
+    assert scheduled == [(0, os.SCHED_RR, 3)]
+    assert load.scheduled(["it"], load.DAEMON) == ["chrt", "--rr", "2", "it"]
+    assert load.scheduled(["it"], load.HOSTILE_ONE) == ["chrt", "--rr", "1", "it"]
+    assert load.scheduled(["it"], None) == ["it"]
 
 
 def test_the_stalled_one_stops_in_the_middle_and_comes_again() -> None:

@@ -133,6 +133,16 @@ def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
     at_home(Limits(rate=200), visit)
 
 
+def test_who_asks_too_fast_one_by_one_is_slowed_as_well() -> None:
+    async def visit(house: House) -> None:
+        fast, began = await house.call(), time.monotonic()
+        for _ in range(60):
+            assert (await fast.ask("gs")).kind == "state"
+        assert time.monotonic() - began >= 0.15  # 20 at once, one of them CONNECT, then 200 a second
+
+    at_home(Limits(rate=200), visit)
+
+
 def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
     async def visit(house: House) -> None:
         client = await house.call()

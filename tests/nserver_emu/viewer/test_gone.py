@@ -90,6 +90,21 @@ async def talk_on(loop: asyncio.AbstractEventLoop, end: socket.socket) -> None:
         await asyncio.sleep(0.05)
 
 
+def test_what_is_told_to_a_page_that_just_left_is_told_to_nobody(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario() -> None:
+        async with served(Emulator(simulation())) as here:
+            async with here.page() as page:
+                await page.until(lambda message: message["type"] == "picture")
+                (viewer,) = here.viewing.hub.viewers
+            await forgotten(here)
+            viewer.tell("{}")
+            await asyncio.sleep(0.02)
+            assert viewer.news() == ["{}"]
+
+    asyncio.run(scenario())
+    assert not [record for record in caplog.records if record.levelname == "ERROR"]
+
+
 def test_who_says_much_at_once_leaves_the_others_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0
