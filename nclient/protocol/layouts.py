@@ -1,7 +1,7 @@
 """A request's layout to bytes and back, as construct's `parse` and `build`, and nothing is left for Python's garbage.
 
-Rules: construct's own make a context for each call, which holds itself; a daemon that is asked for days, and seldom
-looks for garbage, would keep thousands. Here all calls share two that never change. Errors are construct's own.
+Rules: construct's own make a context for each call, which holds itself: there for as long as nobody looks for garbage,
+which a daemon does now and then. Here all calls share two that never change. Errors are construct's own.
 """
 
 from __future__ import annotations

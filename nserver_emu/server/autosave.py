@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import SnapshotError
+from nserver_emu.garbage import give_back
 from nserver_emu.server import snapshot
 from nserver_emu.server.handlers import Emulator
 
@@ -69,6 +70,8 @@ class SaveFile:
             if self._failing:
                 log.warning("%s: saved again", self._path)
             self._failing = False
+        del text
+        give_back()
 
     def _write(self, number: int, text: str) -> None:
         with self._lock:

@@ -44,6 +44,8 @@ _ROOMS: Final = (
 _json: Final = json.JSONEncoder(separators=(",", ":")).encode
 _PLAIN: Final = (type(None), bool, int, float, str)
 _NUMBERS: Final = "biuf"
+_PIECE: Final = 65_536
+"""Characters that are made bytes at once."""
 _MOST_NESTED: Final = 200
 _DAMAGED: Final = (
     ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, RecursionError, MemoryError,
@@ -67,7 +69,8 @@ def write(text: str, path: Path, unfinished: Path) -> None:
             path.write_text(text, encoding="utf-8")
             return
         with unfinished.open("w", encoding="utf-8") as file:
-            file.write(text)
+            for begin in range(0, len(text), _PIECE):
+                file.write(text[begin : begin + _PIECE])
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)
@@ -104,7 +107,7 @@ def dumps(emulator: Emulator) -> str:
     writer = _Writer()
     root = writer.value({name: getattr(emulator, name) for name in KEPT})
     head = _json({"format": FORMAT, "version": version("nomad-nserver"), "root": root})
-    return f'{head[:-1]},"objects":[{",".join(writer.objects)}]}}'
+    return writer.whole(f'{head[:-1]},"objects":[', "]}")
 
 
 def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
@@ -132,11 +135,12 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
 
 
 class _Writer:
-    """Objects to numbers, and to text at once: as dictionaries they would take ten times the memory until the end.
-    What it cannot write it names."""
+    """Objects to numbers, and to text at once, all in one piece: as dictionaries they would take ten times the memory
+    until the end, and leave holes. What it cannot write it names."""
 
     def __init__(self) -> None:
-        self.objects: list[str] = []
+        self._text = bytearray()
+        self._begins, self._ends = array("q"), array("q")
         self._numbers: dict[int, int] = {}
         self._alive: list[Any] = []
 
@@ -146,12 +150,26 @@ class _Writer:
             return thing
         number = self._numbers.get(id(thing))
         if number is None:
-            number = len(self.objects)
+            number = len(self._alive)
             self._numbers[id(thing)] = number
             self._alive.append(thing)
-            self.objects.append("")
-            self.objects[number] = _json(self._object(thing))
+            self._begins.append(0)
+            self._ends.append(0)
+            written = _json(self._object(thing))  # before it all that it holds, if that is not written yet
+            self._begins[number] = len(self._text)
+            self._text += written.encode()
+            self._ends[number] = len(self._text)
         return {"ref": number}
+
+    def whole(self, head: str, tail: str) -> str:
+        """The text of all objects by their numbers, between two others. The end: it writes nothing more."""
+        whole = bytearray(head.encode())
+        for begin, end in zip(self._begins, self._ends, strict=True):
+            whole += self._text[begin:end]
+            whole += b","
+        whole[-1:] = tail.encode()
+        self._text.clear()
+        return whole.decode()
 
     def _object(self, thing: Any) -> dict[str, Any]:
         match thing:

@@ -1,4 +1,4 @@
-"""Model files: TOML in, robot models out, each made from one that is known. The only file here that touches the disk.
+"""Model files: TOML in, robot models out, each made from one that is known. It and setup_toml.py alone touch the disk.
 
     [[model]]
     name, like                    its name, and the model it is made from: left out, the known one of that name

@@ -1,4 +1,4 @@
-"""Setup files of our own: TOML in, a RobotSetup out. The only file here, with model_files.py, that touches the disk.
+"""Setup files of our own: TOML in, a RobotSetup out. Only this file and model_files.py touch the disk.
 
     base = "measured"                   what it is made from: a named setup; left out: ideal
     name = "room 12"                    left out: the file's name

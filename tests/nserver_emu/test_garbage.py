@@ -7,6 +7,7 @@ import ctypes
 import gc
 import sys
 import weakref
+from pathlib import Path
 
 import pytest
 from daemon_house import House, with_daemon
@@ -115,13 +116,24 @@ def test_what_visitors_leave_does_not_pile_up_in_a_daemon(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("system", ["win32", "linux"])
-def test_a_system_without_malloc_trim_is_tidied_as_well(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_malloc_trim(system: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", system)
     monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
-    clock = Clock()
-    with seldom_sought():
-        tidying, first = Tidying(clock), weakref.ref(Ring())
-        leave(2 * FEW_OBJECTS)
-        clock.now_s += TIDY_S
-        tidying.tidy()
-        assert first() is None
+    monkeypatch.setattr(garbage, "_trim", garbage._malloc_trim())
+    assert garbage._trim is None
+    garbage.give_back()
+
+
+@pytest.mark.skipif(garbage._trim is None, reason="no glibc")
+def test_what_is_free_goes_back_to_the_system() -> None:
+    def resident_kib() -> int:
+        rows = Path("/proc/self/status").read_text().splitlines()
+        return int(next(row for row in rows if row.startswith("VmRSS")).split()[1])
+
+    pieces = [bytes(50_000) for _ in range(1000)]
+    held = pieces[::2]
+    pieces.clear()
+    before_kib = resident_kib()
+    garbage.give_back()
+    assert resident_kib() < before_kib - 15_000, "of the holes between those that are held, 25 MB"
+    assert len(held) == 500

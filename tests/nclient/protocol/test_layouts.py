@@ -1,4 +1,4 @@
-"""Requests and replies leave nothing that holds itself: a daemon would keep it until it looks for garbage, seldom."""
+"""Requests and replies leave nothing that holds itself: a daemon would keep it until it looks for garbage."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def test_days_of_driving_and_drawing_are_saved_in_little_memory() -> None:
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert most < 6 * len(text)
+    assert most < 5 * len(text)
     restored = Emulator(simulation())
     snapshot.loads(restored, text)
     assert restored.traces.actual[1].points == emulator.traces.actual[1].points
