@@ -1,7 +1,7 @@
 """Where to drive from here to there: the shortest way, or one that is little longer and leaves more room.
 
-    of the ways at each of MARGINS_IN from all walls the widest that is no more than LONGER longer than the shortest,
-    and no wider than both ends have room
+    of the ways at each of MARGINS_IN from all walls the widest that is no more than LONGER longer than the shortest
+    that the body fits through at all, and no wider than both ends have room; the narrowest, where all are longer
 
 A way close to walls is slow, for an estimate is never exact; a wider one costs little, up to where it does. Around what
 was found besides it is the widest there is: nobody knows how far that reaches, and sonars are blind for what is near.
@@ -27,8 +27,8 @@ from localization.planning.smoothing import rounded
 
 MARGINS_IN: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Room between body and walls that ways are planned with; the first is the least."""
-LONGER: Final = 0.015
-"""What a wider way may cost, as a share of the shortest."""
+LONGER: Final = 0.02
+"""What room may cost, as a share of the shortest way without any; driving adds a hundredth or two to what is planned."""
 
 
 class Plan(NamedTuple):
@@ -63,7 +63,9 @@ class Planner:
         least = self.body_in + self._margins[0]
         if besides is not None and len(besides):
             return self._widest(start, goal, besides, margins)
-        best, shortest = None, inf
+        best, most_in = None, inf
+        with suppress(NoWayError):
+            most_in = (1.0 + LONGER) * length_in(self._roadmap(0.0).path(start, goal, 0.0))
         for margin in margins:
             try:
                 legs = self._roadmap(margin).path(start, goal, least)
@@ -71,9 +73,8 @@ class Planner:
                 if best is None:
                     raise
                 break
-            if length_in(legs) > (1.0 + LONGER) * shortest:
+            if best is not None and length_in(legs) > most_in:
                 break
-            shortest = min(shortest, length_in(legs))
             best = Plan(stretches(legs), margin)
         assert best is not None
         return best

@@ -26,8 +26,9 @@ def test_a_plan_keeps_its_margin_and_is_little_longer_than_the_shortest(goal: tu
     plan = PLANNER.plan((5.0, 5.0), goal)
     assert plan.margin_in in MARGINS_IN
     assert least_room(plan) >= plan.margin_in - 1e-4
-    shortest = length_in(Roadmap(WALLS, N150.radius_in + MARGINS_IN[0]).path((5.0, 5.0), goal))
-    assert plan.length_in <= shortest * (1.0 + LONGER) + 1e-6
+    shortest = length_in(Roadmap(WALLS, N150.radius_in).path((5.0, 5.0), goal))
+    assert plan.length_in <= shortest * (1.0 + LONGER) + 1e-6 or plan.margin_in == MARGINS_IN[0]
+    assert plan.length_in <= shortest * 1.05
 
 
 def test_where_there_is_room_for_nothing_but_the_least_it_takes_the_least() -> None:
