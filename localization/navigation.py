@@ -22,6 +22,7 @@ from localization.filters.method import Filter
 from localization.filters.table import DEFAULT_METHOD
 from localization.groping import Groping
 from localization.localizer import Estimate, Localizer
+from localization.pace import Pace
 from localization.steadying import SteadyPose
 from localization.surroundings import Surroundings
 from localization.watch import Trust
@@ -132,12 +133,12 @@ def follow(
     steady: SteadyPose | None = None,
 ) -> Generator[Progress, None, None]:
     """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends. While
-    it is LOST it looks for itself (groping) instead.
+    it is LOST it looks for itself (groping) instead. Where states come far apart it goes slower (pace).
 
     `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
     `steady`: what makes the pose to steer by of the estimates; the estimates themselves where there is none.
     """
-    steady, groping = steady or SteadyPose(0.0), Groping(PERIOD_S)
+    steady, groping, pace = steady or SteadyPose(0.0), Groping(PERIOD_S), Pace()
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
     with standing_after(robot):
@@ -154,7 +155,8 @@ def follow(
             yield Progress(estimate, state, navigator.passed)
             if command is None:
                 return
-            after = robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
+            translation_in_s, steering_rad_s = (pace.share(estimate.clock_s) * speed for speed in command)
+            after = robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
             state = next_state(robot, state, after, wait)
 
 

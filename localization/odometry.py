@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 from localization.belief import HEADING, Floats, add, difference, wrapped
 
+LONGEST_GAP_S = 0.5
+"""Beyond this the way between two states is no single arc any more, and the estimate gets too sure of itself."""
 REMEMBERED_S = 2.0
 """Longer than a ring takes, so that every echo still readable has its pose."""
 

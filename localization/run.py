@@ -15,11 +15,10 @@ import numpy as np
 from localization.belief import Floats, add, difference
 from localization.localizer import Estimate
 from localization.observation import Refusal
+from localization.odometry import LONGEST_GAP_S
 from localization.sonars_taken import AS_CONES, Taken, hint
 from localization.watch import Trust
 
-LONGEST_GAP_S = 0.5
-"""Beyond this the way between two states is no single arc any more, and the estimate gets too sure of itself."""
 MOST_PLACES = 4
 """So many are told of in a line."""
 Pose = tuple[float, float, float]

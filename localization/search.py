@@ -28,6 +28,8 @@ CELL_STD_IN: Final = 2.0
 HEADINGS: Final = DIRECTIONS
 CLIMB_IN, CLIMB_RAD = 2.5 * CELL_IN, 0.35
 """Peaks nearer than this to a better one are its slopes."""
+NEAR_IN, NEAR_RAD = CLIMB_IN, 0.5
+"""A heading slips by as much as a cone is wide, 25 degrees: an echo is heard over all of it."""
 MOST_PEAKS: Final = 40
 REFINED_STD: Final = (0.6 * CELL_IN, 0.6 * CELL_IN, 0.06)
 SAME_SQUARED: Final = 16.27
@@ -65,21 +67,31 @@ def search(clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: Odom
     return merged(_weighed(clues, atlas, hearing, odometry))
 
 
-def rivalry(
+class Rivals(NamedTuple):
+    """Beliefs over the pose at the last clue that a search holds against one: the best place near it and the best
+    elsewhere, None where none was found; and by how many nats the better of the two explains the clues better than the
+    belief itself, -inf where there is none."""
+
+    near: Belief | None
+    elsewhere: Belief | None
+    lead_nats: float
+
+
+def rivals(
     here: Belief, clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise
-) -> float:
-    """By how many nats the best place elsewhere explains the clues better than where the robot is believed to be; 0 or
-    less where none is better, -inf where nothing else is found. What is not beyond the belief's own spread is here."""
+) -> Rivals:
+    """What else explains the clues. Near is within the spread of the belief `here`, or as far off as it may slip."""
     wide = Belief(here.mean[:POSE], here.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
     information = np.linalg.inv(wide.cov)
-
-    def elsewhere(place: Belief) -> bool:
+    best: dict[bool, tuple[Belief, float]] = {}
+    for place, score in _weighed(clues, atlas, hearing, odometry):
         off = difference(place.mean, wide.mean)
-        return bool(off @ information @ off > SAME_SQUARED)
-
-    found = _weighed(clues, atlas, hearing, odometry)
-    best = max((score for place, score in found if elsewhere(place)), default=-inf)
-    return best - _led(wide, clues, hearing, odometry)[1]
+        near = bool(off @ information @ off <= SAME_SQUARED) or _may_slip(off)
+        if near not in best or score > best[near][1]:
+            best[near] = place, score
+    lead = max((score for _, score in best.values()), default=-inf) - _led(wide, clues, hearing, odometry)[1]
+    near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
+    return Rivals(near_by, elsewhere, lead)
 
 
 def _weighed(
@@ -160,6 +172,10 @@ def _peaks(poses: Floats, score: Floats) -> list[Floats]:
         near = (np.hypot(off[:, 0], off[:, 1]) < CLIMB_IN) & (np.abs(off[:, HEADING]) < CLIMB_RAD)
         left = left[~near]
     return found
+
+
+def _may_slip(off: Floats) -> bool:
+    return bool(np.hypot(off[0], off[1]) < NEAR_IN and abs(off[HEADING]) < NEAR_RAD)
 
 
 def _refined(

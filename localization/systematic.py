@@ -148,6 +148,14 @@ def with_constants(belief: Belief, stds: tuple[float, ...]) -> Belief:
     return Belief(add(mean, np.zeros_like(mean)), cov)
 
 
+def moved_to(pose: Belief, known: Belief) -> Belief:
+    """A belief (n,) with the pose of one over poses (3,) and the constants of another (n,), the two independent."""
+    cov = known.cov.copy()
+    cov[:POSE], cov[:, :POSE] = 0.0, 0.0
+    cov[:POSE, :POSE] = pose.cov
+    return Belief(np.concatenate((pose.mean, known.mean[POSE:])), cov)
+
+
 def _by_constants(step: Floats, count: int) -> Floats:
     """The derivative (..., 2, n - 3) of the true step by the constants."""
     way, turn = part(step, 0), part(step, 1)

@@ -104,8 +104,11 @@ class Watch:
         it was a range."""
         evidence = log(likelihood / anywhere)
         self._fall = max(0.0, self._fall - max(-self.bounds.most_bad_nats, min(self.bounds.most_good_nats, evidence)))
-        if taken is None:
-            return
+        if taken is not None:
+            self.look(taken)
+
+    def look(self, taken: Taken) -> None:
+        """A range, and what the filter made of it: all that a filter can tell which knows no other place."""
         self._matched.append(1.0 - taken.bad_share)
         if taken.bad_share < MOSTLY:
             self._nis.append(taken.nis)

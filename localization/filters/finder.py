@@ -1,7 +1,8 @@
 """A filter that knows when it is lost, and finds itself again: one estimate, or several while places look alike.
 
     tracking     one hypothesis; a watch looks on, and where that has doubts a search looks whether another place
-                 explains the last echoes better                  ── LOST ──> searching
+                 explains the last echoes better. One that does is held against it by the echoes heard from then on
+                 (contest); elsewhere and right: ── LOST ──> searching, near by and right: the estimate is set right
     searching    echoes are collected for a ring and a half, then search ──> several hypotheses, or one
     choosing     each hypothesis is a filter of its own; the unlikely are dropped as driving tells them apart; one left
                  (more than SURE of all) ──> tracking
@@ -21,12 +22,13 @@ import numpy as np
 
 from localization.atlas import Atlas
 from localization.belief import Belief, Floats
+from localization.contest import Contest, Side
 from localization.filters.hearing import Hearing
 from localization.filters.method import Judgement, Place
 from localization.motion import OdometryNoise, move
 from localization.observation import Refusal
-from localization.search import NEAREST_IN, Clue, Hypothesis, merged, rivalry, search
-from localization.systematic import predict, with_constants
+from localization.search import NEAREST_IN, Clue, Hypothesis, merged, rivals, search
+from localization.systematic import moved_to, predict, with_constants
 from localization.watch import Trust, Verdict, Watch
 
 CLUES: Final = 24
@@ -34,7 +36,7 @@ CLUES: Final = 24
 SURE: Final = 0.99
 """Share from which one hypothesis is the estimate."""
 BETTER_NATS: Final = 12.0
-"""By so much another place must explain the last echoes better, for a doubted one to be given up."""
+"""By so much another place must explain the last echoes better, for a doubted one to be held against it."""
 FOUND_STD: Final = (0.5, 0.5, 0.03)
 """How much less is known of a place that was found than its few echoes say: they chose it, and count for that."""
 NOWHERE_STD: Final = (1000.0, 1000.0, 3.0)
@@ -61,6 +63,7 @@ class Finder:
         self._encoders = np.zeros(3)
         self._clues: deque[Clue] = deque(maxlen=CLUES)
         self._fresh = 0
+        self._contest: Contest | None = None
         self._why = "nothing was told of the place"
         self.hypotheses: list[Hypothesis] = [] if belief is None else [Hypothesis(belief, 1.0)]
         """Where the robot may be, the likeliest first; none while searching."""
@@ -93,6 +96,8 @@ class Finder:
         self.hypotheses = [
             Hypothesis(predict(known.belief, step, self._odometry), known.share) for known in self.hypotheses
         ]
+        if self._contest:
+            self._contest.move(step)
 
     def ahead(self, step: Floats) -> Belief:
         """The belief after such a step, which is not taken."""
@@ -109,7 +114,7 @@ class Finder:
         judgement = heard[0].judgement
         if len(heard) == 1:
             self.hypotheses = [Hypothesis(heard[0].belief, 1.0)]
-            self._look_on(reading_in, heard[0].likelihood, judgement)
+            self._look_on(self._clues[-1], heard[0].likelihood, judgement)
             return judgement
         known = zip(self.hypotheses, heard, strict=True)
         self.hypotheses = merged([(new.belief, log(old.share) + log(new.likelihood)) for old, new in known])
@@ -118,24 +123,44 @@ class Finder:
             self._watch.reset()
         return judgement
 
-    def _look_on(self, reading_in: float, likelihood: float, judgement: Judgement) -> None:
+    def _look_on(self, clue: Clue, likelihood: float, judgement: Judgement) -> None:
         """Watch one estimate; lost, it is given up."""
-        if reading_in <= NEAREST_IN:
+        if clue.reading_in <= NEAREST_IN:
             return
         limit = judgement.refusal is Refusal.LIMIT
-        self._watch.hear(likelihood, self._map.density(reading_in), None if limit else judgement)
+        self._watch.hear(likelihood, self._map.density(clue.reading_in), None if limit else judgement)
+        if self._contest:
+            self._contest.hear(clue, likelihood)
+            self._decide(self._contest)
         if self._watch.lost:
             self._give_up(self._watch.reason)
-        elif self._watch.doubtful and self._fresh >= CLUES // 2:
-            self._fresh = 0
-            better = rivalry(self.belief, list(self._clues), self._map, self._hearing, self._odometry)
-            if better >= BETTER_NATS:
-                self._give_up(f"another place explains the last {CLUES} echoes better, by e^{better:.0f}")
+        elif self._watch.doubtful and not self._contest and self._fresh >= CLUES // 2:
+            self._doubt()
+
+    def _doubt(self) -> None:
+        """Look for places that explain more; one that does is heard along from now on."""
+        self._fresh = 0
+        found = rivals(self.belief, list(self._clues), self._map, self._hearing, self._odometry)
+        if found.lead_nats >= BETTER_NATS:
+            near, elsewhere = (place and moved_to(_wider(place), self.belief) for place in found[:2])
+            self._contest = Contest(near, elsewhere, self._hearing, self._odometry)
+
+    def _decide(self, contest: Contest) -> None:
+        """End a contest that is won, or has lasted long enough."""
+        winner = contest.winner
+        if winner is Side.ELSEWHERE:
+            self._give_up(f"another place explains what is heard better, by e^{contest.lead_nats:.0f}")
+        elif winner is Side.NEAR:
+            self.hypotheses = [Hypothesis(contest.belief(Side.NEAR), 1.0)]
+            self._watch.reset()
+        if winner is not None or contest.heard >= CLUES // 2:
+            self._contest = None
 
     def _give_up(self, why: str) -> None:
         """Begin the search, with what is heard from now on."""
         self._why = why
         self._watch.reset()
+        self._contest = None
         self.hypotheses = []
         self._fresh = 0
 

@@ -3,22 +3,27 @@
     extended    systematic.predict, updates.linear           iterated    systematic.predict, updates.iterated
     unscented   sigma_points.predict, updates.unscented
 
-Rules: holds a belief and hands out new ones; all arithmetic is the prediction's and the hearing's.
+Rules: holds a belief and hands out new ones; all arithmetic is the prediction's and the hearing's. A watch looks on and
+says DEGRADED where what is heard does not fit; LOST is said by a filter alone that looks at other places (finder).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from localization.belief import Belief, Floats
 from localization.filters.hearing import Hearing
 from localization.filters.method import Judgement
 from localization.motion import OdometryNoise
+from localization.observation import Refusal
 from localization.systematic import predict
-from localization.watch import ALL_WELL, Verdict
+from localization.watch import Verdict, Watch
 
 Predict = Callable[[Belief, Floats, OdometryNoise], Belief]
 """The belief after a step (2,) that the encoders tell."""
+TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
+"""What becomes of readings that tell whether the belief is right; others are left out whatever they say."""
 
 
 class KalmanFilter:
@@ -31,10 +36,11 @@ class KalmanFilter:
         self._hearing = hearing
         self._odometry = odometry
         self._predict = prediction
+        self._watch = Watch()
 
     @property
     def verdict(self) -> Verdict:
-        return ALL_WELL
+        return self._watch.verdict(self.belief)
 
     def move(self, step: Floats) -> None:
         self.belief = self._predict(self.belief, step, self._odometry)
@@ -45,4 +51,6 @@ class KalmanFilter:
     def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
         heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in)
         self.belief = heard.belief
+        if heard.judgement.refusal in TELLING:
+            self._watch.look(heard.judgement)
         return heard.judgement

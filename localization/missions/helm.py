@@ -19,6 +19,7 @@ from localization.belief import Belief, Floats
 from localization.filters.table import DEFAULT_METHOD
 from localization.localizer import Estimate
 from localization.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
+from localization.pace import Pace
 from localization.planning.following import STAND, Velocities
 from localization.planning.hearing import spared, take_in
 from localization.planning.limits import LIMITS
@@ -65,6 +66,7 @@ class Helm:
         self.unmapped = Unmapped(_walls(known), body.sonar_ring_radius_in)
         self.watchers: list[Watcher] = []
         robot.set_timeout(COMMAND_TIMEOUT_S)
+        self._pace = Pace()
         self._localizer = begin(robot, known, belief, method)
         state = robot.refresh()
         self.sight = Sight(self._localizer.update(state), state)
@@ -88,12 +90,13 @@ class Helm:
         self.planner = Planner(np.concatenate((self.planner.walls, edges)), self.body.radius_in)
 
     def period(self, command: Velocities = STAND) -> Sight:
-        """Drive so for a period; what is seen at its end. Raises what robot and watchers raise."""
+        """Drive so for a period, slower where states come far apart (pace); what is seen at its end. Raises what robot
+        and watchers raise."""
         before = self.sight.state
-        after = before
+        after, share = before, self._pace.share(self.clock_s)
         with contextlib.suppress(BumperHit):
             after = self.robot.drive(
-                translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s
+                translation_in_s=share * command.translation_in_s, steering_rad_s=share * command.steering_rad_s
             )
         self.sight = self._look(next_state(self.robot, before, after, self._wait))
         for watcher in self.watchers:

@@ -9,7 +9,7 @@ Rules: text only. What is told is what the decoded frames hold; State's slots ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from nclient.errors import RecordingError
@@ -25,6 +25,7 @@ _SHOWN: Final[Mapping[str, tuple[str, ...]]] = {
     "compass": ("compass", "clock"), "configuration": ("pose",), "velocity": ("v",), "laser": ("laser", "clock"),
 }  # fmt: skip
 Found = Mapping[str, Any]
+State = list[Any]
 
 
 def lines_of(entry: Entry, with_bytes: bool = False) -> Iterator[str]:
@@ -74,26 +75,42 @@ def _beside(found: Found) -> Iterator[str]:
 
 
 def _part(name: str, found: Found) -> str:
-    state = found["State"]
-    match name:
-        case "pose":
-            return " ".join(f"{what} {state[slot] / 10:g}" for slot, what in _POSE if state[slot] is not None)
-        case "v":
-            return _listed("v", [None if v is None else v / 10 for v in state[_SPEEDS]])
-        case "sonar":
-            return _listed("sonar", state[_SONARS])
-        case "infrared":
-            return _listed("infrared", state[_INFRAREDS])
-        case "bumper":
-            return "" if state[33] is None else f"bumper {state[33]:#x}"
-        case "compass":
-            return "" if state[43] is None else f"compass {state[43] / 10:g}"
-        case "laser":
-            return f"laser {found['Laser'][0]} readings" if found["Laser"] and found["Laser"][0] else ""
-        case "clock":
-            return "" if found["clock"] is None else f"clock {found['clock'] / 1000:g}"
+    return _PARTS[name](found["State"], found)
+
+
+def _pose(state: State, _: Found) -> str:
+    return " ".join(f"{what} {state[slot] / 10:g}" for slot, what in _POSE if state[slot] is not None)
+
+
+def _speeds(state: State, _: Found) -> str:
+    return _listed("v", [None if v is None else v / 10 for v in state[_SPEEDS]])
+
+
+def _laser(_: State, found: Found) -> str:
+    return f"laser {found['Laser'][0]} readings" if found["Laser"] and found["Laser"][0] else ""
+
+
+def _clock(_: State, found: Found) -> str:
+    return "" if found["clock"] is None else f"clock {found['clock'] / 1000:g}"
+
+
+def _volts(_: State, found: Found) -> str:
     return "" if found["volt_cpu"] is None else f"volts {found['volt_cpu']:.1f} {found['volt_motor']:.1f}"
 
 
 def _listed(name: str, values: list[float | None]) -> str:
     return "" if None in values else f"{name} {' '.join(f'{value:g}' for value in values if value is not None)}"
+
+
+_PARTS: Final[Mapping[str, Callable[[State, Found], str]]] = {
+    "pose": _pose,
+    "v": _speeds,
+    "sonar": lambda state, _: _listed("sonar", state[_SONARS]),
+    "infrared": lambda state, _: _listed("infrared", state[_INFRAREDS]),
+    "bumper": lambda state, _: "" if state[33] is None else f"bumper {state[33]:#x}",
+    "compass": lambda state, _: "" if state[43] is None else f"compass {state[43] / 10:g}",
+    "laser": _laser,
+    "clock": _clock,
+    "volts": _volts,
+}
+"""What is told of each part of a reply; "" where the reply does not have it."""

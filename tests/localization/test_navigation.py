@@ -7,9 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from localization.belief import independent
+from localization.belief import difference, independent
+from localization.cone import ConeModel
 from localization.navigation import PERIOD_S, Navigator, Progress, Speeds, begin, follow
 from localization.surroundings import Surroundings
+from localization.watch import Trust
 from nclient import connect
 from worlds.bodies import N150
 from worlds.files import load_world
@@ -74,3 +76,66 @@ def test_real_time_is_waited_for_what_the_robots_clock_has_not_gone() -> None:
         run.close()
         assert not robot.refresh().moving
     assert waited == pytest.approx([PERIOD_S - 0.02] * 4)
+
+
+GAP_S = 1.1
+RARELY = f"sim:thesis_room?noisy=1&step_s={GAP_S / 2}&seed="
+"""Two exchanges a period: states come GAP_S apart."""
+ROUND = [(0.0, 0.0), (60.0, 40.0), (30.0, 60.0), (15.0, 10.0)]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_states_that_come_rarely_slow_it_down_and_the_estimate_stays_honest(seed: int) -> None:
+    """At full speed it circles a way-point for ever, half a foot between two states: it is farther than its radius."""
+    errors, nees = [], []
+    with connect(f"{RARELY}{seed}") as robot:
+        state = robot.refresh()
+        belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
+        localizer = begin(robot, Surroundings(load_world("thesis_room").walls, N150), belief)
+        for progress in follow(robot, localizer, Navigator(ROUND), never):
+            truth, estimate = robot.truth(), progress.estimate
+            assert truth.time_s == pytest.approx(estimate.clock_s, abs=0.05)
+            error = difference(estimate.pose, np.array([truth.x_in, truth.y_in, truth.steering_rad]))
+            errors.append(math.hypot(error[0], error[1]))
+            nees.append(error @ np.linalg.inv(estimate.belief.cov[:3, :3]) @ error)
+            if estimate.clock_s > 120.0:
+                break
+    assert progress.passed == len(ROUND)
+    assert max(errors) < 1.0
+    assert np.mean(nees) < 6.0
+
+
+def test_commands_are_the_navigators_to_the_bit_where_states_come_often_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    navigator, driven = Navigator(ROUND), []
+    with connect("sim:thesis_room?noisy=1&seed=1") as robot:
+        drive_it = robot.drive
+
+        def noted(*, translation_in_s: float, steering_rad_s: float) -> object:
+            driven.append((translation_in_s, steering_rad_s))
+            return drive_it(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
+
+        monkeypatch.setattr(robot, "drive", noted)
+        state = robot.refresh()
+        belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
+        localizer = begin(robot, Surroundings(load_world("thesis_room").walls, N150), belief)
+        poses = [progress.estimate.pose for progress in follow(robot, localizer, Navigator(ROUND), never)]
+    assert len(driven) > 100
+    assert driven == [navigator.command(pose) for pose in poses[:-1]]
+
+
+def test_readings_that_do_not_fit_are_told_of_however_rarely_states_come() -> None:
+    """Exact rays taken for a real ring's cones: two thirds of the echoes are no reflector's."""
+    said = []
+    with connect(f"{RARELY}1") as robot:
+        state = robot.refresh()
+        belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
+        known = Surroundings(load_world("thesis_room").walls, N150, sonar=ConeModel())
+        for progress in follow(robot, begin(robot, known, belief), Navigator(ROUND), never):
+            said.append(progress.estimate.verdict)
+            if progress.estimate.clock_s > 15.0:
+                break
+    assert said[0].trust is Trust.OK
+    assert said[-1].trust is Trust.DEGRADED
+    assert "echoes are explained" in said[-1].reason

@@ -16,7 +16,7 @@ from localization.filters.finder import BETTER_NATS
 from localization.filters.hearing import hearing_of
 from localization.measurement import SonarModel
 from localization.reflectors import reflectors
-from localization.search import Clue, Hypothesis, merged, rivalry, search
+from localization.search import Clue, Hypothesis, merged, rivals, search
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
@@ -136,8 +136,12 @@ def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> Non
     atlas = atlas_of("several_walls", setup)
     hearing = hearing_of(load_world("several_walls").walls, N150, KINDS[setup])
     right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
-    assert rivalry(right, clues, atlas, hearing, QUIET) < 0.5 * BETTER_NATS
-    assert rivalry(wrong, clues, atlas, hearing, QUIET) > BETTER_NATS
+    assert rivals(right, clues, atlas, hearing, QUIET).lead_nats < 0.5 * BETTER_NATS
+    found = rivals(wrong, clues, atlas, hearing, QUIET)
+    assert found.lead_nats > BETTER_NATS
+    assert found.elsewhere is not None
+    off = difference(found.elsewhere.mean, truth)
+    assert np.hypot(off[0], off[1]) < 3.0
 
 
 def test_where_nothing_is_found_there_is_no_rival() -> None:
@@ -145,13 +149,21 @@ def test_where_nothing_is_found_there_is_no_rival() -> None:
     walls = load_world("several_walls").walls
     nowhere = draw_atlas(walls, N150, KINDS["ideal"], 500.0)
     hearing = hearing_of(walls, N150, KINDS["ideal"])
-    assert rivalry(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == -math.inf
+    assert rivals(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == (None, None, -math.inf)
 
 
-def test_the_believed_place_a_little_elsewhere_is_no_rival() -> None:
-    """A robot that turned on the spot with poor encoders: its heading is off by what it knows that it may be off."""
+@pytest.mark.parametrize("heading_std", [0.02, 0.15])
+def test_a_heading_that_slipped_has_its_right_place_near_by_and_not_elsewhere(heading_std: float) -> None:
+    """A robot that turned on the spot with poor encoders, whether it knows how far its heading may be off or not."""
     clues, truth = clues_at("several_walls", "measured", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
     hearing = hearing_of(walls, N150, KINDS["measured"])
-    turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, 0.15))
-    assert rivalry(turned, clues, atlas_of("several_walls", "measured"), hearing, QUIET) < 0.5 * BETTER_NATS
+    turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, heading_std))
+    found = rivals(turned, clues, atlas_of("several_walls", "measured"), hearing, QUIET)
+    assert found.near is not None
+    off = difference(found.near.mean, truth)
+    assert np.hypot(off[0], off[1]) < 2.0
+    assert abs(off[2]) < 0.1
+    if found.elsewhere is not None:
+        off = difference(found.elsewhere.mean, turned.mean)
+        assert np.hypot(off[0], off[1]) > 6.0 or abs(off[2]) > 0.3

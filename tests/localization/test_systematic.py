@@ -8,7 +8,7 @@ import pytest
 from localization import ekf
 from localization.belief import Belief, difference, independent
 from localization.motion import OdometryNoise
-from localization.systematic import Constant, move_states, predict, true_step, with_constants
+from localization.systematic import Constant, move_states, moved_to, predict, true_step, with_constants
 
 QUIET = OdometryNoise(0.0, 0.0, 0.0)
 STATE = np.array([3.0, -2.0, 0.7, 0.05, -0.03, 0.002])
@@ -70,6 +70,17 @@ def test_constants_begin_at_zero_and_as_uncertain_as_told() -> None:
     np.testing.assert_allclose(longer.std, [0.1, 0.2, 0.03, 0.05, 0.02])
     same = with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), ())
     assert same.mean.shape == (3,)
+
+
+def test_a_state_moved_to_another_pose_keeps_its_constants_and_what_is_known_of_them() -> None:
+    root = np.random.default_rng(3).standard_normal((5, 5))
+    known, pose = Belief(STATE[:5], root @ root.T), independent([7.0, 8.0, -3.0], [0.1, 0.2, 0.03])
+    moved = moved_to(pose, known)
+    np.testing.assert_array_equal(moved.mean, [7.0, 8.0, -3.0, *STATE[3:5]])
+    np.testing.assert_array_equal(moved.cov[:3, :3], pose.cov)
+    np.testing.assert_array_equal(moved.cov[3:, 3:], known.cov[3:, 3:])
+    assert not moved.cov[:3, 3:].any()
+    assert not moved.cov[3:, :3].any()
 
 
 def test_states_of_a_wrong_size_are_refused() -> None:

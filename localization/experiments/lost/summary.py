@@ -53,13 +53,7 @@ def summaries(outcomes: Mapping[Case, Outcome]) -> list[LostSummary]:
 def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[Outcome]) -> LostSummary:
     """The numbers of one run or more."""
     seconds = sum(outcome.seconds for outcome in outcomes)
-    squares = [(outcome.rmse_in**2, outcome.seconds) for outcome in outcomes if outcome.rmse_in is not None]
-    weight = sum(share for _, share in squares)
-    lost = [outcome.lost_after_s for outcome in outcomes if outcome.lost_after_s is not None]
-    found = [outcome.found_after_s for outcome in outcomes if outcome.found_after_s is not None and outcome.right]
-    mistaken = sum(outcome.found_after_s is not None and not outcome.right for outcome in outcomes)
-    kidnapped, sought = kind is Kind.KIDNAPPED, kind is not Kind.CALM
-    return LostSummary(
+    summary = LostSummary(
         kind=kind.value,
         world=world,
         scenario=scenario,
@@ -68,14 +62,39 @@ def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[Outcome]
         false_alarms=sum(outcome.alarms for outcome in outcomes),
         alarmed=sum(outcome.alarms > 0 for outcome in outcomes),
         degraded=sum(outcome.degraded * outcome.seconds for outcome in outcomes) / seconds,
-        rmse_in=sqrt(sum(square * share for square, share in squares) / weight) if weight else None,
-        told=len(lost) if kidnapped else None,
-        soon=sum(after <= SOON_S for after in lost) if kidnapped else None,
-        told_s=_spread(lost),
-        found=len(found) if sought else None,
-        mistaken=mistaken if sought else None,
-        found_s=_spread(found),
+        rmse_in=_rmse_in(outcomes),
+        told=None,
+        soon=None,
+        told_s=None,
+        found=None,
+        mistaken=None,
+        found_s=None,
     )
+    if kind is Kind.KIDNAPPED:
+        _add_told(summary, outcomes)
+    if kind is not Kind.CALM:
+        _add_found(summary, outcomes)
+    return summary
+
+
+def _rmse_in(outcomes: Sequence[Outcome]) -> float | None:
+    """Of all the time in which a place was believed."""
+    squares = [(outcome.rmse_in**2, outcome.seconds) for outcome in outcomes if outcome.rmse_in is not None]
+    weight = sum(share for _, share in squares)
+    return sqrt(sum(square * share for square, share in squares) / weight) if weight else None
+
+
+def _add_told(summary: LostSummary, outcomes: Sequence[Outcome]) -> None:
+    after = [outcome.lost_after_s for outcome in outcomes if outcome.lost_after_s is not None]
+    summary["told"], summary["told_s"] = len(after), _spread(after)
+    summary["soon"] = sum(seconds <= SOON_S for seconds in after)
+
+
+def _add_found(summary: LostSummary, outcomes: Sequence[Outcome]) -> None:
+    after = [(outcome.found_after_s, outcome.right) for outcome in outcomes if outcome.found_after_s is not None]
+    rightly = [seconds for seconds, right in after if right]
+    summary["found"], summary["found_s"] = len(rightly), _spread(rightly)
+    summary["mistaken"] = len(after) - len(rightly)
 
 
 def words(summary: LostSummary) -> str:

@@ -14,6 +14,7 @@ from localization.experiments.live.scenario import QUIET
 from localization.filters.finder import Finder
 from localization.filters.table import finder
 from localization.localizer import Estimate, Localizer
+from localization.search import Rivals
 from localization.surroundings import Surroundings
 from localization.watch import Trust
 from nclient import Robot, connect
@@ -95,7 +96,7 @@ def test_kidnapped_it_says_lost_within_five_seconds_and_finds_itself_again() -> 
         said = (turn(robot, localizer, 0.1).verdict for _ in range(100))
         lost_after, verdict = next((0.1 * tick, told) for tick, told in enumerate(said) if told.trust is Trust.LOST)
         assert lost_after <= 5.0
-        assert "another place explains the last 24 echoes better" in verdict.reason
+        assert "another place explains what is heard better" in verdict.reason
         estimate = turn(robot, localizer, 6.0)
         assert estimate.verdict.trust is Trust.OK
         assert off_in(robot, estimate) < 2.0
@@ -109,8 +110,21 @@ def test_constants_are_looked_for_anew_where_it_is_found() -> None:
 
 
 def test_where_the_evidence_alone_falls_it_is_lost_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("localization.filters.finder.rivalry", lambda *_: 0.0)
+    monkeypatch.setattr("localization.filters.finder.rivals", lambda *_: Rivals(None, None, -math.inf))
     with open_at("several_walls", START) as robot:
         localizer = localizer_of(robot, finder(ROOM, independent((80.0, 75.0, 2.0), (0.2, 0.2, 0.01))))
         said = (turn(robot, localizer, 0.1).verdict for _ in range(200))
         assert "fits anywhere better than here" in next(told for told in said if told.trust is Trust.LOST).reason
+
+
+@pytest.mark.parametrize("slip_rad", [0.35, -0.35])
+def test_a_heading_that_slipped_is_set_right_and_never_called_lost(slip_rad: float) -> None:
+    """Far more standard deviations off than a filter comes back from by itself, but the place is the right one."""
+    with open_at("several_walls", START) as robot:
+        told = independent((*START[:2], START[2] + slip_rad), (0.2, 0.2, 0.02))
+        localizer = localizer_of(robot, finder(ROOM, told, constants=(0.05,)))
+        said = [turn(robot, localizer, 0.1) for _ in range(40)]
+        assert Trust.LOST not in {estimate.verdict.trust for estimate in said}
+        assert off_in(robot, said[-1]) < 1.0
+        off_rad = said[-1].pose[2] - robot.truth().steering_rad
+        assert abs(math.remainder(off_rad, math.tau)) < 0.15

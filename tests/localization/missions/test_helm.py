@@ -26,6 +26,12 @@ def test_a_period_drives_and_is_watched(helm_at: MakeHelm) -> None:
     assert helm.robot.refresh().translation_in_s == 0.0
 
 
+def test_where_states_come_far_apart_it_goes_no_farther_between_two_than_in_half_a_second(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room", step_s=0.55)
+    ways = [helm.period(Velocities(5.0, 0.0)).state.x_in for _ in range(6)]
+    assert ways[-1] - ways[-2] == pytest.approx(2.5, abs=0.2)
+
+
 def test_a_cause_is_told_and_not_that_the_robot_could_not_be_stopped(
     helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
 ) -> None:

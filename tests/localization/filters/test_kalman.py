@@ -1,0 +1,79 @@
+"""What a Kalman filter says of itself: that what it hears does not fit, and nothing where it does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.belief import Belief, independent
+from localization.candidates import Candidates
+from localization.cone import ConeModel
+from localization.filters.hearing import Hearing
+from localization.filters.kalman import KalmanFilter
+from localization.filters.sense import Sensed, sense_of
+from localization.motion import OdometryNoise
+from localization.observation import Refusal
+from localization.updates import linear
+from localization.watch import ALL_WELL, Bounds, Trust
+from worlds.bodies import N150
+from worlds.files import load_world
+
+WINDOW = Bounds().window
+HERE = independent([20.0, 35.0, 0.3], [0.2, 0.2, 0.01])
+
+
+class Saying:
+    """A sense that refuses every reading for one reason."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        self._refusal = refusal
+
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+        assert (sonar, turret_offset_rad, reading_in) == (0, 0.0, 50.0)
+        return Sensed(self._refusal, float(belief.mean[0]))
+
+
+def told_by(refusal: Refusal, readings: int) -> KalmanFilter:
+    known = KalmanFilter(HERE, Hearing(Saying(refusal)), OdometryNoise())
+    for _ in range(readings):
+        known.hear(0, 0.0, 50.0)
+    return known
+
+
+@pytest.mark.parametrize("refusal", [Refusal.GATE, Refusal.NO_WALL])
+def test_readings_that_nothing_explains_degrade_once_there_are_enough(refusal: Refusal) -> None:
+    assert told_by(refusal, WINDOW - 1).verdict == ALL_WELL
+    verdict = told_by(refusal, WINDOW).verdict
+    assert verdict == (Trust.DEGRADED, f"only 0% of the last {WINDOW} echoes are explained")
+
+
+@pytest.mark.parametrize("refusal", [Refusal.LIMIT, Refusal.AMBIGUOUS_WALL, Refusal.GRAZING])
+def test_readings_that_are_left_out_whatever_they_say_tell_nothing(refusal: Refusal) -> None:
+    assert told_by(refusal, 3 * WINDOW).verdict == ALL_WELL
+
+
+def test_a_real_ring_that_is_elsewhere_than_believed_degrades_and_one_that_is_there_does_not() -> None:
+    """Ranges that the map itself gives: at the believed place, and 12 in off it."""
+    sense = sense_of(load_world("thesis_room").walls, N150, ConeModel())
+
+    def readings(at: Belief) -> list[tuple[int, float]]:
+        found = [(sonar, sense.sense(at, sonar, 0.0, 50.0).candidates) for sonar in range(16)]
+        return [(sonar, nearest(candidates)) for sonar, candidates in found if candidates is not None]
+
+    def nearest(candidates: Candidates) -> float:
+        return float(candidates.ranges_in[candidates.probability.argmax()])
+
+    there = independent([32.0, 29.0, 0.3], HERE.std)
+    for place, trust in ((HERE, Trust.OK), (there, Trust.DEGRADED)):
+        heard = readings(place)
+        known = KalmanFilter(HERE, Hearing(sense, linear), OdometryNoise(0.0, 0.0, 0.0))
+        for sonar, reading_in in heard * (WINDOW // len(heard) + 1):
+            known.hear(sonar, 0.0, round(reading_in))
+            known.belief = HERE  # held where it is believed to be: a filter this sure would hardly move
+        assert known.verdict.trust is trust, place
+
+
+def test_an_estimate_that_is_too_wide_says_so() -> None:
+    wide = KalmanFilter(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), Hearing(Saying(Refusal.GATE)), OdometryNoise())
+    assert wide.verdict == (Trust.DEGRADED, "the position is known to 4.0 in only")
+    np.testing.assert_array_equal(wide.ahead(np.zeros(2)).mean, wide.belief.mean)
