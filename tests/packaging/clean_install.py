@@ -24,6 +24,8 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 VERSION: str = PROJECT["version"]
 EXTRAS = tuple(name for name in PROJECT["optional-dependencies"] if name not in ("dev", "bench", "all"))
+ALL = tuple(re.findall(r"\w+", PROJECT["optional-dependencies"]["all"][0].partition("[")[2]))
+"""The extras that the extra `all` stands for: those of who uses it, without those of who works on it."""
 PYTHONS = ("3.11", "3.12", "3.13")
 USER_SCRIPT = Path(__file__).parent / "user_script.py"
 _PATIENCE_S = 300
@@ -218,7 +220,7 @@ def _tried(folder: Path, file: Path, version: str, python: str, extra: str) -> b
     environment = Environment(folder / "environment", python)
     try:
         environment.install(file, extra)
-        there = EXTRAS if extra == "all" else (extra,)
+        there = ALL if extra == "all" else (extra,)
         told = list(faults(environment, there))
         if not extra and version in PYTHONS:
             told += faults_of_types(environment, version)

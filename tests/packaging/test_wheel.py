@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from clean_install import (
+    ALL,
     CHECKS,
     EXTRAS,
     ROOT,
@@ -53,6 +54,7 @@ def test_a_clean_environment_without_extras(distribution: tuple[Path, Path], tmp
 
 def test_every_extra_is_tried() -> None:
     assert set(EXTRAS) == {check.extra for check in CHECKS if check.extra}
+    assert set(EXTRAS) - {"docs"} == set(ALL), "one who wants all of it builds no site"
 
 
 def test_the_changelog_tells_of_this_version() -> None:
