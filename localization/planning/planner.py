@@ -28,7 +28,7 @@ from localization.planning.smoothing import rounded
 MARGINS_IN: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Room between body and walls that ways are planned with; the first is the least."""
 LONGER: Final = 0.02
-"""What room may cost, as a share of the shortest way without any; driving adds a hundredth or two to what is planned."""
+"""What room may cost, as a share of the shortest way without any; a drive is longer than its plan by up to as much."""
 
 
 class Plan(NamedTuple):
