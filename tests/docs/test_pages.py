@@ -87,7 +87,7 @@ def test_a_real_robot(tmp_path: Path) -> None:
     ports, *others = commands("real-robot.md")
     run(ports, tmp_path)
     link = tmp_path / "line"
-    with daemon("nserver thesis_room --noisy", "--serial-link", str(link)):
+    with daemon("nserver thesis_room --setup measured", "--serial-link", str(link)):
         said = [run(command.replace("/dev/ttyUSB0", str(link)), tmp_path) for command in others]
     doctor, stop, shell, localize = said
     assert "FAIL" not in doctor
