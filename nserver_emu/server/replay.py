@@ -180,6 +180,7 @@ class _DaemonAgain:
 
 def _pace(emulator: Emulator, what: tuple[float | None, bool]) -> None:
     emulator.pace.factor, emulator.pace.paused = what
+    emulator.pace.check()
     emulator.look_anew()
 
 
