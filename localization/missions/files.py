@@ -31,6 +31,7 @@ from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
 from localization.missions.verbs import LONGEST_S, step_of
 from nclient.errors import MissionFileError, NomadError, WorldFileError
+from nclient.file_text import read_text
 from nclient.suggesting import did_you_mean
 from worlds.tables import Table
 
@@ -51,7 +52,7 @@ def load_mission(path: str | PathLike[str]) -> Orders:
     file = Path(fspath(path))
     if file.suffix not in (".toml", ".py"):
         raise MissionFileError(f"{file}: expected a mission as .toml or .py, found {file.suffix or 'no ending'!r}")
-    text = _read(file)
+    text = read_text(file, MOST_BYTES, MissionFileError)
     return parse_program(text, str(file)) if file.suffix == ".py" else parse_list(text, str(file))
 
 
@@ -102,20 +103,6 @@ def parse_program(text: str, file: str) -> Orders:
             raise MissionFileError(_told(error, file)) from error
 
     return Orders(settings, run)
-
-
-def _read(file: Path) -> str:
-    try:
-        with file.open("rb") as opened:
-            data = opened.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise MissionFileError(f"{file}: cannot be read: {error.strerror}") from error
-    if len(data) > MOST_BYTES:
-        raise MissionFileError(f"{file}: is too large for a mission")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise MissionFileError(f"{file}: expected text in UTF-8, found other bytes at {error.start}") from error
 
 
 def _settings(top: Table) -> Settings:

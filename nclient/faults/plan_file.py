@@ -25,6 +25,7 @@ from typing import Any, Final
 from nclient.errors import FaultPlanError
 from nclient.faults.kinds import KINDS, Fault, check_choice
 from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
+from nclient.file_text import read_text
 from nclient.suggesting import did_you_mean
 
 MOST_BYTES: Final = 1 << 20
@@ -42,19 +43,7 @@ def load_plan(path: Path) -> Plan:
 
 def read_plan(path: Path) -> str:
     """The text of a file that may be a plan. Raises FaultPlanError where it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise FaultPlanError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise FaultPlanError(f"{str(path)!r}: cannot be read: {error}") from None
-    if len(data) > MOST_BYTES:
-        raise FaultPlanError(f"{path}: is too large for a plan of faults")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FaultPlanError(f"{path}: expected text in UTF-8, found other bytes at {error.start}") from error
+    return read_text(path, MOST_BYTES, FaultPlanError)
 
 
 def parse_plan(text: str, file: str = "plan") -> Plan:

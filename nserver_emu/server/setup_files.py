@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import AddressError, SetupFileError
+from nclient.file_text import read_data
 from nclient.protocol.models import model_named
 
 CALIBRATION_NUMBERS: Final = 8
@@ -95,13 +96,7 @@ def _joined(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _parsed_file(path: Path) -> Mapping[tuple[str, str], Entry]:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise SetupFileError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(data) > MOST_BYTES:
-        raise SetupFileError(f"{path}: is too large for a setup file")
+    data = read_data(path, MOST_BYTES, SetupFileError)
     return parse_setup(data.decode("latin-1"), str(path))
 
 

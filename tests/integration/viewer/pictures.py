@@ -56,32 +56,37 @@ def the_map_and_the_windows(browser: Browser, folder: Path, scheme: str) -> None
             phone.page.screenshot(path=folder / "phone.png")
 
 
+@contextmanager
+def localized(browser: Browser, scheme: str, world: str, begin: tuple[str, ...], *told: str) -> Iterator[Opened]:
+    """The page of a daemon that begins so, with a localizer of its robot beside it, told this."""
+    words = (world, "--noisy", "--seed", "1", *begin)
+    with nserver(*words) as program, shown(browser, program.url, scheme, 1280, 900) as page:
+        order = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", world, *told, "--publish", program.url]
+        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *order], stdout=subprocess.DEVNULL) as localizer:
+            yield page
+            localizer.terminate()
+
+
+def keep(page: Opened, file: Path) -> None:
+    """The page as it is shortly, its window Localization in view."""
+    page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
+    page.page.wait_for_timeout(2500)
+    page.page.screenshot(path=file)
+
+
 def the_estimate(browser: Browser, folder: Path, scheme: str) -> None:
     """A localizer that drives a path, half-way there."""
-    words = ("several_walls", "--noisy", "--seed", "1")
-    with nserver(*words) as program, shown(browser, program.url, scheme, 1280, 900) as page:
-        told = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", "several_walls",
-                "--waypoints", "35,55", "90,55", "--publish", program.url]  # fmt: skip
-        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *told], stdout=subprocess.DEVNULL) as localizer:
-            page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25", 60.0)
-            page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
-            page.page.wait_for_timeout(2500)
-            page.page.screenshot(path=folder / "localization.png")
-            localizer.terminate()
+    with localized(browser, scheme, "several_walls", (), "--waypoints", "35,55", "90,55") as page:
+        page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25", 60.0)
+        keep(page, folder / "localization.png")
 
 
 def the_places(browser: Browser, folder: Path, scheme: str) -> None:
     """A robot that was told nothing, in a room that looks the same from four places."""
-    words = ("thesis_room", "--noisy", "--seed", "1", "--start", "20,12,0,0")
-    with nserver(*words) as program, shown(browser, program.url, scheme, 1280, 900) as page:
-        told = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", "thesis_room", "--start", "unknown",
-                "--method", "finder", "--stay", "--publish", program.url]  # fmt: skip
-        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *told], stdout=subprocess.DEVNULL) as localizer:
-            page.wait("(nserver.estimateOf('1')?.places ?? []).length > 1", 60.0)
-            page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
-            page.page.wait_for_timeout(1500)
-            page.page.screenshot(path=folder / "lost.png")
-            localizer.terminate()
+    begin = ("--start", "20,12,0,0")
+    with localized(browser, scheme, "thesis_room", begin, "--start", "unknown", "--stay") as page:
+        page.wait("(nserver.estimateOf('1')?.places ?? []).length > 1", 60.0)
+        keep(page, folder / "lost.png")
 
 
 def main() -> None:

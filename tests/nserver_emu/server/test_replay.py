@@ -303,20 +303,15 @@ def test_a_step_is_no_longer_than_a_daemon_at_its_fastest_makes_up_for() -> None
     assert LONGEST_STEP_S >= LONGEST_STEP_MS / 1000
 
 
-@pytest.mark.parametrize("pace", [{"lockstep_s": 1e300}, {"factor": -1.0}, {"paused": 3}])
-def test_a_pace_that_no_daemon_had_at_its_beginning_is_told(tmp_path: Path, pace: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("part", "wrong"), [
+    ("pace", {"lockstep_s": 1e300}), ("pace", {"factor": -1.0}), ("pace", {"paused": 3}),
+    ("setting", {"seed": "x"}), ("setting", {"world": 3}), ("setting", {"robot": None}),
+    ("setting", {"start": {"x_in": 1}}),
+])  # fmt: skip
+def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, part: str, wrong: dict[str, Any]) -> None:
     head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
     path = tmp_path / "run.log"
-    LogWriter(path, head | {"pace": head["pace"] | pace}).close()
-    with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
-        replay(read_recording(path))
-
-
-@pytest.mark.parametrize("setting", [{"seed": "x"}, {"world": 3}, {"robot": None}, {"start": {"x_in": 1}}])
-def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, setting: dict[str, Any]) -> None:
-    head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
-    path = tmp_path / "run.log"
-    LogWriter(path, head | {"setting": head["setting"] | setting}).close()
+    LogWriter(path, head | {part: head[part] | wrong}).close()
     with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
 

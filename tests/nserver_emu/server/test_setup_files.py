@@ -76,7 +76,7 @@ def test_what_cannot_be_read_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(SetupFileError, match=r"nothing.setup: cannot be read"):
         read_setups([tmp_path / "nothing.setup"])
     monkeypatch.setattr(setup_files, "MOST_BYTES", 10)
-    with pytest.raises(SetupFileError, match="too large"):
+    with pytest.raises(SetupFileError, match="is longer than"):
         read_setups([written(tmp_path, "big.setup", "; 123456789")])
 
 

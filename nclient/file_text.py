@@ -1,0 +1,39 @@
+"""What stands in a file that somebody wrote: a world, a plan of faults, a mission. All such files are read here.
+
+Rules: whatever is wrong is the reader's own `error`, which names the file. What is too long is not read to its end, so
+that a device or a recording given by mistake fills no memory; a byte order mark is passed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+Failure = Callable[[str], Exception]
+"""Of a message, the error that the reader documents."""
+
+
+def read_data(path: Path, most_bytes: int, error: Failure) -> bytes:
+    """The bytes of a file of `most_bytes` or fewer. Raises `error`."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+    except OSError as failure:
+        raise error(f"{path}: cannot be read: {failure.strerror}") from failure
+    except ValueError as failure:  # a name with a zero byte in it
+        raise error(f"{str(path)!r}: cannot be read: {failure}") from None
+    if len(data) > most_bytes:
+        raise error(f"{path}: is longer than {most_bytes} bytes, which is the most that is read of such a file; "
+                    "is it the right one?")
+    return data
+
+
+def read_text(path: Path, most_bytes: int, error: Failure) -> str:
+    """The text of such a file, UTF-8. Raises `error`."""
+    data = read_data(path, most_bytes, error)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as failure:
+        raise error(
+            f"{path}: expected text in UTF-8, found other bytes at {failure.start}: {failure.reason}"
+        ) from failure
