@@ -22,6 +22,12 @@ def folder() -> tempfile.TemporaryDirectory[str]:
 
 def file_of(data: bytes, ending: str) -> Path:
     """A file that holds these bytes."""
-    path = Path(folder().name) / f"{os.getpid()}{ending}"
-    path.write_bytes(data)
+    path = _path(folder().name, os.getpid(), ending)
+    with path.open("wb", buffering=0) as file:
+        file.write(data)
     return path
+
+
+@functools.cache
+def _path(place: str, process: int, ending: str) -> Path:
+    return Path(place, f"{process}{ending}")

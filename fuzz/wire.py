@@ -13,7 +13,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from fuzz.mutating import behind, bytes_changed, either, words_changed
+from fuzz.mutating import behind, below, bytes_changed, either, one_of, words_changed
 from fuzz.reader import Reader
 from nclient.backends.backend import Backend
 from nclient.backends.direct import DirectBackend
@@ -37,6 +37,7 @@ from nserver_emu.server.session import Session, Visit, error_reply
 
 _VECTORS = Path(__file__).parents[1] / "tests" / "vectors"
 _LINE_MODELS = (N150, SCOUT, N200)
+_LINE_TYPES, _TCP_TYPES = (*BY_LINE_TYPE, NAK_TYPE), (*BY_TCP_TYPE, *MAX_REPLY_WORDS)
 _MOST_CALLS, _MOST_TICKS = 4, 64
 _UNAVAILABLE = 4
 
@@ -270,21 +271,22 @@ def _wire_line_seeds() -> Iterator[bytes]:
 
 def _framed(data: bytes, chance: Random) -> bytes:
     """A good frame of the robot's line put somewhere, of a known type and with any data."""
-    at, size = chance.randint(0, len(data)), chance.choice((0, 1, 2, 8, 16, 49, 200))
-    given = data[at : at + size] if chance.randrange(2) else chance.randbytes(size)
-    frame = build_frame(chance.choice((*BY_LINE_TYPE, NAK_TYPE, chance.randrange(256))), given)
-    return data[:at] + frame + data[at + chance.choice((0, len(frame))) :]
+    at, size = below(len(data) + 1, chance), one_of((0, 1, 2, 8, 16, 49, 200), chance)
+    given = data[at : at + size] if below(2, chance) else chance.randbytes(size)
+    kind = one_of(_LINE_TYPES, chance) if below(12, chance) else below(256, chance)
+    frame = build_frame(kind, given)
+    return data[:at] + frame + data[at + one_of((0, len(frame)), chance) :]
 
 
 def _message(data: bytes, chance: Random) -> bytes:
     """A message of Nserver's language put somewhere, of a known type and mostly of a count that it can have."""
-    kind = chance.choice((*BY_TCP_TYPE, *MAX_REPLY_WORDS))
+    kind = one_of(_TCP_TYPES, chance)
     row = BY_TCP_TYPE.get(kind)
     low, high = row.tcp_words if row else (1, min(MAX_REPLY_WORDS[kind], 120))
-    count = chance.choice((low, low, high, chance.randint(low, max(low, high)), 1, 0)) % 200
-    word = [chance.choice((0, 1, -1, 2**31 - 1, -(2**31), chance.randrange(-400, 400), 1000)) for _ in range(count)]
-    body = b"".join((b"\0" * 4 if chance.randrange(8) == 0 else b"") + n.to_bytes(4, "big", signed=True) for n in word)
-    at = chance.randint(0, len(data))
+    count = one_of((low, low, high, low + below(max(low, high) - low + 1, chance), 1, 0), chance) % 200
+    word = [one_of((0, 1, -1, 2**31 - 1, -(2**31), below(800, chance) - 400, 1000), chance) for _ in range(count)]
+    body = b"".join((b"\0" * 4 if below(8, chance) == 0 else b"") + n.to_bytes(4, "big", signed=True) for n in word)
+    at = below(len(data) + 1, chance)
     return data[:at] + kind.to_bytes(2, "big", signed=True) + count.to_bytes(2, "big") + body + data[at:]
 
 

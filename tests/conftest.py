@@ -12,13 +12,15 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 LONG = ("integration", "benchmarks", "packaging", "clib", "docs")
 """Folders whose tests are all marked `long`."""
 
-settings.register_profile("steady", derandomize=True)
-settings.register_profile("roaming", derandomize=False)
+_UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+"""How fast a machine is, and what else it does, decides no test."""
+settings.register_profile("steady", _UNHURRIED, derandomize=True)
+settings.register_profile("roaming", _UNHURRIED, derandomize=False)
 settings.load_profile("steady")
 
 sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))

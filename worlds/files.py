@@ -12,6 +12,7 @@ corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from os import PathLike, fspath
 from pathlib import Path as FilePath
@@ -30,6 +31,7 @@ SHIPPED: Final = FilePath(__file__).resolve().parent
 """The folder of the worlds that come with this package."""
 
 
+@functools.cache
 def world_names() -> tuple[str, ...]:
     """The names of the shipped worlds, sorted; load_world takes each of them."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))

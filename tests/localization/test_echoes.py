@@ -46,7 +46,7 @@ def test_an_echo_that_was_overwritten_is_not_handed_out() -> None:
     order=st.permutations(range(16)).flatmap(lambda p: st.integers(1, 16).map(lambda n: tuple(p[:n]))),
     gaps_s=st.lists(st.floats(0.001, 0.5), min_size=1, max_size=40),
 )
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_polled_anyhow_each_readable_echo_comes_once(
     start_s: float, rate: int, order: tuple[int, ...], gaps_s: list[float]
 ) -> None:

@@ -71,7 +71,7 @@ def test_a_map_without_too_much_stays_as_it_is(name: str) -> None:
 
 
 @given(st.lists(WALL, min_size=1, max_size=8), st.sampled_from([0.2, 1.0, 5.0]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_wall_moves_farther_than_the_tolerance(walls: list[Wall], far_in: float) -> None:
     world = World("walls", inner_walls=np.array(walls))
     simpler = simplified(world, far_in)
@@ -80,7 +80,7 @@ def test_no_wall_moves_farther_than_the_tolerance(walls: list[Wall], far_in: flo
 
 
 @given(st.lists(st.floats(5.0, 40.0), min_size=3, max_size=24), st.sampled_from([0.2, 2.0, 10.0]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_nor_does_an_outline(radii: list[float], far_in: float) -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, len(radii), endpoint=False)
     pairs = zip(radii, angles.tolist(), strict=True)

@@ -122,7 +122,7 @@ def test_a_delay_is_handed_on() -> None:
     assert line.reply(build_frame(7), 0.0) == [Delivery(2.0, build_frame(7))]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 3.0)), max_size=20))
 def test_nothing_overtakes_and_nothing_comes_early(steps: list[tuple[float, float]]) -> None:
     transit, now_s = InTransit(), 0.0

@@ -11,7 +11,7 @@ from nclient.faults.frames import Frames, LineFrames, Piece, TcpFrames
 from nclient.protocol import tcp_frame
 from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
 
-quick = settings(max_examples=80, deadline=None)
+quick = settings(max_examples=80)
 sent_frames = st.lists(st.builds(build_frame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
 dirt = st.binary(max_size=20)
 likely = st.lists(st.sampled_from([0, 1, 2, 3, 5, 8, 0x5C]) | st.integers(0, 255), max_size=60).map(bytes)

@@ -30,7 +30,7 @@ from nclient.protocol.serial_frame import build_frame
 REQUEST, REPLY = Direction.REQUEST, Direction.REPLY
 FRAME = bytes.fromhex("01080005640032800000245c")
 frames = st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=60)
-quick = settings(max_examples=60, deadline=None)
+quick = settings(max_examples=60)
 
 
 def one_rule(fault: Fault, when: When | None = None, **rest: object) -> Injector:

@@ -31,7 +31,7 @@ from nclient.protocol.stamps import NO_STAMP, Stamp
 from nclient.protocol.terms import Terms, line_terms, tcp_terms
 
 STAMP = Stamp(-1, 2, -3, 4, -5, 6, -7, 2**32 - 1, 9)
-quick = settings(max_examples=40, deadline=None)
+quick = settings(max_examples=40)
 
 
 def terms_with(*slots: int, position: int = 0) -> Terms:

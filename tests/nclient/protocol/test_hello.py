@@ -22,7 +22,7 @@ def test_where_the_bits_are() -> None:
     assert [slot for slot in range(1, 44) if without.mask.has(slot)] == [41]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(line_masks, st.integers(0, 255))
 def test_hellos_come_back_from_their_bytes(mask: Mask, mode: int) -> None:
     built = build_hello(Hello(mask, mode))

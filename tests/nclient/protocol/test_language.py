@@ -18,7 +18,7 @@ from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame
 from nclient.protocol.tcp_frame import TcpFrame
 from nclient.protocol.terms import line_terms, tcp_terms
 
-quick = settings(max_examples=8, deadline=None)
+quick = settings(max_examples=8)
 
 
 @pytest.mark.parametrize("row", TCP_ROWS, ids=lambda row: row.name)
@@ -44,7 +44,7 @@ def test_calls_on_the_line_come_back_from_their_bytes(row: Command, model: Model
     assert language.line_call(serial_frame.only_frame(built), terms) == call
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(st.sampled_from(sorted(BY_TCP_TYPE)), st.lists(st.integers(-(2**31), 2**31 - 1), max_size=20))
 def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> None:
     try:
@@ -56,7 +56,7 @@ def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> No
     assert language.tcp_call(TcpFrame(kind, again[4:])) == call
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=120)
 @given(st.integers(0, 255), st.binary(max_size=40), st.sampled_from(sorted(MODELS)))
 def test_any_bytes_on_the_line_are_a_call_or_a_wire_error(kind: int, data: bytes, model: str) -> None:
     terms = line_terms(MODELS[model])

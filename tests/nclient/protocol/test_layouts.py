@@ -20,7 +20,7 @@ from nclient.protocol.models import N150, Model
 from nclient.protocol.replies import STATE, Reply
 from nclient.protocol.terms import line_terms, tcp_terms
 
-few = settings(max_examples=3, deadline=None)
+few = settings(max_examples=3)
 
 
 def garbage_of(act: Callable[[], object]) -> int:

@@ -35,7 +35,7 @@ def test_the_masks_every_connection_starts_with() -> None:
     assert [slot for slot in range(1, 44) if NO_MASK_MODELS.has(slot)] == [*range(17, 41), 43]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(masks, line_masks)
 def test_masks_come_back_from_their_bytes(mask: Mask, on_the_line: Mask) -> None:
     assert mask_from_tcp(mask.tcp_bytes()) == mask

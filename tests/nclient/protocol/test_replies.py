@@ -31,7 +31,7 @@ from nclient.protocol.serial_frame import ROBOT_LIMIT, SerialFrame
 from nclient.protocol.stamps import NO_STAMP
 from nclient.protocol.terms import Terms, line_terms, tcp_terms
 
-quick = settings(max_examples=6, deadline=None)
+quick = settings(max_examples=6)
 _TCP_VALUES = {"prediction": 44, "simple": 1, "truth": 8, "control": 4, "configuration": 4, "special": 9}
 _LINE_LASERS = {"get_sg": 4, "get_ls": 1}
 
@@ -67,7 +67,7 @@ def test_the_reply_to_every_command_over_tcp(row: Command, wide: bool, data: st.
     assert language.tcp_reply(row, parsed, terms) == built
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(tcp_agreements(wide=False), seeds, laser_counts)
 def test_a_state_reply_over_tcp_is_as_long_as_documented(terms: Terms, seed: int, count: int) -> None:
     sent = tcp_reply_of("state", seed, (count, terms.laser_width), 0)
@@ -99,7 +99,7 @@ def test_the_reply_to_every_command_on_the_line(row: Command, model: Model, data
     assert language.line_reply(BY_NAME[row.name], parsed, terms) == built
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(line_agreements(N200), seeds, laser_counts)
 def test_a_state_packet_holds_what_the_mask_allows(terms: Terms, seed: int, count: int) -> None:
     width = 4 if terms.laser_mode & 0x1E == 0 else 1
@@ -159,7 +159,7 @@ def test_what_is_not_given_is_sent_as_nothing() -> None:
     assert set(shape.SONAR.parse(shape.SONAR.build(Reply("sonar"), terms), terms).stamps.values()) == {NO_STAMP}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.binary(max_size=300), st.sampled_from(sorted(REPLY_TYPES.values())), tcp_agreements(wide=False))
 def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, terms: Terms) -> None:
     for layout in (layout for layout, its_type in REPLY_TYPES.items() if its_type == kind):
@@ -170,7 +170,7 @@ def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, terms: Te
         assert layout.build(reply, terms) == data
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.binary(max_size=200), st.sampled_from([row.line_type for row, _ in LINE_CASES]), line_agreements(N200))
 def test_any_bytes_are_an_answer_on_the_line_or_a_wire_error(data: bytes, kind: int, terms: Terms) -> None:
     try:

@@ -88,7 +88,7 @@ def test_motion_checks_are_truncated_toward_zero() -> None:
     assert arc == (1, 100, -100, 1570796, -1, 500, 0, 1)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(-7_000_000, 7_000_000))
 def test_no_millionth_of_a_radian_is_lost_on_the_way_back(angle: int) -> None:
     call = language.tcp_call(TcpFrame(400, struct.pack(">8i", 1, 0, 0, angle, 0, 0, 0, 0)))

@@ -13,7 +13,7 @@ from nclient.protocol.serial_frame import ROBOT_LIMIT, SerialFrame, SerialFramer
 frames = st.lists(st.builds(SerialFrame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
 noise_without_start = st.binary(max_size=30).map(lambda data: data.replace(b"\x01", b"\x02"))
 VM = bytes.fromhex("01080005640032800000245c")
-quick = settings(max_examples=60, deadline=None)
+quick = settings(max_examples=60)
 
 
 def bytes_of(sent: list[SerialFrame]) -> bytes:

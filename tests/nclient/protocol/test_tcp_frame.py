@@ -24,7 +24,7 @@ from nclient.protocol.tcp_frame import (
     request_bounds,
 )
 
-quick = settings(max_examples=60, deadline=None)
+quick = settings(max_examples=60)
 GS = build_frame(15, b"")
 VM = build_frame(12, struct.pack(">3i", 100, -50, 0))
 CONNECT = struct.pack(">2i", 1, 4711)
@@ -166,7 +166,7 @@ def test_bounds_by_type() -> None:
 
 
 @given(st.binary(max_size=200), st.integers(1, 50))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_one_that_gives_up_drops_all_that_comes_after_the_frame_was_lost(after: bytes, cut: int) -> None:
     framer = TcpFramer(request_bounds, wide=False, gives_up=True)
     lost = b"\x7f\x7f\x7f\x7f"

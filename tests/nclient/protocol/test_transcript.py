@@ -160,7 +160,7 @@ def test_what_is_wrong_with_a_line_of_a_robot(line: str, wrong: str) -> None:
     assert wrong in Transcript("serial", N150).read(line)["error"]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.lists(st.tuples(st.sampled_from("<>"), st.binary(max_size=40)), max_size=6),
        st.sampled_from(["tcp", "tcp64", "serial"]), st.sampled_from([N150, N200, SCOUT]))
 def test_whatever_comes_there_is_an_object_a_line(lines: list[tuple[str, bytes]], wire: str, model: Model) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from nclient.protocol import units
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(-(10**7), 10**7))
 def test_tenths_round_to_the_nearest_and_ties_away_from_zero(hundredths: int) -> None:
     exact = Decimal(hundredths).scaleb(-1).quantize(Decimal(1), ROUND_HALF_UP)
@@ -24,7 +24,7 @@ def test_a_heading_is_0_to_3599(degrees: float, tenths: int) -> None:
     assert units.heading_tenths(math.radians(degrees)) == tenths
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(-36000, 36000))
 def test_tenths_to_radians_and_back(tenths: int) -> None:
     assert units.tenths_from_rad(units.rad_from_tenths(tenths)) == tenths

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from wire_client import ORIGIN, meet
 
@@ -44,7 +44,7 @@ def open_field(model: str) -> Emulator:
 
 @pytest.mark.parametrize("model", sorted(MODELS))
 @given(asked=st.lists(requests(), max_size=12))
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40)
 def test_whatever_is_asked_is_answered_and_the_robot_goes_on(model: str, asked: list[bytes]) -> None:
     emulator = open_field(model)
     _, session = meet(emulator)

@@ -38,7 +38,7 @@ def exact_line_share(start: tuple[int, int], end: tuple[int, int], wall: tuple[i
 
 
 @given(st.tuples(GRID, GRID), st.tuples(GRID, GRID), WALLS)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_a_line_meets_what_fractions_say_it_meets(
     start: tuple[int, int], end: tuple[int, int], walls: list[tuple[int, ...]]
 ) -> None:
@@ -71,7 +71,7 @@ def exact_sweeps(centre: tuple[int, int], radius: int, wall: tuple[int, ...]) ->
 @given(
     st.tuples(GRID, GRID), st.integers(1, 40), st.integers(-60, 60), st.integers(-60, 60), WALLS
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_an_arc_meets_what_fifty_digits_say_it_meets(
     centre: tuple[int, int], radius: int, begin: int, end: int, walls: list[tuple[int, ...]]
 ) -> None:

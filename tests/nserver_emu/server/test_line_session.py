@@ -280,7 +280,7 @@ def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> N
 
 
 @given(st.binary(max_size=300), st.lists(st.integers(1, 60), max_size=6))
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_after_any_rubbish_and_a_pause_the_next_request_is_answered(rubbish: bytes, cuts: list[int]) -> None:
     emulator = emulated()
     _, session = meet_on_line(emulator)

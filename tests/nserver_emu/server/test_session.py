@@ -61,7 +61,7 @@ def test_no_more_than_asked_are_answered_at_a_time() -> None:
 
 
 @given(st.lists(st.integers(1, 40), max_size=8))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 def test_any_cuts_give_the_same_replies(cuts: list[int]) -> None:
     stream = CONNECT + GS + language.tcp_request(Call("vm", (1, -2, 3))) + GS
     session, replies = Session(answer), b""
@@ -154,7 +154,7 @@ def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> N
 
 
 @given(st.binary(max_size=400))
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_any_bytes_get_errors_or_nothing(data: bytes) -> None:
     session = connected()
     session.receive(data)

@@ -80,7 +80,7 @@ def test_velocity_ramp_is_half_a_t_squared() -> None:
 motions = st.tuples(st.floats(-20.0, 20.0), st.floats(-40.0, 40.0), st.floats(2.0, 20.0), st.floats(1.0, 60.0))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(motions)
 @example((0.0, 2.00001, 2.0, 2.00001))  # its last phase ends within the tolerance
 def test_ramps_keep_speed_and_acceleration_and_reach_the_target(motion: tuple[float, float, float, float]) -> None:
@@ -103,7 +103,7 @@ def test_ramps_keep_speed_and_acceleration_and_reach_the_target(motion: tuple[fl
         assert farthest <= 1e-9
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(motions, st.lists(st.floats(0.0, 1.0), max_size=30), st.booleans())
 def test_how_time_is_cut_changes_nothing(
     motion: tuple[float, float, float, float], cuts: list[float], ramps: bool

@@ -88,7 +88,7 @@ runs = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(scenes, runs, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
 @example(np.array([[0.0, 11.0, 6.0, 9.0]]), Stretch(3.0, 1.0, 9.0, 0.0, 0.0), 0.0, 1.0)
 def test_a_slow_march_finds_the_same(things: np.ndarray, run: Stretch, heading: float, way: float) -> None:

@@ -135,7 +135,7 @@ def test_constant_wheel_speeds_draw_the_arc(right: float, left: float) -> None:
     assert hypot(x, y - radius) == pytest.approx(abs(radius))
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.floats(1.0, 39.0), st.floats(1.0, 39.0), st.booleans(), st.booleans(), st.floats(0.2, 2.5))
 def test_ramps_follow_a_slow_march(right: float, left: float, back_r: bool, back_l: bool, span: float) -> None:
     right, left = (-right if back_r else right), (-left if back_l else left)

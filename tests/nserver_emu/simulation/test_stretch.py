@@ -45,7 +45,7 @@ def test_an_accelerated_straight_way() -> None:
     assert stretch.displacement(0.5, 2.0) == pytest.approx((14.0 * cos(0.5), 14.0 * sin(0.5)))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(stretches, st.floats(-4.0, 4.0))
 def test_any_path_is_the_integral_of_its_velocity(stretch: Stretch, heading: float) -> None:
     time = stretch.duration_s
@@ -58,7 +58,7 @@ def test_any_path_is_the_integral_of_its_velocity(stretch: Stretch, heading: flo
     assert stretch.displacement(heading, time) == pytest.approx(expected, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(stretches, st.floats(0.0, 1.0))
 def test_two_pieces_make_the_whole(stretch: Stretch, share: float) -> None:
     time = stretch.duration_s
@@ -76,7 +76,7 @@ def test_two_pieces_make_the_whole(stretch: Stretch, share: float) -> None:
     assert (first[0] + second[0], first[1] + second[1]) == pytest.approx(whole, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(stretches)
 def test_bounds_hold(stretch: Stretch) -> None:
     times = np.linspace(0.0, stretch.duration_s, 200)
