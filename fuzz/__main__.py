@@ -14,6 +14,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -188,6 +189,8 @@ def _begun(reader: Reader, goals: Goals) -> int:
             if goals.blind:
                 campaign.run_blind()
             campaign.run()
+        except BaseException:  # noqa: BLE001 whatever it is, it stands in the log
+            traceback.print_exc()
         finally:
             os._exit(_FOUND)
     return pid

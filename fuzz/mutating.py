@@ -107,11 +107,11 @@ def tree_changed(data: bytes, chance: Random) -> bytes:
     at = below(len(lines), chance)
     try:
         whole = _tree(lines[at])
-    except (ValueError, RecursionError):
+        for _ in range(one_of(_EDITS, chance)):
+            whole = _edited(whole, chance)
+        lines[at] = b"[" * _NEST if below(40, chance) == 0 else _written(whole).encode()
+    except (ValueError, RecursionError):  # no JSON, or nested so deeply that it is read and not written
         return bytes_changed(data, chance)
-    for _ in range(one_of(_EDITS, chance)):
-        whole = _edited(whole, chance)
-    lines[at] = b"[" * _NEST if below(40, chance) == 0 else _written(whole).encode()
     if below(8, chance) == 0:
         lines.insert(at, one_of(lines, chance))
     return b"\n".join(lines)

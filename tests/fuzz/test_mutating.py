@@ -41,6 +41,12 @@ def test_a_tree_without_end_is_among_them() -> None:
     assert any(b"[" * 1000 in tree_changed(TREE, Random(k)) for k in range(300))
 
 
+@pytest.mark.parametrize("deep", [100, 900, 990, 100_000])
+def test_what_is_nested_deeply_is_changed_all_the_same(deep: int) -> None:
+    data = b"[" * deep + b"]" * deep
+    assert len({tree_changed(data, Random(k)) for k in range(50)}) > 20
+
+
 def test_the_head_chooses_and_the_rest_is_changed() -> None:
     changed = [behind(2, bytes_changed)(b"\0\0abc", Random(k)) for k in range(100)]
     assert 40 < sum(each.startswith(b"\0\0") for each in changed) < 100
