@@ -34,6 +34,7 @@ def steps_of(reader: Reader, data: bytes) -> Steps:
         return in_frame
 
     def called(frame: FrameType, _event: str, _argument: Any) -> Any:
+        last.pop(id(frame), None)  # of one that is over, whose place it has
         return in_frame if frame.f_code.co_filename.startswith(_PACKAGES) else None
 
     before = sys.gettrace()
