@@ -231,6 +231,7 @@ class Campaign:
             return
         self._kinds[kind] = data
         path = FOUND / f"{self._reader.name}-{hashlib.sha1(repr(kind).encode()).hexdigest()[:10]}"
+        FOUND.mkdir(exist_ok=True)
         path.write_bytes(data)
         if str(path) not in self.progress.found:
             self.progress.found.append(str(path))

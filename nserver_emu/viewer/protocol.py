@@ -43,6 +43,8 @@ MOST_SHOWN: Final = 60
 """Characters that a complaint repeats."""
 FARTHEST: Final = 1e9
 """No number is farther from 0: inches, radians, seconds, and what is made of them."""
+DEEPEST: Final = 3
+"""Brackets in brackets in an argument: the corners of an obstacle."""
 DEAD_MAN_S: Final = 0.5
 """Real seconds without a word from whoever drives by hand, after which the robot stops."""
 CALLS: Final = frozenset({
@@ -124,7 +126,15 @@ def _is_number(value: object) -> bool:
 
 
 def _is_argument(value: object) -> bool:
-    return value is None or isinstance(value, str | dict) or _is_number(value)
+    return not isinstance(value, list | bool) and _is_plain(value, DEEPEST)
+
+
+def _is_plain(value: object, deep: int) -> bool:
+    """Whether no number in it is too far, and it is nested no deeper than that."""
+    if isinstance(value, list | dict):
+        held = value.values() if isinstance(value, dict) else value
+        return deep > 0 and all(_is_plain(each, deep - 1) for each in held)
+    return value is None or isinstance(value, str | bool) or _is_number(value)
 
 
 Field = tuple[Callable[[object], bool], str]
@@ -145,7 +155,7 @@ FIELDS: Final[dict[str, dict[str, Field]]] = {
     "stop": {"id": _ID, "robot": _ROBOT_OR_ALL},
     "release": {"id": _ID, "robot": _ROBOT_OR_ALL},
     "control": {
-        "id": _ID, "argument": (_is_argument, "nothing, a number, a text or an object"),
+        "id": _ID, "argument": (_is_argument, "nothing, a number, a text or an object of such"),
         "command": (
             lambda value: isinstance(value, str) and value in CONTROLS, f"one of {', '.join(sorted(CONTROLS))}"
         ),

@@ -29,7 +29,7 @@ def _no_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
     monkeypatch.setattr(os, "_exit", end)
     monkeypatch.setattr(campaign, "FOUND", tmp_path / "fuzz" / "found")
-    campaign.FOUND.mkdir(parents=True)
+    campaign.FOUND.parent.mkdir()
 
 
 def read(data: bytes) -> None:

@@ -29,6 +29,7 @@ GOOD: list[dict[str, Any]] = [
     {"do": "control", "id": 3, "command": "pause"},
     {"do": "control", "id": 3, "command": "speed", "argument": 2.5},
     {"do": "control", "id": 3, "command": "faults set", "argument": {"text": "", "file": "x"}},
+    {"do": "control", "id": 3, "command": "obstacle", "argument": {"by": None, "to": [[1, 2.5], [3, 4]]}},
     {"do": "click", "robot": 1, "pose": [1, 2, 3, 4]},
     {"do": "waypoints", "robot": 1, "points": [[1, 2.5], [3, 4]]},
 ]
@@ -54,6 +55,9 @@ BAD: list[tuple[Any, str]] = [
     ({"do": "waypoints", "robot": 1, "points": [[0, float("inf")]]}, "points is a list"),
     ({"do": "waypoints", "robot": 1, "points": [[10**400, 0]]}, "points is a list"),
     ({"do": "control", "id": 1, "command": "speed", "argument": 10**400}, "argument is nothing, a number"),
+    ({"do": "control", "id": 1, "command": "obstacle", "argument": {"to": [[0, float("inf")]]}}, "an object of such"),
+    ({"do": "control", "id": 1, "command": "obstacle", "argument": {"to": [[[0]]]}}, "an object of such"),
+    ({"do": "control", "id": 1, "command": "noise", "argument": True}, "argument is nothing"),
 ]
 
 
