@@ -22,6 +22,7 @@ class Candidates(NamedTuple):
     """k things that a reading may be of, and how likely it is of none.
 
     ranges_in, jacobian   (k,) and (k, 3) at the mean of the belief       variance   (k,) of readings of them, in^2
+    constant              (k,) the part of it that is one error for all readings from one place (repeats)
     probability           (k,) that it is heard of this one, were no reading bad
     expect                ranges and derivatives anywhere else
     bad_share             of the readings that are of none of them whatever they are
@@ -31,6 +32,7 @@ class Candidates(NamedTuple):
     ranges_in: Floats
     jacobian: Floats
     variance: Floats
+    constant: Floats
     probability: Floats
     expect: Expect
     bad_share: float

@@ -24,6 +24,7 @@ import numpy as np
 
 from localization.belief import Belief, add
 from localization.candidates import Candidates
+from localization.repeats import nth_variance
 from localization.updates import Rule, linear
 
 _TURN: Final = 2.0 * pi
@@ -49,8 +50,13 @@ class Absorbed(NamedTuple):
         return self.shares[-1]
 
 
-def absorb(belief: Belief, reading_in: float, heard: Candidates, rule: Rule = linear) -> Absorbed:
-    """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of k candidates or a bad one."""
+def absorb(
+    belief: Belief, reading_in: float, heard: Candidates, rule: Rule = linear, times: int = 1
+) -> Absorbed:
+    """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of k candidates or a bad one.
+
+    The `times`-th from the same place corrects by what it adds alone (repeats); what it is, is judged as ever.
+    """
     moves, gains, spread, innovation, nis = rule(belief, reading_in, heard)
     good = 1.0 - heard.bad_share
     chances = heard.probability.tolist()
@@ -61,6 +67,9 @@ def absorb(belief: Belief, reading_in: float, heard: Candidates, rule: Rule = li
     bad = heard.bad_density * (1.0 - good * sum(chances))
     total = sum(weights) + bad
     shares = [weight / total for weight in (*weights, bad)]
+    if times > 1:
+        adding = heard._replace(variance=nth_variance(heard.variance, heard.constant, times))
+        moves, gains, spread, _, _ = rule(belief, reading_in, adding)
     change = [sum(map(mul, shares, column)) for column in zip(*moves, strict=True)] or [0.0] * len(belief.mean)
     columns = [(-share * variance, gain) for share, variance, gain in zip(shares, spread, gains, strict=False)]
     columns += [(share, list(map(sub, move, change))) for share, move in zip(shares, moves, strict=False)]

@@ -27,6 +27,7 @@ from localization.filters.hearing import Hearing
 from localization.filters.method import Judgement, Place
 from localization.motion import OdometryNoise, move
 from localization.observation import Refusal
+from localization.repeats import Repeats
 from localization.search import NEAREST_IN, Clue, Hypothesis, merged, rivals, search
 from localization.systematic import moved_to, predict, with_constants
 from localization.watch import Trust, Verdict, Watch
@@ -60,7 +61,7 @@ class Finder:
         self._draw_atlas = atlas
         self._atlas: Atlas | None = None
         self._watch = watch or Watch()
-        self._encoders = np.zeros(3)
+        self._encoders, self._repeats = np.zeros(3), Repeats()
         self._clues: deque[Clue] = deque(maxlen=CLUES)
         self._fresh = 0
         self._contest: Contest | None = None
@@ -93,6 +94,7 @@ class Finder:
     def move(self, step: Floats) -> None:
         """The encoders told of a step (2,)."""
         self._encoders = move(self._encoders, step)
+        self._repeats.move(step)
         self.hypotheses = [
             Hypothesis(predict(known.belief, step, self._odometry), known.share) for known in self.hypotheses
         ]
@@ -110,7 +112,10 @@ class Finder:
         self._fresh += 1
         if not self.hypotheses:
             return self._search()
-        heard = [self._hearing.hear(known.belief, sonar, turret_offset_rad, reading_in) for known in self.hypotheses]
+        times = self._repeats.count(sonar, turret_offset_rad)
+        heard = [
+            self._hearing.hear(known.belief, sonar, turret_offset_rad, reading_in, times) for known in self.hypotheses
+        ]
         judgement = heard[0].judgement
         if len(heard) == 1:
             self.hypotheses = [Hypothesis(heard[0].belief, 1.0)]

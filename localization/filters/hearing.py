@@ -40,12 +40,15 @@ class Hearing:
     def __init__(self, sense: Sense, rule: Rule = linear) -> None:
         self._sense, self._rule = sense, rule
 
-    def hear(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Heard:
-        """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading."""
+    def hear(
+        self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, times: int = 1
+    ) -> Heard:
+        """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading; `times`: how
+        often it has been heard from this place, this time included (repeats)."""
         sensed = self._sense.sense(belief, sonar, turret_offset_rad, reading_in)
         if sensed.candidates is None:
             return Heard(belief, Judgement(sensed.refusal, 0.0, 0.0, 1.0), sensed.likelihood)
-        taken = absorb(belief, reading_in, sensed.candidates, self._rule)
+        taken = absorb(belief, reading_in, sensed.candidates, self._rule, times)
         refusal = Refusal.GATE if taken.bad_share > MOSTLY_BAD else Refusal.NONE
         judgement = Judgement(refusal, taken.innovation_in, taken.nis, taken.bad_share)
         likelihood = (1.0 - sensed.besides) * taken.likelihood + sensed.besides / SPAN_IN

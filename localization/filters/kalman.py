@@ -17,6 +17,7 @@ from localization.filters.hearing import Hearing
 from localization.filters.method import Judgement
 from localization.motion import OdometryNoise
 from localization.observation import Refusal
+from localization.repeats import Repeats
 from localization.systematic import predict
 from localization.watch import Verdict, Watch
 
@@ -37,6 +38,7 @@ class KalmanFilter:
         self._odometry = odometry
         self._predict = prediction
         self._watch = Watch()
+        self._repeats = Repeats()
 
     @property
     def verdict(self) -> Verdict:
@@ -44,12 +46,14 @@ class KalmanFilter:
 
     def move(self, step: Floats) -> None:
         self.belief = self._predict(self.belief, step, self._odometry)
+        self._repeats.move(step)
 
     def ahead(self, step: Floats) -> Belief:
         return self._predict(self.belief, step, self._odometry)
 
     def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
-        heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in)
+        times = self._repeats.count(sonar, turret_offset_rad)
+        heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in, times)
         self.belief = heard.belief
         if heard.judgement.refusal in TELLING:
             self._watch.look(heard.judgement)

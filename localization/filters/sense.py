@@ -73,7 +73,14 @@ class RaySense:
             return _REFUSED[Refusal.GATE]
         expect = partial(_along, direction_rad, standoff_in, self._walls.lines[beam.row])
         candidates = Candidates(
-            np.array([beam.range_in]), np.array([beam.jacobian]), np.array([variance]), SURE, expect, 0.0, 0.0
+            np.array([beam.range_in]),
+            np.array([beam.jacobian]),
+            np.array([variance]),
+            np.array([sonar_model.constant_at(beam.range_in)]),
+            SURE,
+            expect,
+            0.0,
+            0.0,
         )
         return Sensed(Refusal.NONE, 1.0, candidates, BAD_RAYS)
 
@@ -102,6 +109,7 @@ class ConeSense:
             np.array(ranges),
             np.array(jacobian),
             np.array([model.variance_at(range_in) for range_in in ranges]),
+            np.array([model.constant_at(range_in) for range_in in ranges]),
             np.array(probability),
             partial(expected, ear=ear, around=self._around, which=np.array(which)),
             model.bad_share,

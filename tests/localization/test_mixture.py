@@ -15,6 +15,7 @@ from localization.mixture import absorb
 from localization.observation import Observation
 
 MODEL = ConeModel(bad_share=0.2)
+CONSTANT = 0.06
 BELIEF = Belief(np.array([0.0, 0.0, 0.0]), np.diag([1.5**2, 0.4**2, 0.02**2]))
 
 
@@ -24,7 +25,8 @@ def unknown(_: Floats) -> tuple[Floats, Floats]:
 
 def returns(*found: tuple[float, tuple[float, float, float], float], model: ConeModel = MODEL) -> Candidates:
     ranges, rows, chances = (np.array(column) for column in zip(*found, strict=True))
-    return Candidates(ranges, rows, model.variance(ranges), chances, unknown, model.bad_share, model.bad_density)
+    variance, constant = model.variance(ranges), np.full(len(ranges), CONSTANT)
+    return Candidates(ranges, rows, variance, constant, chances, unknown, model.bad_share, model.bad_density)
 
 
 TWO = returns((40.0, (-1.0, 0.0, 0.0), 0.6), (43.0, (-1.0, 0.0, 0.0), 0.3))
@@ -66,7 +68,8 @@ def test_a_reading_of_nothing_in_the_map_changes_nothing() -> None:
 
 
 def test_where_nothing_can_be_heard_every_reading_is_bad() -> None:
-    none = Candidates(np.zeros(0), np.zeros((0, 3)), np.zeros(0), np.zeros(0), unknown, 0.2, MODEL.bad_density)
+    empty = np.zeros(0)
+    none = Candidates(empty, np.zeros((0, 3)), empty, empty, empty, unknown, 0.2, MODEL.bad_density)
     taken = absorb(BELIEF, 50.0, none)
     assert taken.bad_share == 1.0
     assert taken.likelihood == MODEL.bad_density
@@ -81,3 +84,29 @@ def test_constants_are_corrected_through_their_correlation() -> None:
     assert taken.belief.mean[0] > 0.5
     assert taken.belief.mean[3] == pytest.approx(0.04 * taken.belief.mean[0])
     assert taken.belief.cov[3, 3] < cov[3, 3]
+
+
+def after(readings: Floats) -> Belief:
+    """BELIEF after readings of a wall at x = 40, heard from one place."""
+    wall = returns((40.0, (-1.0, 0.0, 0.0), 1.0), model=replace(MODEL, bad_share=0.0))
+    belief = BELIEF
+    for number, reading in enumerate(readings, start=1):
+        here = wall._replace(ranges_in=40.0 - belief.mean[:1])
+        belief = absorb(belief, float(reading), here, times=number).belief
+    return belief
+
+
+def test_what_is_claimed_of_readings_from_one_place_is_so() -> None:
+    """The estimate is linear in the readings; its true variance follows from their whole covariance."""
+    count, prior = 6, BELIEF.cov[0, 0]
+    none = after(np.full(count, 40.0)).mean[0]
+    shares = np.array([after(40.0 + one).mean[0] - none for one in np.eye(count)])
+    noise = np.eye(count) * (float(MODEL.variance(np.array(40.0))) - CONSTANT) + CONSTANT
+    true = (1.0 + shares.sum()) ** 2 * prior + shares @ noise @ shares
+    assert after(np.full(count, 40.0)).cov[0, 0] == pytest.approx(true, rel=1e-9)
+
+
+def test_what_a_reading_is_of_is_judged_as_at_first() -> None:
+    first, fifth = (absorb(BELIEF, 41.5, TWO, times=times) for times in (1, 5))
+    assert fifth[1:] == first[1:]
+    assert abs(fifth.belief.mean[0]) < abs(first.belief.mean[0])

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from localization.atlas import draw_atlas
 from localization.belief import Belief, independent
 from localization.candidates import Candidates
 from localization.cone import ConeModel
-from localization.filters.hearing import Hearing
+from localization.filters.finder import Finder
+from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.kalman import KalmanFilter
 from localization.filters.sense import Sensed, sense_of
+from localization.measurement import SonarModel
 from localization.motion import OdometryNoise
 from localization.observation import Refusal
 from localization.updates import linear
@@ -77,3 +80,32 @@ def test_an_estimate_that_is_too_wide_says_so() -> None:
     wide = KalmanFilter(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), Hearing(Saying(Refusal.GATE)), OdometryNoise())
     assert wide.verdict == (Trust.DEGRADED, "the position is known to 4.0 in only")
     np.testing.assert_array_equal(wide.ahead(np.zeros(2)).mean, wide.belief.mean)
+
+
+ROOM = [(0, 0, 100, 0), (100, 0, 100, 100), (100, 100, 0, 100), (0, 100, 0, 0)]
+MIDST = independent([50.0, 50.0, 0.0], [0.2, 0.2, 0.01])
+AHEAD_IN = round(50.0 - N150.sonar_ring_radius_in)
+
+
+def tracking(kind: str) -> KalmanFilter | Finder:
+    """Of exact rays in whole inches: their error is the same each time."""
+    rays = SonarModel(relative_std=0.0, floor_std_in=0.02, rounding_var_in2=1.0 / 12.0)
+    hearing = hearing_of(ROOM, N150, rays)
+    if kind == "kalman":
+        return KalmanFilter(MIDST, hearing, OdometryNoise())
+    return Finder(MIDST, hearing, OdometryNoise(), lambda: draw_atlas(ROOM, N150, rays, 9.0), N150.sonar_angles_rad)
+
+
+@pytest.mark.parametrize("kind", ["kalman", "finder"])
+def test_the_same_echo_again_tells_nothing_more_until_the_robot_moves(kind: str) -> None:
+    known = tracking(kind)
+    known.hear(0, 0.0, AHEAD_IN)
+    once = known.belief
+    assert once.cov[0, 0] < 0.8 * MIDST.cov[0, 0]
+    for _ in range(5):
+        assert known.hear(0, 0.0, AHEAD_IN).refusal is Refusal.NONE
+    np.testing.assert_allclose(known.belief.cov, once.cov, rtol=1e-6)
+    known.move(np.array([0.5, 0.0]))
+    before = known.belief.cov
+    known.hear(0, 0.0, AHEAD_IN)
+    assert known.belief.cov[0, 0] < 0.9 * before[0, 0]

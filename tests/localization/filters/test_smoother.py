@@ -29,14 +29,13 @@ class Straight:
 
     def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
         assert (turret_offset_rad, np.isfinite(reading_in)) == (0.0, True)
-        row, variance = ROWS[sonar], VARIANCE[sonar : sonar + 1]
+        row, variance, constant = ROWS[sonar], VARIANCE[sonar : sonar + 1], np.zeros(1)
 
         def expect(poses: Floats) -> tuple[Floats, Floats]:
             return (poses * row).sum(axis=-1), np.broadcast_to(row, (*poses.shape[:-1], 3))
 
-        return Sensed(
-            Refusal.NONE, 1.0, Candidates(*expect(belief.mean[None, :3]), variance, np.ones(1), expect, 0.0, 0.0)
-        )
+        heard = Candidates(*expect(belief.mean[None, :3]), variance, constant, np.ones(1), expect, 0.0, 0.0)
+        return Sensed(Refusal.NONE, 1.0, heard)
 
 
 def steps(count: int) -> Floats:

@@ -1,0 +1,94 @@
+"""How sure a filter becomes of a robot that only stands: many robots, each where it was set down, against the truth.
+
+    python benchmarks/standing.py [--noise exact noisy measured] [--seeds N] [--at S ...] [--method ekf]
+
+Every seed sets an N150 down somewhere in the world, its belief as far off as it says, and listens. NEES of the pose has
+a mean of 3 where the filter is as sure as it may be. Rules: simulated time; one process. Nothing here is a test.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from math import degrees
+from typing import Any, Final
+
+import numpy as np
+
+from localization.belief import Floats, difference, independent
+from localization.echoes import FiringSchedule
+from localization.experiments.live.scenario import SCENARIOS, START_STD, Scenario
+from localization.filters.sense import pose_of
+from localization.filters.table import METHODS, make
+from localization.localizer import Localizer
+from localization.surroundings import Surroundings
+from nclient import connect
+from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
+from worlds.bodies import N150
+from worlds.files import load_world
+
+WORLD: Final = load_world("thesis_room")
+NOISES: Final = tuple(name for name, scenario in SCENARIOS.items() if not scenario.line)
+SECONDS: Final = (2.0, 10.0, 60.0, 300.0)
+MARGIN_IN: Final = 1.0
+
+
+def somewhere(chance: np.random.Generator) -> Floats:
+    """A pose (3,) at which the robot touches nothing."""
+    corners = WORLD.walls.reshape(-1, 2)
+    while True:
+        pose: Floats = chance.uniform((*corners.min(axis=0), -np.pi), (*corners.max(axis=0), np.pi))
+        if WORLD.clearance(*pose[:2].tolist()) > N150.radius_in + MARGIN_IN:
+            return pose
+
+
+def stood(scenario: Scenario, seed: int, at_s: Sequence[float], method: str = "ekf") -> Floats:
+    """NEES of the pose and its error in inches after each of those seconds, (n, 2)."""
+    known = Surroundings(WORLD.walls, N150, scenario.odometry, scenario.sonar)
+    chance = np.random.default_rng([seed, 99])
+    truth = somewhere(chance)
+    belief = independent(truth + np.array(START_STD) * chance.standard_normal(3), START_STD)
+    x, y, heading = truth.tolist()
+    start = f"{x},{y},{degrees(heading)},{degrees(heading)}"
+    found = []
+    with connect(f"sim:{WORLD.name}?setup={scenario.base}&seed={seed}&start={start}&step_s=0.5") as robot:
+        state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
+        start_s = state.clock_s or 0.0
+        localizer = Localizer(known, belief, FiringSchedule(start_s), make(method, known, belief, seed))
+        estimate = localizer.update(state)
+        for until_s in at_s:
+            while estimate.clock_s < start_s + until_s:
+                estimate = localizer.update(robot.refresh())
+            pose = pose_of(estimate.belief)
+            off = difference(pose.mean, truth)
+            found.append((float(off @ np.linalg.solve(pose.cov, off)), float(np.hypot(off[0], off[1]))))
+    return np.array(found)
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Measure, and print a table, or JSON with --json."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--noise", nargs="+", choices=NOISES, default=NOISES)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--at", nargs="+", type=float, default=SECONDS, metavar="S", help="seconds from the start")
+    parser.add_argument("--method", choices=METHODS, default="ekf")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args(words)
+    rows: list[dict[str, Any]] = []
+    for name in options.noise:
+        runs = np.array([stood(SCENARIOS[name], seed, options.at, options.method) for seed in range(options.seeds)])
+        for after_s, (nees, error_in) in zip(options.at, runs.transpose(1, 2, 0), strict=True):
+            rmse = float(np.sqrt((error_in**2).mean()))
+            rows.append({"noise": name, "after_s": after_s, "nees": float(nees.mean()), "worst": float(nees.max()),
+                         "rmse_in": rmse})  # fmt: skip
+    if options.json:
+        print(json.dumps(rows))
+        return
+    print(f"{'noise':10}{'after':>8}{'mean NEES':>12}{'worst':>8}{'RMSE':>10}    {options.seeds} robots")
+    for row in rows:
+        print(f"{row['noise']:10}{row['after_s']:6g} s{row['nees']:12.2f}{row['worst']:8.1f}{row['rmse_in']:7.3f} in")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""How often each sonar was heard from where the robot stands: what errs the same way each time is heard once.
+
+A reading's error has two parts: one of variance r, drawn anew each time, and one of variance c, which is the same as
+long as the robot stands where it does (of readings in whole inches: the rounding). However many readings there are, a
+range is not known better than c, while a filter that takes them for independent becomes surer and surer. Taken in one
+by one, readings with weights w_1, w_2, ... are claimed to tell with variance 1 / W, W = sum w, and really do with
+c + r sum w^2 / W^2. The largest weights for which the claim is true are w_1 = 1 / (c + r), w_n = (1 - 2 c W) w_1, so
+
+    R_n = (c + r) / q^(n - 1)        q = (r - c) / (r + c)
+
+and all together are worth 1 / (2 c). Where c is r or more, those after the first add nothing.
+
+Rules: pure but for the counts; the encoders alone tell whether it stands.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from localization.belief import Floats, wrapped
+
+SAME_IN, SAME_RAD = 0.25, 0.005
+"""Moved or turned by more, a robot is elsewhere: a quarter of an inch on, readings in whole inches err otherwise."""
+LEAST_WORTH: Final = 1e-12
+"""Of the first reading's: as good as nothing."""
+
+
+def nth_variance(variance: Floats, constant: Floats, times: int) -> Floats:
+    """R_n of the `times`-th reading from one place, of any shape: `variance` r + c of one reading, `constant` c."""
+    left = np.maximum(1.0 - 2.0 * constant / variance, 0.0) ** (times - 1)
+    worth: Floats = variance / np.maximum(left, LEAST_WORTH)
+    return worth
+
+
+class _Heard(NamedTuple):
+    """Where a sonar was heard first from a place (way and turn of the encoders so far, inches and radians; the turret
+    against the heading), and how often since."""
+
+    way_in: float
+    turned_rad: float
+    turret_rad: float
+    times: int
+
+
+class Repeats:
+    """See the head of this file."""
+
+    def __init__(self) -> None:
+        self._way_in = self._turned_rad = 0.0
+        self._heard: dict[int, _Heard] = {}
+
+    def move(self, step: Floats) -> None:
+        """The encoders told of a step (2,)."""
+        way_in, turn_rad = step.tolist()
+        self._way_in += abs(way_in)
+        self._turned_rad += turn_rad
+
+    def count(self, sonar: int, turret_offset_rad: float) -> int:
+        """Take a reading of this sonar into account, the turret turned by so much against the heading; its number from
+        this place, 1 for the first."""
+        first = self._heard.get(sonar)
+        if first is None or not self._is_here(first, turret_offset_rad):
+            first = _Heard(self._way_in, self._turned_rad, turret_offset_rad, 0)
+        self._heard[sonar] = first._replace(times=first.times + 1)
+        return first.times + 1
+
+    def _is_here(self, place: _Heard, turret_offset_rad: float) -> bool:
+        turned = self._turned_rad - place.turned_rad
+        aimed = wrapped(turned + turret_offset_rad - place.turret_rad)
+        return self._way_in - place.way_in <= SAME_IN and max(abs(turned), abs(aimed)) <= SAME_RAD

@@ -1,0 +1,42 @@
+"""A robot that only stands, in simulation: the filter is as sure as it may be and no surer, however long it listens."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import standing
+
+from localization import chi_square
+from localization.experiments.live.scenario import SCENARIOS
+
+SEEDS = 6
+LEAST, MOST = (chi_square.quantile(share, 3 * SEEDS) for share in (0.001, 0.999))
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "seconds"), [("exact", "ekf", 20.0), ("exact", "finder", 20.0), ("noisy", "smoother", 60.0)]
+)
+def test_the_same_echoes_again_make_nobody_too_sure(name: str, method: str, seconds: float) -> None:
+    """Three degrees of freedom a robot."""
+    total = sum(standing.stood(SCENARIOS[name], seed, (seconds,), method)[0, 0] for seed in range(SEEDS))
+    assert LEAST < total < MOST
+
+
+def test_a_pose_that_is_drawn_is_free() -> None:
+    for seed in range(20):
+        x, y, _ = standing.somewhere(np.random.default_rng(seed)).tolist()
+        standing.WORLD.require_free(x, y, standing.N150.radius_in)
+
+
+def test_what_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--noise", "exact", "noisy", "--seeds", "2", "--at", "1", "3"]
+    standing.main([*words, "--json"])
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["noise"], row["after_s"]) for row in rows] == [("exact", 1), ("exact", 3), ("noisy", 1), ("noisy", 3)]
+    runs = np.array([standing.stood(SCENARIOS["noisy"], seed, (1.0, 3.0)) for seed in range(2)])
+    assert [row["nees"] for row in rows[2:]] == pytest.approx(runs[:, :, 0].mean(axis=0))
+    assert rows[3]["rmse_in"] == pytest.approx(np.sqrt((runs[:, 1, 1] ** 2).mean()))
+    standing.main(words)
+    assert "noisy" in capsys.readouterr().out
