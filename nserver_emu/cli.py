@@ -21,6 +21,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
+from nclient import outputs
 from nclient.arguments import Parser
 from nclient.errors import NomadError, SnapshotError
 from nclient.exit_codes import ExitCode
@@ -64,9 +65,21 @@ CONTROL = "ctl"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
+    outputs.fill_in()
     words = sys.argv[1:] if argv is None else argv
-    if words[:1] == [CONTROL]:
-        return ctl.main(words[1:])
+    run = _daemon if words[:1] != [CONTROL] else lambda words: ctl.main(words[1:])
+    try:
+        code = run(words)
+        sys.stdout.flush()
+    except OSError as error:
+        refused = outputs.ended_by(error, "nserver")
+        if refused is None:
+            raise
+        return refused
+    return code
+
+
+def _daemon(words: list[str]) -> int:
     parser = nserver_parser()
     options = read_options(parser, words)
     logs.begin(options)

@@ -51,6 +51,8 @@ def main(argv: Sequence[str]) -> int:
     except NomadError as error:
         print(f"nserver ctl: {error}", file=sys.stderr)
         return ExitCode.FAILED
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
     print("\n".join(lines))
     return ExitCode.DONE
 

@@ -197,3 +197,11 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(f"\n  {row.name}" in out for row in COMMANDS)
     assert cli.main(["ctl", "help"]) == 0
     assert capsys.readouterr().out == out
+
+
+def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
+    def interrupted(*_: object) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ctl, "ask", interrupted)
+    assert cli.main(["ctl", "--control", str(path), "status"]) == 130
