@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from typing import Final, NamedTuple
 
+from nclient.protocol.tcp_frame import MAX_UNKNOWN_WORDS
 from worlds.texts import MOST_BYTES
 
 _LIMIT: Final = "limit"
@@ -62,7 +63,8 @@ class Limits:
         "server/allowance.py", none=True)
     frame: int = _limit(
         254, (17, 254), "words", "the longest request, which only text and packets for the arm reach",
-        "ERROR 2; the request is passed over, the connection goes on", "server/session.py")
+        "ERROR 2; the request is passed over, the connection goes on; one of more than "
+        f"{MAX_UNKNOWN_WORDS} words ends it", "server/session.py")
     idle: int = _limit(
         14_400, (1, 31_536_000), "seconds", "a connection that says nothing and waits for nothing",
         "it is closed; what it drove stops", "server/patience.py", none=True)
