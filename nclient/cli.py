@@ -22,7 +22,7 @@ from typing import Any, Protocol
 
 from nclient import outputs
 from nclient.arguments import Parser
-from nclient.errors import NomadError
+from nclient.errors import ExtraMissing, NomadError
 from nclient.exit_codes import ExitCode, in_short
 from nclient.extras import DISTRIBUTION, remedy
 from nclient.leaving import Left, left_in_order
@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     except NomadError as error:
         print(f"nomad: {error}", file=sys.stderr)
-        return ExitCode.FAILED
+        return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
     except Left as left:

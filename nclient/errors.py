@@ -17,7 +17,8 @@
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
     ├── EstimateFileError (ValueError)     a saved estimate that cannot be written, read back, or gone on from
     ├── ShellError (ValueError)            a line of the shell or of its scripts that cannot be done
-    └── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
+    ├── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
+    └── ExtraMissing (ImportError)         what was asked for wants an extra that is not installed: how to install it
 
 Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
 """
@@ -143,3 +144,7 @@ class ShellError(NomadError, ValueError):
 
 class RecordingError(NomadError, ValueError):
     """A recording that cannot be written, read, or followed by a program that asks for something else."""
+
+
+class ExtraMissing(NomadError, ImportError):
+    """What was asked for wants an extra of this distribution; the message says how to install it."""

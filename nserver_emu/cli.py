@@ -23,7 +23,7 @@ from pathlib import Path
 
 from nclient import outputs
 from nclient.arguments import Parser
-from nclient.errors import NomadError, SnapshotError
+from nclient.errors import ExtraMissing, NomadError, SnapshotError
 from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
 from nserver_emu import ctl, logs
@@ -93,7 +93,7 @@ def _daemon(words: list[str]) -> int:
         return asyncio.run(_serve(options))
     except NomadError as error:
         logs.tell_failure(options, error)
-        return ExitCode.FAILED
+        return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.DONE
 
