@@ -28,7 +28,7 @@ class ExitCode(IntEnum):
         code.meaning, code.commands = meaning, commands
         return code
 
-    DONE = 0, "done; what serves until it is stopped was stopped as asked (SIGINT, SIGTERM, quit_server)", _ALL
+    DONE = 0, "done; what serves until it is stopped was stopped as asked (SIGINT, SIGTERM, SIGHUP, quit_server)", _ALL
     FAILED = 1, "not done, or the answer is no: the reason is on stderr", _ALL
     USAGE = 2, "wrong usage, or an extra is missing: stderr says what would be right", _ALL
     NOT_REACHED = 3, "it ran, and what was asked for did not come to be (table below)", (_NOMAD,)
