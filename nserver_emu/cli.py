@@ -194,6 +194,8 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
     if path is None:
         return None
     file = SaveFile(emulator, path)
+    if not path.absolute().parent.is_dir():
+        log.warning("%s: there is no folder %s, and nothing can be saved until there is", path, path.parent)
 
     def save() -> None:
         try:

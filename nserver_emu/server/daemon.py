@@ -215,8 +215,8 @@ class Daemon:
 
 
 def stop_on_signals(stop: asyncio.Event) -> None:
-    """SIGINT, SIGTERM and SIGHUP (the terminal was closed) end the daemon cleanly, where the system has them; SIGHUP that
-    is ignored from the start, as under nohup, stays so."""
+    """SIGINT, SIGTERM and SIGHUP (the terminal was closed) end the daemon cleanly, where the system has them; a SIGHUP
+    that is ignored from the start, as under nohup, stays so."""
     loop = asyncio.get_running_loop()
     ending = {signal.SIGINT, signal.SIGTERM}
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
