@@ -39,6 +39,7 @@ from nserver_emu.server.autosave import SaveFile, autosaved
 from nserver_emu.server.control import BY_NAME
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.descriptors import make_room
 from nserver_emu.server.door import Door
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
@@ -118,7 +119,8 @@ async def _serve_with(
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
     daemon = Daemon(emulator, emulator.pace.factor, gateway, faults)
-    daemon.door = Door(limits_of(options), access_of(options))
+    daemon.door = Door(limits := limits_of(options), access_of(options))
+    make_room(limits.connections + (limits.page_connections if options.viewer else 0))
     daemon.places |= real_options.places(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
