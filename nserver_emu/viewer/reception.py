@@ -10,11 +10,17 @@ nothing, takes none of theirs. Who may ask what is web.py's.
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Collection
+from typing import Final
 
 from aiohttp import web
+from aiohttp.http import HttpProcessingError
 
 from nserver_emu.server.door import Door, Doorkeeper
+
+HTTP_LOG: Final = logging.getLogger("nserver_emu.viewer.http")
+"""Where aiohttp says what went wrong with a request."""
 
 
 class Reception:
@@ -44,6 +50,14 @@ class Reception:
     def turn_away(self, host: str, reason: str) -> None:
         """He was not let in."""
         self._door.turn_away(host, reason)
+
+    def worth_saying(self, record: logging.LogRecord) -> bool:
+        """A filter of HTTP_LOG: what is no HTTP is one more who was turned away, and no fault with a traceback."""
+        error = record.exc_info[1] if record.exc_info else None
+        if isinstance(error, HttpProcessingError):
+            host, *_ = record.args if isinstance(record.args, tuple) else ("somebody",)
+            self.turn_away(str(host), "what it says at the page's port is no HTTP")
+        return not isinstance(error, HttpProcessingError)
 
     def _hosts(self) -> list[str]:
         peers = [handler.transport and handler.transport.get_extra_info("peername")

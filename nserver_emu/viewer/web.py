@@ -41,7 +41,7 @@ from nserver_emu.viewer.numbers import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.outlet import Outlet
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
-from nserver_emu.viewer.reception import Reception
+from nserver_emu.viewer.reception import HTTP_LOG, Reception
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -100,11 +100,12 @@ class Viewing:
         app.router.add_get("/health", self._health)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
-        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        self._runner = web.AppRunner(app, access_log=None, logger=HTTP_LOG, shutdown_timeout=1.0)
         await self._runner.setup()
         try:
             assert self._runner.server is not None
             self._reception = Reception(self._door, self._runner.server)
+            HTTP_LOG.addFilter(self._reception.worth_saying)
             loop = asyncio.get_running_loop()
             self._server = await loop.create_server(self._reception.keeper, host, port)
         except OSError as error:
@@ -128,6 +129,9 @@ class Viewing:
         if self._server is not None:
             self._server.close()
             self._server = None
+        if self._reception is not None:
+            HTTP_LOG.removeFilter(self._reception.worth_saying)
+            self._reception = None
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Awaitable, Callable
 
 import pytest
@@ -11,6 +12,7 @@ from wire_client import simulation
 
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.limits import FOR_A_PAGE, Limits
+from nserver_emu.viewer.reception import HTTP_LOG
 
 HALF = b"GET / HTTP/1.1\r\n"
 ICON = b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -72,6 +74,34 @@ def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: py
 
     at(limits, scenario)
     assert f"there are {most} connections to the page" in caplog.text
+
+
+def test_what_is_no_http_is_told_of_once_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario(here: Served) -> None:
+        for says in (b"GET / HTTP/1.1\r\n\r\n", b"GET /" + b"a" * 70_000, b"GET / HTTP/1.1\r\nHost\r\n\r\n"):
+            reader, writer = await comes(here, says)
+            async with asyncio.timeout(PATIENCE_S):
+                assert b" 400 " in await reader.readline()
+            writer.close()
+        assert here.daemon.door.turned_away == 3
+
+    at(Limits(), scenario)
+    (told,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert told.getMessage().startswith(f"{HOST}: turned away: what it says at the page's port is no HTTP")
+    assert HTTP_LOG.filters == []
+
+
+def test_a_fault_of_our_own_is_still_told_whole(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario(_: Served) -> None:
+        try:
+            raise RuntimeError("of our own")
+        except RuntimeError:
+            HTTP_LOG.exception("Error handling request from %s", HOST)
+        HTTP_LOG.error("Missing return statement on request handler")
+
+    at(Limits(), scenario)
+    assert "RuntimeError: of our own" in caplog.text
+    assert "Missing return statement" in caplog.text
 
 
 def test_without_a_limit_on_stalling_nobody_is_looked_at() -> None:
