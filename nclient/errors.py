@@ -30,7 +30,7 @@ REFUSALS = {
     2: "wrong number or range of values",
     3: "not connected to a robot",
     4: "not available on this robot",
-    5: "refused by the setup",
+    5: "not allowed by the setup or a limit, or another client drives the robot",
     6: "the real robot did not answer",
 }
 """What the codes of an ERROR reply mean (PROTOCOL.md, section 1)."""
