@@ -64,8 +64,11 @@ def test_who_asks_nothing_is_closed_in_time_and_who_asked_is_not() -> None:
 def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(here: Served) -> None:
         inside = [await comes(here) for _ in range(most)]
+        assert here.viewing._runner is not None
+        server = here.viewing._runner.server
+        assert server is not None
         async with asyncio.timeout(PATIENCE_S):
-            while here.viewing._runner and len(here.viewing._runner.server.connections) < most:  # type: ignore[union-attr]
+            while len(server.connections) < most:
                 await asyncio.sleep(0.01)
         assert await let_go(*await comes(here))
         assert here.daemon.door.turned_away == 1
