@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from localization.belief import Floats
 from localization.run import Run
-from nclient.errors import NomadError
+from nclient.errors import ExtraMissing
 from worlds.bodies import Body
 from worlds.world import World
 
@@ -36,7 +36,7 @@ ELLIPSE_POINTS: Final = 60
 DPI: Final = 140
 
 
-class PlotExtraMissing(NomadError, ImportError):
+class PlotExtraMissing(ExtraMissing):
     """A picture was asked for and matplotlib is not installed; the message names the extra."""
 
 

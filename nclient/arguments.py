@@ -13,7 +13,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from nclient.suggesting import did_you_mean
+from nclient.suggesting import did_you_mean, nearest
 
 
 class Parser(argparse.ArgumentParser):
@@ -49,7 +49,10 @@ class Parser(argparse.ArgumentParser):
         return options
 
     def _refuse(self, name: str) -> NoReturn:
-        self.error(f"no option {name}{did_you_mean(name, self._options())}; --help shows them all")
+        known = {option.strip("-"): option for option in self._options()}  # all have dashes: those make none alike
+        near = known.get(nearest(name.strip("-"), known))
+        hint = f"; did you mean {near}?" if near else ""
+        self.error(f"no option {name}{hint}; --help shows them all")
 
     def _options(self) -> list[str]:
         return [option for action in self._actions for option in action.option_strings]

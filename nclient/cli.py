@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib.util
-import os
 import re
 import sys
 from collections.abc import Sequence
@@ -21,8 +20,9 @@ from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from typing import Any, Protocol
 
+from nclient import outputs
 from nclient.arguments import Parser
-from nclient.errors import NomadError
+from nclient.errors import ExtraMissing, NomadError
 from nclient.exit_codes import ExitCode, in_short
 from nclient.extras import DISTRIBUTION, remedy
 from nclient.leaving import Left, left_in_order
@@ -48,20 +48,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Help, version and arguments that make no sense leave by argparse's SystemExit.
     """
+    outputs.fill_in()
     try:
         with left_in_order():
             code = _dispatch(list(sys.argv[1:] if argv is None else argv))
             sys.stdout.flush()
     except NomadError as error:
         print(f"nomad: {error}", file=sys.stderr)
-        return ExitCode.FAILED
+        return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
     except Left as left:
         return left.exit_code
-    except BrokenPipeError:
-        _let_stdout_go()
-        return ExitCode.READER_GONE
+    except OSError as error:
+        refused = outputs.ended_by(error, "nomad")
+        if refused is None:
+            raise
+        return refused
     return code
 
 
@@ -156,11 +159,3 @@ def _unloadable(name: str, error: ImportError) -> str:
 def _complain(message: str) -> int:
     print(f"nomad: {message}", file=sys.stderr)
     return ExitCode.USAGE
-
-
-def _let_stdout_go() -> None:
-    """Keep the interpreter from flushing into the closed pipe once more as it ends."""
-    try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):  # stdout is no file of the system
-        return

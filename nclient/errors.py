@@ -17,7 +17,8 @@
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
     ├── EstimateFileError (ValueError)     a saved estimate that cannot be written, read back, or gone on from
     ├── ShellError (ValueError)            a line of the shell or of its scripts that cannot be done
-    └── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
+    ├── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
+    └── ExtraMissing (ImportError)         what was asked for wants an extra that is not installed: how to install it
 
 Rules: a message names the guilty and the remedy. Only capi turns these into FALSE and State[44].
 """
@@ -29,7 +30,7 @@ REFUSALS = {
     2: "wrong number or range of values",
     3: "not connected to a robot",
     4: "not available on this robot",
-    5: "refused by the setup",
+    5: "not allowed by the setup or a limit, or another client drives the robot",
     6: "the real robot did not answer",
 }
 """What the codes of an ERROR reply mean (PROTOCOL.md, section 1)."""
@@ -143,3 +144,7 @@ class ShellError(NomadError, ValueError):
 
 class RecordingError(NomadError, ValueError):
     """A recording that cannot be written, read, or followed by a program that asks for something else."""
+
+
+class ExtraMissing(NomadError, ImportError):
+    """What was asked for wants an extra of this distribution; the message says how to install it."""

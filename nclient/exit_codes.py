@@ -28,14 +28,14 @@ class ExitCode(IntEnum):
         code.meaning, code.commands = meaning, commands
         return code
 
-    DONE = 0, "done; what serves until it is stopped was stopped as asked (SIGINT, SIGTERM, quit_server)", _ALL
+    DONE = 0, "done; what serves until it is stopped was stopped as asked (SIGINT, SIGTERM, SIGHUP, quit_server)", _ALL
     FAILED = 1, "not done, or the answer is no: the reason is on stderr", _ALL
     USAGE = 2, "wrong usage, or an extra is missing: stderr says what would be right", _ALL
     NOT_REACHED = 3, "it ran, and what was asked for did not come to be (table below)", (_NOMAD,)
     UNFIT = 4, "`nomad calibrate`: readings do not fit what was told of the robot; nothing was written", (_NOMAD,)
     HUNG_UP = 129, "the terminal was closed (SIGHUP); a driven robot was stopped, its report written", (_NOMAD,)
-    INTERRUPTED = 130, "Ctrl-C (SIGINT); a driven robot was stopped, its report written", (_NOMAD,)
-    READER_GONE = 141, "whoever read the output went away (SIGPIPE)", (_NOMAD,)
+    INTERRUPTED = 130, "Ctrl-C (SIGINT); a driven robot was stopped, its report written", (_NOMAD, _CTL)
+    READER_GONE = 141, "whoever read the output went away (SIGPIPE)", _ALL
     TERMINATED = 143, "SIGTERM; a driven robot was stopped, its report written", (_NOMAD,)
 
 

@@ -21,8 +21,9 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
+from nclient import outputs
 from nclient.arguments import Parser
-from nclient.errors import NomadError, SnapshotError
+from nclient.errors import ExtraMissing, NomadError, SnapshotError
 from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
 from nserver_emu import ctl, logs
@@ -38,6 +39,7 @@ from nserver_emu.server.autosave import SaveFile, autosaved
 from nserver_emu.server.control import BY_NAME
 from nserver_emu.server.control_options import controlled, may_have_faults
 from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.descriptors import make_room
 from nserver_emu.server.door import Door
 from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
@@ -64,9 +66,21 @@ CONTROL = "ctl"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
+    outputs.fill_in()
     words = sys.argv[1:] if argv is None else argv
-    if words[:1] == [CONTROL]:
-        return ctl.main(words[1:])
+    run = _daemon if words[:1] != [CONTROL] else lambda words: ctl.main(words[1:])
+    try:
+        code = run(words)
+        sys.stdout.flush()
+    except OSError as error:
+        refused = outputs.ended_by(error, "nserver")
+        if refused is None:
+            raise
+        return refused
+    return code
+
+
+def _daemon(words: list[str]) -> int:
     parser = nserver_parser()
     options = read_options(parser, words)
     logs.begin(options)
@@ -80,7 +94,7 @@ def main(argv: list[str] | None = None) -> int:
         return asyncio.run(_serve(options))
     except NomadError as error:
         logs.tell_failure(options, error)
-        return ExitCode.FAILED
+        return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.DONE
 
@@ -105,7 +119,8 @@ async def _serve_with(
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
     daemon = Daemon(emulator, emulator.pace.factor, gateway, faults)
-    daemon.door = Door(limits_of(options), access_of(options))
+    daemon.door = Door(limits := limits_of(options), access_of(options))
+    make_room(limits.connections + (limits.page_connections if options.viewer else 0))
     daemon.places |= real_options.places(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
@@ -181,6 +196,8 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
     if path is None:
         return None
     file = SaveFile(emulator, path)
+    if not path.absolute().parent.is_dir():
+        log.warning("%s: there is no folder %s, and nothing can be saved until there is", path, path.parent)
 
     def save() -> None:
         try:

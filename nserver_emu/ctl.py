@@ -25,7 +25,7 @@ from nclient.suggesting import did_you_mean
 from nserver_emu.ctl_answers import said_in, shown
 from nserver_emu.server.control import BY_NAME, COMMANDS
 from nserver_emu.server.control_socket import LONGEST_LINE, default_path
-from worlds.texts import read_text
+from worlds.files import world_text
 
 HELP: Final = "help"
 """Answered here, daemon or not."""
@@ -51,6 +51,8 @@ def main(argv: Sequence[str]) -> int:
     except NomadError as error:
         print(f"nserver ctl: {error}", file=sys.stderr)
         return ExitCode.FAILED
+    except KeyboardInterrupt:
+        return ExitCode.INTERRUPTED
     print("\n".join(lines))
     return ExitCode.DONE
 
@@ -107,7 +109,7 @@ def _argument(name: str, given: str | None) -> object:
         case "faults set", str():
             return {"file": given, "text": read_plan(Path(given))}
         case "world set", str():
-            return {"file": given, "text": read_text(Path(given))}
+            return {"file": given, "text": world_text(given)[0]}
         case "save", str():
             return str(Path(given).absolute())
         case _:

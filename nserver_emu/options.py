@@ -97,7 +97,7 @@ def _add_keeping(parser: Parser) -> None:
 
 
 def _add_setup(parser: Parser) -> None:
-    parser.add_argument("--setup", type=_setup, metavar="NAME | FILE.toml",
+    parser.add_argument("--setup", type=_setup, metavar="KIND | FILE.toml",
                         help="how real: ideal (default), noisy (ramps, noise of motion and sonars), measured (sonars "
                         "like a Polaroid ring, compass errs too), worn (wheels that err the same way every time); or a "
                         "file made from one of them, such as the two lines: base = \"measured\", sonar.dead = [3, 11] "

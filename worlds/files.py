@@ -43,13 +43,18 @@ def load_world(name_or_path: str | PathLike[str]) -> World:
     A bare name is a shipped world before it is a file; a path "worlds/X.toml" that does not exist from here is the
     shipped world X. Raises WorldFileError whenever no valid world comes of it.
     """
+    text, path = world_text(name_or_path)
+    return parse_world(text, str(path), path.stem)
+
+
+def world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
+    """What the file says that load_world would read, and where it is. Raises WorldFileError where there is none."""
     name = fspath(name_or_path)
     try:
         path = _find(name)
-        text = _read(path)
+        return _read(path), path
     except OSError as error:
         raise WorldFileError(f"{name}: cannot be read: {error.strerror}") from error
-    return parse_world(text, str(path), path.stem)
 
 
 def parse_world(text: str, file: str, name: str) -> World:

@@ -12,7 +12,7 @@
  * Units everywhere: lengths 1/10 inch, angles 1/10 degree, counter-clockwise positive, speeds per second, sonar whole
  * inches. A call gives TRUE, or FALSE where it was refused, could not be sent, or had no good answer; why is said on
  * stderr. The code of a server's refusal stands in State[STATE_ERROR]: 1 unknown message, 2 wrong number or range of
- * values, 3 not connected, 4 not available on this model, 5 refused by the setup, 6 the real robot did not answer.
+ * values, 3 not connected, 4 not available on this model, 5 not allowed, 6 the real robot did not answer.
  * A number beyond what a message can carry is brought to the nearest that it can.
  *
  * One program, one thread, one robot. Callable from C89, C99 and C++. What is not of the old library

@@ -68,7 +68,7 @@ static enum answer refused(const struct request *request, long code)
 {
     static const char *const WHY[] = {
         "unknown message",      "wrong number or range of values", "not connected to a robot", "not on this robot",
-        "refused by the setup", "the real robot did not answer",
+        "not allowed by the setup or a limit, or another client drives the robot", "the real robot did not answer",
     };
 
     nomad_hold_error(code);

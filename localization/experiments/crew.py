@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Final, TypeVar
 
-from nclient.errors import NomadError
+from nclient.errors import ExtraMissing, NomadError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -21,7 +21,7 @@ PATIENCE_S: Final = 10
 """How long a cluster may take to answer at first."""
 
 
-class ClusterExtraMissing(NomadError, ImportError):
+class ClusterExtraMissing(ExtraMissing):
     """A cluster was asked for and distributed is not installed; the message names the extra."""
 
 

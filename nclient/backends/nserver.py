@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import time
 from functools import lru_cache
+from typing import Final
 
 from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
@@ -37,6 +38,9 @@ _CONNECTS = frozenset({"connect_robot", "create_robot"})
 
 _request = lru_cache(maxsize=256)(language.tcp_request)
 """Programs ask the same few things again and again."""
+
+_TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connections)?"
+"""A server that turns a newcomer away says nothing: it only closes."""
 
 
 class NserverBackend:
@@ -141,7 +145,8 @@ class NserverBackend:
             raise ConnectionLost(f"{call.name}: {error}; the connection was closed") from error
         except ConnectionLost as error:
             self._finish(str(error))
-            raise ConnectionLost(f"{call.name}: {self._over}") from error
+            hint = _TURNED_AWAY if call.name in _CONNECTS else ""
+            raise ConnectionLost(f"{call.name}: {self._over}{hint}") from error
         finally:
             if not sent:
                 self._finish(f"{call.name} was cut off while it was sent")

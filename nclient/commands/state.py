@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--every", type=seconds, default=EVERY_S, metavar="S",
                         help=f"seconds between two looks of --watch (default {EVERY_S:g})")
     parser.add_argument("--count", type=_count, metavar="N", help="how often --watch looks")
-    parser.add_argument("--json", action="store_true", help="print an object a line")
+    parser.add_argument("--json", action="store_true", help="print an object a line, of all parts")
 
 
 def run(options: argparse.Namespace) -> int:

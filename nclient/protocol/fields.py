@@ -53,7 +53,11 @@ class Words(Construct):
     def _build(self, obj: Sequence[int], stream: Any, context: Any, path: str) -> Sequence[int]:
         if self.count is not None and len(obj) != self.count:
             raise FormatFieldError(f"{self.count} words wanted, {len(obj)} given", path=path)
-        stream.write(_pack(f">{len(obj)}i", obj, path))
+        try:
+            stream.write(struct.pack(f">{len(obj)}i", *obj))
+        except struct.error:
+            wrong = next(value for value in obj if not isinstance(value, int) or not -(2**31) <= value < 2**31)
+            raise FormatFieldError(f"a word is a whole number, -2^31 to 2^31 - 1, not {wrong!r}", path=path) from None
         return obj
 
     def _sizeof(self, context: Any, path: str) -> int:

@@ -33,6 +33,7 @@ from nclient.protocol.replies import Reply, one_line
 from nclient.protocol.serial_frame import SerialFrame
 from nclient.protocol.tcp_frame import TcpFrame
 from nclient.protocol.terms import LINES, POINTS, TCP_LINE_MODES, Terms
+from nclient.suggesting import did_you_mean
 
 _SPECIAL_TYPE_WORD, _SPECIAL_TYPE_BYTE = 15, 3
 
@@ -42,7 +43,7 @@ def row_named(name: str) -> Command:
     try:
         return BY_NAME[name]
     except KeyError:
-        raise WireError(f"no command {name!r}") from None
+        raise WireError(f"no command {name!r}{did_you_mean(name, BY_NAME)}") from None
 
 
 def note(call: Call, terms: Terms) -> None:

@@ -9,10 +9,11 @@ Rules: shapes know no socket and no history; what a conversation has agreed come
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from construct import Construct, ConstructError, GreedyRange, Int8ub
 
@@ -146,9 +147,13 @@ class ReplyShape:
         return stream.getvalue()
 
 
+_WAY: Final = re.compile(r"Error in path ([^\n]*)\n")
+
+
 def one_line(error: Exception) -> str:
-    """What construct says, on one line."""
-    return " ".join(str(error).split())
+    """What construct says, on one line, and of the way to the place that it means the names alone."""
+    text = _WAY.sub(lambda way: ": ".join([*way[1].split(" -> ")[1:], ""]), str(error))
+    return " ".join(text.split())
 
 
 def _words(kind: str, count: int | None) -> ReplyShape:

@@ -111,6 +111,11 @@ class TcpFramer:
         """Bytes kept of a frame that is not whole yet."""
         return len(self._buffer)
 
+    @property
+    def owed(self) -> int:
+        """Bytes still to come of a message that was refused and is passed over."""
+        return self._to_skip
+
     def receive(self, data: bytes) -> list[TcpFrame | Refused]:
         """The frames and refusals that these bytes complete, in order."""
         if self._lost and self._gives_up:

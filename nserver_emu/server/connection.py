@@ -38,6 +38,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
         self._allowance = Allowance(limits.rate, REQUESTS_A_TURN, now_s) if limits.rate else None
         self._patience = Patience(limits.idle, limits.stall, now_s)
         self._look: asyncio.TimerHandle | None = None
+        self._closed_by_us = False
         self.host = ""
         """The address that it came from."""
 
@@ -62,7 +63,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
             self._daemon.acquaintances.leave(self, disconnected=True)
         else:
             self._loop.call_later(FORGOTTEN_AFTER_S, self._daemon.acquaintances.leave, self)
-        if exc or self.session.unfinished:
+        if not self._closed_by_us and (exc or self.session.unfinished):
             log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
                         f": {exc}" if exc else "")
         self._behind.leave(self.session.visit)
@@ -106,6 +107,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
             self._look_later()
             return
         log.warning("%s: closed: %s", self.session.name, reason)
+        self._closed_by_us = True
         self._abort()
 
     def _meet(self, name: str) -> None:

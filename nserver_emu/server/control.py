@@ -165,7 +165,7 @@ def _speed(served: Served, argument: object) -> Said:
     if argument == MAX_SPEED:
         served.emulator.pace.factor = None
     else:
-        served.emulator.pace.factor = _number(argument, SLOWEST, FASTEST, f"speed: a number, or {MAX_SPEED}")
+        served.emulator.pace.factor = _number(argument, SLOWEST, FASTEST, f"speed: {MAX_SPEED}, or a number")
     return _time(served)
 
 
@@ -305,7 +305,7 @@ COMMANDS: Final = (
     ControlCommand("faults reset", "", "the same, and count from 0 again", _reset),
     ControlCommand("noise", "WORDS", "what errs how: 'sensors=measured motion=ideal robot=1'", _noise),
     ControlCommand("world show", "", "the world as it stands, as TOML", _show_world),
-    ControlCommand("world set", "FILE", "put another world in its place; robots stay where they are", _put_world),
+    ControlCommand("world set", "WORLD", "put another world in its place; robots stay where they are", _put_world),
     ControlCommand("obstacle", "JSON", "move an obstacle by its corners (by, to), take it away, put one", _obstacle),
     ControlCommand("pause", "", "let simulated time stand", _pause),
     ControlCommand("resume", "", "let it go on", _resume),

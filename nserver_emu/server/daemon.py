@@ -215,8 +215,12 @@ class Daemon:
 
 
 def stop_on_signals(stop: asyncio.Event) -> None:
-    """SIGINT and SIGTERM end the daemon cleanly, where the system has them."""
+    """SIGINT, SIGTERM and SIGHUP (the terminal was closed) end the daemon cleanly, where the system has them; a SIGHUP
+    that is ignored from the start, as under nohup, stays so."""
     loop = asyncio.get_running_loop()
-    for name in (signal.SIGINT, signal.SIGTERM):
+    ending = {signal.SIGINT, signal.SIGTERM}
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        ending.add(signal.SIGHUP)
+    for number in ending:
         with contextlib.suppress(NotImplementedError):
-            loop.add_signal_handler(name, stop.set)
+            loop.add_signal_handler(number, stop.set)

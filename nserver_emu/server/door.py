@@ -11,6 +11,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from nserver_emu.server.access import Access
 from nserver_emu.server.limits import Limits
@@ -43,11 +44,23 @@ class Door:
         log.log(level, "%s: turned away: %s (further ones are counted, and logged at debug)", host, reason)
 
 
+class Rules(Protocol):
+    """Whose port it is: whether a newcomer may come in, and who is told where not."""
+
+    def refusal(self, host: str, present: Collection[str]) -> str:
+        """As Door has it."""
+        ...
+
+    def turn_away(self, host: str, reason: str) -> None:
+        """As Door has it."""
+        ...
+
+
 class Doorkeeper(asyncio.Protocol):
     """See the head of this file. `who` makes the one who talks, `present` tells the addresses of those who do."""
 
     def __init__(
-        self, door: Door, present: Callable[[], Collection[str]], who: Callable[[], asyncio.BaseProtocol]
+        self, door: Rules, present: Callable[[], Collection[str]], who: Callable[[], asyncio.BaseProtocol]
     ) -> None:
         self._door, self._present, self._who = door, present, who
 

@@ -13,9 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from typing import Final, NamedTuple
 
+from nclient.protocol.tcp_frame import MAX_UNKNOWN_WORDS
 from worlds.texts import MOST_BYTES
 
 _LIMIT: Final = "limit"
+FOR_A_PAGE: Final = 7
+"""Connections that a browser opens for a page at the same time: six for its files, and the websocket."""
 NONE: Final = 0
 """The value that lets go of a limit, for those that may be let go."""
 
@@ -62,7 +65,8 @@ class Limits:
         "server/allowance.py", none=True)
     frame: int = _limit(
         254, (17, 254), "words", "the longest request, which only text and packets for the arm reach",
-        "ERROR 2; the request is passed over, the connection goes on", "server/session.py")
+        "ERROR 2; the request is passed over, the connection goes on; one of more than "
+        f"{MAX_UNKNOWN_WORDS} words ends it", "server/session.py")
     idle: int = _limit(
         14_400, (1, 31_536_000), "seconds", "a connection that says nothing and waits for nothing",
         "it is closed; what it drove stops", "server/patience.py", none=True)
@@ -74,7 +78,8 @@ class Limits:
         "it is neither read nor answered until it has taken most of them", "server/connection.py")
     viewers: int = _limit(
         50, (1, 1000), "pages", "pages that are open at the same time",
-        "the page's websocket is refused with HTTP 503; it asks again by itself", "viewer/web.py")
+        "the page's websocket is refused with HTTP 503; it asks again by itself. Of connections to its port there are "
+        f"{FOR_A_PAGE} times as many; who asks nothing is closed as by --limit-stall", "viewer/web.py")
     obstacles: int = _limit(
         1000, (1, 100_000), "polygons", "obstacles in the world that clients may add to",
         "ERROR 5 to add_obstacle", "server/ground.py")
@@ -85,6 +90,11 @@ class Limits:
         1_000_000_000, (10_000, 10**15), "bytes", "the file of --record",
         "the recording ends there, whole, and the daemon says so once; the run goes on", "nclient/recording/log.py",
         none=True)
+
+    @property
+    def page_connections(self) -> int:
+        """Connections at the page's port."""
+        return FOR_A_PAGE * self.viewers
 
 
 TABLE: Final[tuple[Limit, ...]] = tuple(

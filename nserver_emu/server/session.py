@@ -218,7 +218,7 @@ class Session(Conversation[TcpFrame | Refused]):
 
     @property
     def unfinished(self) -> int:
-        return self._framer.pending + len(self._head or b"")
+        return self._framer.pending + self._framer.owed + len(self._head or b"")
 
     @property
     def met(self) -> Acquaintance | None:

@@ -81,3 +81,8 @@ SETUPS: Final[Mapping[str, RobotSetup]] = MappingProxyType(
     {setup.name: setup for setup in (IDEAL, NOISY, MEASURED, WORN)}
 )
 """Every setup by its name."""
+
+
+def setup_names() -> tuple[str, ...]:
+    """The setups that have a name."""
+    return tuple(SETUPS)

@@ -12,7 +12,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from nclient.errors import NomadError
+from nclient.errors import ExtraMissing, NomadError
 from nserver_emu.viewer.entrance import tokens_of
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--viewer-token-file is for the page: give --viewer too")
 
 
-class ViewerMissing(NomadError, ImportError):
+class ViewerMissing(ExtraMissing):
     """The page was asked for and aiohttp is not installed; the message names the extra."""
 
 

@@ -41,6 +41,7 @@ from nserver_emu.viewer.numbers import CONTENT_TYPE, health, metrics
 from nserver_emu.viewer.outlet import Outlet
 from nserver_emu.viewer.picture import Album
 from nserver_emu.viewer.protocol import MOST_TEXT, BadMessage, to_page
+from nserver_emu.viewer.reception import HTTP_LOG, Reception
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -83,6 +84,8 @@ class Viewing:
         self._door = daemon.door
         self._daemon = daemon
         self._runner: web.AppRunner | None = None
+        self._server: asyncio.Server | None = None
+        self._reception: Reception | None = None
         self._clock: asyncio.Task[None] | None = None
 
     async def open(self, host: str, port: int) -> int:
@@ -97,10 +100,14 @@ class Viewing:
         app.router.add_get("/health", self._health)
         app.router.add_get("/metrics", self._metrics)
         app.router.add_static("/page/", PAGE)
-        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        self._runner = web.AppRunner(app, access_log=None, logger=HTTP_LOG, shutdown_timeout=1.0)
         await self._runner.setup()
         try:
-            await web.TCPSite(self._runner, host, port).start()
+            assert self._runner.server is not None
+            self._reception = Reception(self._door, self._runner.server)
+            HTTP_LOG.addFilter(self._reception.worth_saying)
+            loop = asyncio.get_running_loop()
+            self._server = await loop.create_server(self._reception.keeper, host, port)
         except OSError as error:
             await self._runner.cleanup()
             remedy = REMEDIES.get(error.errno or 0, "take an address of this machine")
@@ -108,7 +115,7 @@ class Viewing:
                 f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
         self._clock = asyncio.create_task(self._run_clock())
-        return int(self._runner.addresses[0][1])
+        return int(self._server.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
         """No page any more. Twice is fine."""
@@ -119,6 +126,12 @@ class Viewing:
             self._clock = None
         going = [socket.close(code=WSCloseCode.GOING_AWAY, drain=False) for socket in self._sockets]
         await asyncio.gather(*going, return_exceptions=True)
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self._reception is not None:
+            HTTP_LOG.removeFilter(self._reception.worth_saying)
+            self._reception = None
         if self._runner is not None:
             await self._runner.cleanup()
             self._runner = None
@@ -147,6 +160,8 @@ class Viewing:
 
     @web.middleware
     async def _at_the_door(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        if self._reception is not None:
+            self._reception.heard(request)
         host = request.remote or ""
         if not self._door.access.admits(host):
             self._door.turn_away(host, "that address is not allowed (--allow)")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 from answering import ScriptedServer, by_script, on_socket
@@ -12,6 +13,7 @@ from building import CLIB, PLAIN, ROOT, Workshop, run
 
 README = (CLIB / "README.md").read_text()
 MAKEFILE = (CLIB / "Makefile").read_text()
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 
 
 def test_every_command_of_the_readme_is_one_that_make_knows() -> None:
@@ -35,13 +37,17 @@ def test_every_file_that_the_readme_names_is_there() -> None:
 def test_the_program_of_the_readme_runs_on_what_was_installed(workshop: Workshop, tmp_path: Path) -> None:
     built, prefix = workshop.libraries(PLAIN), tmp_path / "usr"
     told = (f"BUILD={built}", f"CFLAGS={PLAIN.optimised}", f"PREFIX={prefix}")
+    run(["make", "-s", "-C", str(CLIB), "install", *told[:2], f"PREFIX={tmp_path / 'another'}"])
     run(["make", "-s", "-C", str(CLIB), "install", *told])
     (text,) = re.findall(r"```c\n(.*?)```", README, re.DOTALL)
     program, server = tmp_path / "program.c", ScriptedServer()
     server.slots = {0: 10, 17: 42, 34: 240, 35: -3}
     with on_socket(by_script(server, 6)) as port:
         program.write_text(text.replace("localhost", "127.0.0.1").replace("7019", str(port)))
-        described = (prefix / "lib" / "pkgconfig" / "nclient.pc").read_text().replace("${prefix}", str(prefix))
+        described = (prefix / "lib" / "pkgconfig" / "nclient.pc").read_text()
+        assert described.startswith(f"prefix={prefix}\nName: nclient\n")  # not the one of the build before
+        assert f"\nVersion: {VERSION}\n" in described
+        described = described.replace("${prefix}", str(prefix))
         flags = [word for line in described.splitlines() if line.startswith(("Cflags:", "Libs:"))
                  for word in line.split()[1:]]  # fmt: skip
         run(["cc", "-Wall", "-Wextra", "-Werror", str(program), *flags, "-o", str(tmp_path / "program")])

@@ -13,6 +13,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from nclient import Robot, RobotState, connect
 
 END_S = 60
@@ -122,8 +124,9 @@ def test_output_that_cannot_be_written_ends_no_daemon(tmp_path: Path) -> None:
     assert (process.returncode, rest) == (0, "")
 
 
-def test_a_log_that_cannot_be_written_ends_no_daemon() -> None:
-    with running("bash", "-c", f"exec {shlex.join(NSERVER)} -vv 2>/dev/full") as (process, address):
+@pytest.mark.parametrize("log", ["2>/dev/full", "2>&-"], ids=["full", "closed"])
+def test_a_log_that_cannot_be_written_ends_no_daemon(log: str) -> None:
+    with running("bash", "-c", f"exec {shlex.join(NSERVER)} -vv {log}") as (process, address):
         with connect(address) as robot:
             asked(robot, 3)
         process.send_signal(signal.SIGTERM)

@@ -37,6 +37,7 @@ def refused(parser: Parser, *words: str, capsys: pytest.CaptureFixture[str]) -> 
     (["x", "--verbos3"], "no option --verbos3; did you mean --verbose?; --help shows them all"),
     (["--lien=tcp", "x"], "no option --lien; did you mean --line?; --help shows them all"),
     (["--zzz"], "no option --zzz; --help shows them all"),
+    (["--lxxe"], "no option --lxxe; --help shows them all"),
     (["x", "-q"], "no option -q; --help shows them all"),
     (["x", "y"], "too many arguments: y"),
     (["x", "--line", "seriall"], "argument --line: no 'seriall'; there are tcp, serial; did you mean serial?"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from nclient import cli
-from nclient.errors import StartError
+from nclient.errors import ExtraMissing, StartError
 
 MODULES = {
     "fine": '"""Does nothing, well.\n\nRules: secret."""\n\n\ndef add_arguments(parser):\n'
@@ -119,6 +119,17 @@ def test_an_error_of_ours_is_told_and_ends_with_1(
     replace_run(monkeypatch, refuse)
     assert cli.main(["fine", "0"]) == 1
     assert capsys.readouterr().err == "nomad: the start touches wall 3\n"
+
+
+def test_an_extra_that_is_missing_ends_with_2_wherever_it_is_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(_: argparse.Namespace) -> int:
+        raise ExtraMissing("pictures need matplotlib")
+
+    replace_run(monkeypatch, refuse)
+    assert cli.main(["fine", "0"]) == 2
+    assert capsys.readouterr().err == "nomad: pictures need matplotlib\n"
 
 
 def test_one_parser_of_all_has_those_that_cannot_be_loaded_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,6 +18,7 @@ from nclient import errors
         (errors.WireError, ValueError),
         (errors.WorldFileError, ValueError),
         (errors.StartError, ValueError),
+        (errors.ExtraMissing, ImportError),
         (errors.RobotRefused, Exception),
     ],
 )

@@ -63,7 +63,8 @@ def test_encode_a_mask(nomad: Nomad) -> None:
 
 
 @pytest.mark.parametrize(("words", "wrong"), [
-    ("fly 1", "no command 'fly'"), ("vm 1 2", "vm takes 3 numbers"), ("vm 1 2 up", "a number is wanted, not 'up'"),
+    ("fly 1", "no command 'fly'"), ("vmm 1 2 3", "no command 'vmm'; did you mean vm?"),
+    ("vm 1 2", "vm takes 3 numbers"), ("vm 1 2 up", "a number is wanted, not 'up'"),
     ("ct 1", "give the mask with --mask"), ("special_request 1", "needs its --packet-type"),
     ("pa 1 2 3 --line serial", "does not exist on the line of a n150"),
     ("vm 40000 0 0 --line serial", "translation is 40000, and a robot"),

@@ -15,6 +15,7 @@ import pytest
 from nserver_emu import cli, ctl, ctl_answers
 from nserver_emu.server.control import COMMANDS
 from nserver_emu.server.control_socket import default_path
+from worlds.files import SHIPPED
 
 
 @contextmanager
@@ -74,6 +75,10 @@ def test_files_are_read_here_and_named_whole(path: Path, tmp_path: Path, monkeyp
     Path("w.toml").write_text("# a world")
     world = run(path.with_name("w"), "world", "set", "w.toml")[1]
     assert world == {"command": "world set", "argument": {"file": "w.toml", "text": "# a world"}}
+    shipped = (SHIPPED / "several_walls.toml").read_text()
+    for place, name in enumerate(("several_walls", "several_walls.toml")):
+        world = run(path.with_name(f"v{place}"), "world", "set", name)[1]
+        assert world["argument"] == {"file": name, "text": shipped}
     assert run(path.with_name("t"), "save", "x.json")[1]["argument"] == str(tmp_path / "x.json")
 
 
@@ -81,7 +86,7 @@ def test_a_file_that_is_not_there_is_told_without_asking(tmp_path: Path, capsys:
     assert cli.main(["ctl", "--control", "/nowhere", "faults", "set", str(tmp_path / "x.toml")]) == 1
     assert "x.toml: cannot be read" in capsys.readouterr().err
     assert cli.main(["ctl", "--control", "/nowhere", "world", "set", str(tmp_path / "w.toml")]) == 1
-    assert "w.toml: cannot be read" in capsys.readouterr().err
+    assert "w.toml: no such file" in capsys.readouterr().err
 
 
 STATUS = {
@@ -197,3 +202,11 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(f"\n  {row.name}" in out for row in COMMANDS)
     assert cli.main(["ctl", "help"]) == 0
     assert capsys.readouterr().out == out
+
+
+def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
+    def interrupted(*_: object) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ctl, "ask", interrupted)
+    assert cli.main(["ctl", "--control", str(path), "status"]) == 130

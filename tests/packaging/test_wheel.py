@@ -42,7 +42,9 @@ def test_the_sdist_holds_what_the_wheel_is_made_from_and_the_docs(distribution: 
     with tarfile.open(distribution[1]) as held:
         names = {name.partition("/")[2] for name in held.getnames()}
     wanted = {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "docs/shell.md", "worlds/thesis_room.toml"}
+    wanted |= {"clib/Makefile", "clib/include/Nclient.h", "clib/src/calls.c", "packaging/nserver.service"}
     assert wanted <= names
+    assert not any(name.startswith("clib/build") for name in names)
 
 
 def test_a_clean_environment_without_extras(distribution: tuple[Path, Path], tmp_path: Path) -> None:

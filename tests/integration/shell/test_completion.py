@@ -24,6 +24,7 @@ CASES = {
     "nomad shell --script squ": "nomad shell --script square.nomad",
     "nserver --lock": "nserver --lockstep",
     "nserver --robot sc": "nserver --robot scout",
+    "nserver --setup meas": "nserver --setup measured",
     "nserver thesis": "nserver thesis_room",
     "nserver ctl pau": "nserver ctl pause",
     "nserver --restore squ": "nserver --restore square.nomad",

@@ -45,7 +45,8 @@ def test_a_script_is_done_line_by_line(tmp_path: Path, capsys: pytest.CaptureFix
     ("pr 240 0 0\npr 1\n", ":2: pr takes 3 numbers, not 1: pr translation steering turret", 0),
     ("pr 240 0 0\npr (\n", ":2: pr: a call is pr(1, 2, 3), one pair of parentheses", 0),
     ("pr 240 0 0\nhlep\n", ":2: no command 'hlep'; did you mean help?; help lists them all", 0),
-    ("gs\nquit_server\ngs\n", ":2: quit_server was refused: refused by the setup (error 5)", 1),
+    ("gs\nquit_server\ngs\n", ":2: quit_server was refused: not allowed by the setup or a limit, or another client "
+     "drives the robot (error 5)", 1),
     ("gs\ngs\nvm 50 0 0; wait 1\ngs", ":3: wait: after 1 s the robot is moving: translation 5.0 in/s", 3),
 ])
 def test_the_first_line_that_fails_ends_it_and_typos_do_before_anything_moves(

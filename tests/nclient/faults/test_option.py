@@ -51,7 +51,7 @@ def test_the_plan_stands_between_program_and_robot(
     path = tmp_path / "plan.toml"
     path.write_text(PLAN)
     with caplog.at_level(logging.INFO), connect(f"nserver://lab/1?faults={path}") as robot:
-        with pytest.raises(RobotRefused, match="get_sn was refused: refused by the setup"):
+        with pytest.raises(RobotRefused, match="get_sn was refused: not allowed by the setup"):
             robot.read_sonars()
         robot.read_sonars()
         with pytest.raises(ReplyTimeout):

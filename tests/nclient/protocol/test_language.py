@@ -13,7 +13,7 @@ from nclient.errors import WireError
 from nclient.protocol import language, serial_frame, tcp_frame
 from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
 from nclient.protocol.mask import Mask
-from nclient.protocol.models import MODELS, N150, Model
+from nclient.protocol.models import MODELS, N150, N200, Model
 from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame
 from nclient.protocol.tcp_frame import TcpFrame
 from nclient.protocol.terms import line_terms, tcp_terms
@@ -102,3 +102,22 @@ def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
     assert language.read_tcp_reply(row, frame, tcp_terms(N150)).slots == {38: 1, 39: -2, 40: 3}
     error = language.read_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_terms(N150))
     assert (error.kind, error.values) == ("error", (4,))
+
+
+@pytest.mark.parametrize(("call", "told"), [
+    (Call("pr", (1, 2, 2**31)), "pr(1, 2, 2147483648): a word is a whole number, -2^31 to 2^31 - 1, not 2147483648"),
+    (Call("pr", (-(2**31) - 1, 2, 3)), "pr(-2147483649, 2, 3): a word is a whole number, -2^31 to 2^31 - 1, not "
+     "-2147483649"),
+    (Call("vm", (1.5, 0, 0)), "vm(1.5, 0, 0): a word is a whole number, -2^31 to 2^31 - 1, not 1.5"),
+    (Call("motion_check", ()), "motion_check(): motion_check takes type 0 (line) or 1 (arc) first"),
+])
+def test_what_cannot_be_sent_is_told_in_words_of_ours(call: Call, told: str) -> None:
+    with pytest.raises(WireError) as refused:
+        language.tcp_request(call)
+    assert str(refused.value) == told
+
+
+def test_what_cannot_be_sent_on_the_line_names_the_number() -> None:
+    with pytest.raises(WireError) as refused:
+        language.line_request(Call("ws", (1, 1, 1, 300)), line_terms(N200))
+    assert str(refused.value).startswith("ws(1, 1, 1, 300): timeout_s: ")

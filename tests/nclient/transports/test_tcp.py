@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import socket
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from answering import on_socket
 
+from nclient import connect
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.byte_stream import Deadline
 from nclient.transports.tcp import ROBOT_LINE, TcpStream, names_of_this_machine
@@ -163,3 +165,14 @@ def test_an_ipv6_host_is_named_in_brackets() -> None:
 
 def test_this_machine_is_loopback_first_and_then_its_own_name() -> None:
     assert names_of_this_machine() == ("localhost", socket.gethostname())
+
+
+def test_a_server_that_turns_a_newcomer_away_may_have_its_reasons() -> None:
+    def turn_away() -> None:
+        listener.accept()[0].close()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as thread:
+        closing = thread.submit(turn_away)
+        with pytest.raises(ConnectionLost, match=r"connect_robot: .* Does it let this machine in \(--allow"):
+            connect(f"nserver://127.0.0.1:{listener.getsockname()[1]}")
+        closing.result(10)

@@ -175,7 +175,7 @@ def test_the_commands_tell_of_themselves() -> None:
         ({"command": "puase"}, "no command 'puase'; there are status, .*; did you mean pause?"),
         ({"command": 5}, "no command 5"),
         ({"command": "speed"}, "speed wants X"),
-        ({"command": "speed", "argument": "fast"}, "speed: a number, or max from 0.1 to 999, not 'fast'"),
+        ({"command": "speed", "argument": "fast"}, "speed: max, or a number from 0.1 to 999, not 'fast'"),
         ({"command": "speed", "argument": 1000}, "from 0.1 to 999, not 1000"),
         ({"command": "speed", "argument": True}, "not True"),
         ({"command": "speed", "argument": [1]}, "not [1]"),

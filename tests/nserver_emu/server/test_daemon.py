@@ -280,19 +280,35 @@ def test_a_port_that_is_taken_says_so_and_names_the_remedy() -> None:
     with_daemon(visit)
 
 
-def test_signals_end_it_cleanly() -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_end_it_cleanly(number: signal.Signals) -> None:
     async def evening() -> None:
         daemon, stop = Daemon(Emulator(simulation())), asyncio.Event()
         stop_on_signals(stop)
         house = House(daemon, await daemon.listen("127.0.0.1", 0))
         serving = asyncio.create_task(daemon.serve(stop))
         client = await house.call()
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
         await serving
         assert await client.reader.read(-1) == b""
         await house.see_out()
 
     asyncio.run(evening())
+
+
+def test_under_nohup_a_closed_terminal_ends_nothing() -> None:
+    async def evening() -> None:
+        stop = asyncio.Event()
+        stop_on_signals(stop)
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0)
+        assert not stop.is_set()
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        asyncio.run(evening())
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_machine_that_slept_loses_the_time_and_says_so(caplog: pytest.LogCaptureFixture) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import socket
+import struct
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -186,6 +187,20 @@ def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
         assert (await other.ask("gs")).kind == "state"
 
     at_home(Limits(stall=1), visit)
+
+
+def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def visit(house: House) -> None:
+        stalled = await house.call()
+        stalled.writer.write(struct.pack(">hH", 7777, 1000) + bytes(100))
+        assert (await stalled.reply("gs")).kind == "error"
+        assert await is_closed(stalled)
+
+    at_home(Limits(stall=1), visit)
+    assert "stopped in the middle of a request" in caplog.text
+    assert "vanished" not in caplog.text  # it was we who closed it
 
 
 def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCaptureFixture) -> None:

@@ -66,6 +66,6 @@ def test_without_aiohttp_the_extra_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    assert cli.main(["--port", "0", "--viewer", "0"]) == 1
+    assert cli.main(["--port", "0", "--viewer", "0"]) == 2
     assert "pip install 'nomad-nserver[viewer]'" in capsys.readouterr().err
     assert issubclass(ViewerMissing, ImportError)
