@@ -1,4 +1,4 @@
-"""What stands in a file that somebody wrote: a world, a plan of faults, a mission. All such files are read here.
+"""What stands in a file: a world, a plan of faults, a mission, a simulation that was saved. Such files are read here.
 
 Rules: whatever is wrong is the reader's own `error`, which names the file. What is too long is not read to its end, so
 that a device or a recording given by mistake fills no memory; a byte order mark is passed over.

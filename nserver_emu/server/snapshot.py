@@ -29,8 +29,10 @@ from typing import Any, Final
 import numpy as np
 
 from nclient.errors import SnapshotError
+from nclient.file_text import read_text
 from nclient.unwritable import unwritable
 from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.limits import SNAPSHOT_BYTES
 from nserver_emu.server.trial import try_out
 
 FORMAT: Final = "nserver snapshot"
@@ -62,8 +64,11 @@ def write(text: str, path: Path, unfinished: Path) -> None:
     """Put a snapshot's text into a file: whoever reads it meanwhile, or after the power failed, has the old one or the
     new one, never half of one. `unfinished`: what it is called until it is whole, in the same folder.
 
-    Raises SnapshotError where it cannot be written; the old one is still there.
+    Raises SnapshotError where it cannot be written, or could not be read again; the old one is still there.
     """
+    if len(text) > SNAPSHOT_BYTES:  # all of it ASCII
+        raise SnapshotError(f"{path}: cannot be written: {len(text)} bytes, and no more than {SNAPSHOT_BYTES} are read "
+                            "again; lower --limit-graphics or --limit-obstacles")
     try:
         if path.exists() and not path.is_file():  # a device, a pipe: nothing may take its place
             path.write_text(text, encoding="utf-8")
@@ -95,11 +100,7 @@ def _settle(folder: Path) -> None:
 
 def restore(emulator: Emulator, path: Path) -> None:
     """Put an emulator into the state of a file. Raises SnapshotError, and then the emulator is as it was."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise SnapshotError(f"{path}: cannot be read: {error}") from error
-    loads(emulator, text, str(path))
+    loads(emulator, read_text(path, SNAPSHOT_BYTES, SnapshotError), str(path))
 
 
 def dumps(emulator: Emulator) -> str:
