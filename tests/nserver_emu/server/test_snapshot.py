@@ -6,6 +6,7 @@ import json
 import struct
 import sys
 import tracemalloc
+from array import array
 from base64 import b64decode
 from pathlib import Path
 
@@ -253,6 +254,13 @@ def test_what_the_rooms_do_not_know_is_not_kept() -> None:
     emulator, _ = busy()
     emulator.graphics.redrawn = json.JSONDecoder()  # type: ignore[assignment]
     with pytest.raises(SnapshotError, match="no snapshot may hold"):
+        snapshot.dumps(emulator)
+
+
+def test_an_array_of_no_doubles_is_not_kept() -> None:
+    emulator, _ = busy()
+    emulator.graphics.redrawn = array("i")  # type: ignore[assignment]
+    with pytest.raises(SnapshotError, match="cannot keep an array of 'i'"):
         snapshot.dumps(emulator)
 
 
