@@ -2,7 +2,7 @@
 
 localizer > told, filters/                   states in, estimates out; echoes, odometry: what is new, and where it was
 ekf | updates > sigma_points                 predict and correct; belief, motion, systematic: a state and how it moves
-gating > measurement, observation            exact rays, and which may correct; single_beam, ring_code: the same, quicker
+gating > measurement, observation            exact rays, which may correct; single_beam, ring_code: the same, quicker
 mixture > candidates; cone > reflectors      all that a real sonar's cone may hear; single_cone: the same, quicker
 watch > chi_square; contest > search > atlas whether the estimate can be believed, and where else the robot may be
 surroundings, range_noise, calibrated        what is known beforehand; body_taken, sonars_taken: and who says so
