@@ -19,7 +19,6 @@ moves; a program is compiled and its module run, and what its function raises is
 from __future__ import annotations
 
 import re
-import tomllib
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
 from localization.missions.verbs import LONGEST_S, step_of
 from nclient.errors import MissionFileError, NomadError, WorldFileError
-from nclient.file_text import read_text
+from nclient.file_text import read_text, toml_of
 from nclient.suggesting import did_you_mean
 from worlds.tables import Table
 
@@ -59,10 +58,7 @@ def load_mission(path: str | PathLike[str]) -> Orders:
 
 def parse_list(text: str, file: str) -> Orders:
     """The mission that a text in TOML says; `file` is what errors call it. Raises MissionFileError."""
-    try:
-        values: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise MissionFileError(f"{file}: is no TOML: {error}") from error
+    values = toml_of(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP, ("fence",))
