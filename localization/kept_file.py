@@ -21,6 +21,7 @@ from localization.odometry import EncoderPose
 from localization.systematic import LARGEST, POSE
 from nclient.errors import EstimateFileError
 from nclient.file_text import read_text
+from nclient.unwritable import unwritable
 
 FORMAT: Final = "nomad estimate 1"
 KEYS: Final = ("format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov")
@@ -48,7 +49,7 @@ def save(path: Path, kept: Kept) -> None:
         unfinished.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         unfinished.replace(path)
     except OSError as error:
-        raise EstimateFileError(f"{path}: cannot be written: {error.strerror}") from error
+        raise EstimateFileError(unwritable(path, error)) from error
 
 
 def load(path: Path) -> Kept:

@@ -22,6 +22,7 @@ from localization.missions.setting_out import SetOut, add_options, set_out
 from localization.missions.settings import Settings
 from nclient.errors import MissionFileError
 from nclient.exit_codes import ExitCode
+from nclient.unwritable import unwritable
 
 FAILED = ExitCode.NOT_REACHED
 
@@ -72,4 +73,4 @@ def _write(report: Report, options: argparse.Namespace) -> None:
         try:
             options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
-            raise MissionFileError(f"{options.report}: the report cannot be written: {error.strerror}") from error
+            raise MissionFileError(unwritable(options.report, error, "the report")) from error
