@@ -17,8 +17,10 @@ from nclient.protocol.mask import BUMPER_SLOT
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "clib/README.md", *DOCS.rglob("*.md")]
-FOLDERS = ("benchmarks", "clib", "docs", "fuzz", "localization", "nclient", "nserver_emu", "packaging", "scripts", "tests",
-           "worlds")  # fmt: skip
+FOLDERS = (
+    "benchmarks", "clib", "docs", "fuzz", "localization", "nclient", "nserver_emu", "packaging", "scripts", "tests",
+    "worlds",
+)  # fmt: skip
 NAMED = re.compile(rf"`((?:{'|'.join(FOLDERS)})/[^`\s]*)`")
 MADE = {"fuzz/found/"}
 """What is there once a program has run."""
