@@ -1,4 +1,4 @@
-"""A robot that is known to err: its reports as those of a faultless one, and what is left to find out of its wheels.
+"""A robot that is known to err: what it tells as a faultless one would, and what is left to find out of its wheels.
 
     readings    less their sonars' offsets; limits stay limits      turret    turned as the ring really stands
     wheels      the filter's constants (systematic) begin at what was found, as uncertain as that is
@@ -8,42 +8,26 @@ Rules: pure; what it errs is worlds.calibration's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from localization.belief import Belief
 from localization.systematic import POSE, with_constants
+from localization.told import Told, retold
 from worlds.calibration import FAULTLESS, Calibration
-
-if TYPE_CHECKING:
-    from localization.localizer import Report
 
 LOWEST_IN: Final = 6
 HIGHEST_IN: Final = 255
 _INSIDE_IN: Final = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class Faultless:
-    """A report of a robot without errors of its sonars."""
-
-    clock_s: float | None
-    x_in: float
-    y_in: float
-    steering_rad: float
-    turret_rad: float
-    sonars_in: tuple[float, ...]
-
-
-def of(report: Report, errs: Calibration) -> Report:
-    """The report without what the sonars are known to get wrong."""
+def of(told: Told, errs: Calibration) -> Told:
+    """What a robot tells, without what its sonars are known to get wrong."""
     if errs is FAULTLESS:
-        return report
-    sonars = tuple(_range_in(read, off) for read, off in zip(report.sonars_in, errs.offsets_in, strict=True))
-    turret_rad = report.turret_rad + errs.turned_rad
-    return Faultless(report.clock_s, report.x_in, report.y_in, report.steering_rad, turret_rad, sonars)
+        return told
+    sonars = tuple(_range_in(read, off) for read, off in zip(told.sonars_in, errs.offsets_in, strict=True))
+    return retold(told, sonars, told.turret_rad + errs.turned_rad)
 
 
 def with_wheels(pose: Belief, errs: Calibration) -> Belief:

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from localization.belief import Floats
 from localization.run import Run
-from nclient.errors import ExtraMissing
+from nclient.errors import ExtraMissing, OutputFileError
+from nclient.unwritable import unwritable
 from worlds.bodies import Body
 from worlds.world import World
 
@@ -57,9 +58,12 @@ def blank(width_in: float, height_in: float) -> Picture:
 
 
 def save(picture: Picture, path: Path) -> None:
-    """Write a PNG file, and the folders it stands in."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    picture.savefig(path, dpi=DPI)
+    """Write a PNG file, and the folders it stands in. Raises OutputFileError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        picture.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise OutputFileError(unwritable(path, error)) from error
 
 
 def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:

@@ -4,7 +4,7 @@ Rules: pure; no map, no sensor, no gate, no clock. Which beams may correct is se
 Leading dimensions are independent filters.
 
     predict   mean' = move(mean, step)             P' = F P F' + Q
-    correct   K = P H' (H P H' + R)^-1             mean' = mean + K innovation
+    correct   K = P H' (H P H' + R)^-1, the gain   mean' = mean + K innovation
               P' = (I - K H) P (I - K H)' + K R K'   (Joseph: symmetric, never negative, whatever rounding does to K)
 
 R is diagonal, so with A = H' R^-1 H the matrix inversion lemma gives K = M H' R^-1, M = (I + P A)^-1 P: one system as

@@ -20,9 +20,13 @@ from localization.kept import Kept, Site
 from localization.odometry import EncoderPose
 from localization.systematic import LARGEST, POSE
 from nclient.errors import EstimateFileError
+from nclient.file_text import read_text
+from nclient.unwritable import unwritable
 
 FORMAT: Final = "nomad estimate 1"
 KEYS: Final = ("format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov")
+MOST_BYTES: Final = 1 << 16
+"""Twenty times the largest state's; a longer file is something else."""
 FARTHEST: Final = 1e12
 """No second, inch or radian of a run, and no square of one, is farther from 0."""
 SMALLEST_EIGENVALUE: Final = -1e-9
@@ -45,15 +49,14 @@ def save(path: Path, kept: Kept) -> None:
         unfinished.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         unfinished.replace(path)
     except OSError as error:
-        raise EstimateFileError(f"{path}: cannot be written: {error.strerror}") from error
+        raise EstimateFileError(unwritable(path, error)) from error
 
 
 def load(path: Path) -> Kept:
     """Read it. Raises EstimateFileError for whatever is no such file."""
+    text = read_text(path, MOST_BYTES, EstimateFileError)
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise EstimateFileError(f"{path}: cannot be read: {error.strerror}") from error
+        values = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise EstimateFileError(f"{path}: is no JSON: {error}") from error
     if not isinstance(values, dict) or values.get("format") != FORMAT:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,24 +26,8 @@ from localization.motion import step_between
 from localization.observation import Refusal
 from localization.odometry import EncoderPose, PoseHistory
 from localization.surroundings import Surroundings
+from localization.told import Told
 from localization.watch import ALL_WELL, Verdict
-
-
-class Report(Protocol):
-    """What the filter wants of a robot's state; nclient's RobotState has it."""
-
-    @property
-    def clock_s(self) -> float | None: ...
-    @property
-    def x_in(self) -> float: ...
-    @property
-    def y_in(self) -> float: ...
-    @property
-    def steering_rad(self) -> float: ...
-    @property
-    def turret_rad(self) -> float: ...
-    @property
-    def sonars_in(self) -> tuple[float, ...]: ...
 
 
 class Echo(NamedTuple):
@@ -112,15 +96,15 @@ class Localizer:
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
-    def update(self, report: Report) -> Estimate:
+    def update(self, told: Told) -> Estimate:
         """Take in one state and say where the robot is. A state no later than the one before changes nothing.
 
         Raises ValueError for a state without a clock: nothing was received yet.
         """
-        report = calibrated.of(report, self._errs)
-        if report.clock_s is None:
+        told = calibrated.of(told, self._errs)
+        if told.clock_s is None:
             raise ValueError("a state without a clock: ask the robot for one (refresh) before localizing")
-        now = EncoderPose(report.clock_s, np.array([report.x_in, report.y_in, report.steering_rad]), report.turret_rad)
+        now = EncoderPose(told.clock_s, np.array([told.x_in, told.y_in, told.steering_rad]), told.turret_rad)
         if self._settled is None:
             self._settled = now
             self._heard_s = now.clock_s
@@ -130,12 +114,12 @@ class Localizer:
             self._history.add(now)
         latest = self._history.latest
         firings = self._schedule.readable(self._heard_s, latest.clock_s)
-        echoes = tuple(self._hear(firing, report.sonars_in[firing.sonar]) for firing in firings)
+        echoes = tuple(self._hear(firing, told.sonars_in[firing.sonar]) for firing in firings)
         step = step_between(self._settled.pose, latest.pose)
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
-        told = with_lag(self._filter.ahead(step), *self._history.last_two)
+        lagged = with_lag(self._filter.ahead(step), *self._history.last_two)
         places = self._searching.places if self._searching else ()
-        return Estimate(latest.clock_s, told, echoes, self._filter.verdict, smoothed, places)
+        return Estimate(latest.clock_s, lagged, echoes, self._filter.verdict, smoothed, places)
 
     def _hear(self, firing: Firing, reading_in: float) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""

@@ -6,6 +6,8 @@ Rules: values and sums; no robot, no file, no drawing.
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -13,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from localization.belief import Floats, add, difference
-from localization.localizer import Estimate
+from localization.localizer import Echo, Estimate
 from localization.observation import Refusal
 from localization.odometry import LONGEST_GAP_S
 from localization.sonars_taken import AS_CONES, Taken, hint
@@ -128,7 +130,6 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """The run in numbers; null where there is no truth to compare with."""
-        errors = self.errors_in()
         echoes = [echo for moment in self.moments for echo in moment.estimate.echoes]
         last = self.moments[-1]
         return {
@@ -139,11 +140,7 @@ class Run:
             "stopped": self.stopped or None,
             "hint": self.hint() or None,
             "echoes_used": sum(echo.refusal is Refusal.NONE for echo in echoes),
-            "echoes_refused": {
-                refusal.name.lower(): count
-                for refusal in Refusal
-                if refusal and (count := sum(echo.refusal is refusal for echo in echoes))
-            },
+            "echoes_refused": _refused(echoes),
             "trust": last.estimate.verdict.trust.value,
             "reason": last.estimate.verdict.reason,
             "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
@@ -152,9 +149,18 @@ class Run:
             ],
             "estimate": [float(value) for value in last.estimate.pose],
             "truth": list(last.truth) if last.truth else None,
-            "end_error_in": float(errors[-1]) if len(errors) else None,
-            "rmse_position_in": float(np.sqrt((errors**2).mean())) if len(errors) else None,
-            "odometry_end_error_in": float(self.odometry_errors_in()[-1]) if len(errors) else None,
+            **self._off(),
+        }
+
+    def _off(self) -> dict[str, float | None]:
+        """How far the estimate and the encoders are off, as summary has it."""
+        errors = self.errors_in()
+        if not len(errors):
+            return dict.fromkeys(("end_error_in", "rmse_position_in", "odometry_end_error_in"))
+        return {
+            "end_error_in": float(errors[-1]),
+            "rmse_position_in": float(np.sqrt((errors**2).mean())),
+            "odometry_end_error_in": float(self.odometry_errors_in()[-1]),
         }
 
     def hint(self) -> str:
@@ -184,6 +190,12 @@ class Run:
                 "let the time run slower"
             )
         return "\n".join(lines)
+
+
+def _refused(echoes: Sequence[Echo]) -> dict[str, int]:
+    """How many were refused by what, in the order of the reasons; only those that came up."""
+    counts = Counter(echo.refusal for echo in echoes)
+    return {refusal.name.lower(): counts[refusal] for refusal in Refusal if refusal and refusal in counts}
 
 
 def _told(estimate: Estimate) -> str:

@@ -10,16 +10,16 @@ to say.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from localization.calibration.fit import Fit
 from localization.localizer import Echo
 from nclient.address import parsed
 from nclient.connect import address_or_default
-from worlds.texts import read_text
+from nclient.errors import WorldFileError
+from worlds.texts import read_text, toml_of
 
 FEWEST: Final = 30
 """Of fewer readings chance alone makes a bad fit."""
@@ -64,8 +64,8 @@ def rays_told_by(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values: dict[str, Any] = tomllib.loads(read_text(Path(setup)))
-    except ValueError:  # no file that can be read is one as well
+        values = toml_of(read_text(Path(setup)), setup)
+    except WorldFileError:
         return None
     sonar = values.get("sonar", {})
     model = sonar.get("model") if isinstance(sonar, dict) else None

@@ -38,7 +38,7 @@ class Verdict(NamedTuple):
     reason: str
 
 
-class Taken(Protocol):
+class Judged(Protocol):
     """What a filter made of a range; filters.method.Judgement has it."""
 
     @property
@@ -99,19 +99,19 @@ class Watch:
         self._matched.clear()
         self._nis.clear()
 
-    def hear(self, likelihood: float, anywhere: float, taken: Taken | None) -> None:
+    def hear(self, likelihood: float, anywhere: float, judged: Judged | None) -> None:
         """A reading: how the estimate explains it, how the map as a whole does, and what the filter made of it, where
         it was a range."""
         evidence = log(likelihood / anywhere)
         self._fall = max(0.0, self._fall - max(-self.bounds.most_bad_nats, min(self.bounds.most_good_nats, evidence)))
-        if taken is not None:
-            self.look(taken)
+        if judged is not None:
+            self.look(judged)
 
-    def look(self, taken: Taken) -> None:
+    def look(self, judged: Judged) -> None:
         """A range, and what the filter made of it: all that a filter can tell which knows no other place."""
-        self._matched.append(1.0 - taken.bad_share)
-        if taken.bad_share < MOSTLY:
-            self._nis.append(taken.nis)
+        self._matched.append(1.0 - judged.bad_share)
+        if judged.bad_share < MOSTLY:
+            self._nis.append(judged.nis)
 
     @property
     def doubtful(self) -> bool:

@@ -15,6 +15,7 @@
     ├── MissionFileError (ValueError)      a mission's file that cannot be used: file, line or key, what was expected
     ├── ControlError (ValueError)          what a daemon's control socket was asked and cannot do
     ├── SnapshotError (ValueError)         a saved simulation that cannot be written, or read back
+    ├── OutputFileError (ValueError)       a file that a run ends with and that cannot be written: file, why, remedy
     ├── EstimateFileError (ValueError)     a saved estimate that cannot be written, read back, or gone on from
     ├── ShellError (ValueError)            a line of the shell or of its scripts that cannot be done
     ├── RecordingError (ValueError)        a recording that cannot be written, read or followed: file, line
@@ -130,7 +131,8 @@ class SnapshotError(NomadError, ValueError):
 
 
 class OutputFileError(NomadError, ValueError):
-    """A file that is to be written at the end of a run cannot be, which is told before it begins."""
+    """A file that is to be written at the end of a run cannot be, which is told before it begins where it shows then.
+    """
 
 
 class EstimateFileError(NomadError, ValueError):

@@ -1,13 +1,16 @@
-"""What stands in a file that somebody wrote: a world, a plan of faults, a mission. All such files are read here.
+"""What stands in a file: a world, a plan of faults, a mission, a simulation that was saved. Such files are read here.
 
 Rules: whatever is wrong is the reader's own `error`, which names the file. What is too long is not read to its end, so
-that a device or a recording given by mistake fills no memory; a byte order mark is passed over.
+that a device or a recording given by mistake fills no memory; a byte order mark is passed over. What TOML means is its
+reader's.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 Failure = Callable[[str], Exception]
 """Of a message, the error that the reader documents."""
@@ -37,3 +40,13 @@ def read_text(path: Path, most_bytes: int, error: Failure) -> str:
         raise error(
             f"{path}: expected text in UTF-8, found other bytes at {failure.start}: {failure.reason}"
         ) from failure
+
+
+def toml_of(text: str, file: str, error: Failure) -> dict[str, Any]:
+    """What a text in TOML holds; `file` is what errors call it. Raises `error`."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise error(f"{file}: is no TOML: nested too deeply") from None
+    except ValueError as failure:
+        raise error(f"{file}: is no TOML: {failure}") from failure

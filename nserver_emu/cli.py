@@ -45,12 +45,12 @@ from nserver_emu.server.fault_desk import FaultDesk
 from nserver_emu.server.handlers import Emulator
 from nserver_emu.server.limits import limits_of
 from nserver_emu.server.line_options import at_port, open_lines
+from nserver_emu.server.old_setups import OldSetup, read_setups
 from nserver_emu.server.pace import Pace
 from nserver_emu.server.recording import Beginning, header
 from nserver_emu.server.replay import replay
 from nserver_emu.server.restore_options import settle
 from nserver_emu.server.setting import READY_MODELS, Setting, placed
-from nserver_emu.server.setup_files import OldSetup, read_setups
 from nserver_emu.server.stage import Allowed
 from nserver_emu.server.talker import REQUESTS_A_TURN
 from nserver_emu.service import STOPPING, Manager, announced

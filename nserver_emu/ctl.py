@@ -60,27 +60,33 @@ def main(argv: Sequence[str]) -> int:
 def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:
     """What a daemon says to a command. Raises ConnectionLost where none answers, ControlError where it refuses."""
     request = json.dumps({"command": name, "argument": argument}).encode() + b"\n"
-    answer = b""
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
             line.settimeout(PATIENCE_S)
             line.connect(str(path))
             line.sendall(request)
-            while not answer.endswith(b"\n"):
-                piece = line.recv(_CHUNK)
-                if not piece:
-                    raise ConnectionLost(f"the daemon at {path} hung up; its own stderr says why")
-                answer += piece
-                if len(answer) > LONGEST_LINE:
-                    raise ConnectionLost(f"what answers at {path} goes on without an end: is it an nserver?")
-    except (TimeoutError, OSError) as error:
-        if isinstance(error, ConnectionLost):
-            raise
+            answer = _answer(line, path)
+    except ConnectionLost:
+        raise
+    except OSError as error:
         raise ConnectionLost(
             f"no daemon answers at {path} ({error.strerror or error}); start it with nserver --control, "
             "or say where it is: nserver ctl --control PATH"
         ) from error
     return said_in(answer)
+
+
+def _answer(line: socket.socket, path: Path) -> bytes:
+    """A whole line. Raises ConnectionLost, or what the socket does."""
+    answer = b""
+    while not answer.endswith(b"\n"):
+        piece = line.recv(_CHUNK)
+        if not piece:
+            raise ConnectionLost(f"the daemon at {path} hung up; its own stderr says why")
+        answer += piece
+        if len(answer) > LONGEST_LINE:
+            raise ConnectionLost(f"what answers at {path} goes on without an end: is it an nserver?")
+    return answer
 
 
 def _rows(rows: dict[str, str]) -> Iterator[str]:

@@ -12,7 +12,6 @@ writing as text; inches, radians. Whatever is wrong is a WorldFileError: file, k
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import degrees, radians
@@ -22,7 +21,7 @@ from typing import Any, Final
 from nclient.errors import WorldFileError
 from worlds.bodies import SONARS
 from worlds.tables import Table
-from worlds.texts import read_text
+from worlds.texts import read_text, toml_of
 
 TABLES: Final = ("odometry", "sonar", "spread")
 """The tables of a model that are a calibration's."""
@@ -97,10 +96,7 @@ def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
 def load_calibration(path: Path, name: str) -> Calibration:
     """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
     text = read_text(path)
-    try:
-        values: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WorldFileError(f"{path}: is no TOML: {error}") from error
+    values = toml_of(text, str(path))
     names = []
     for model in Table(str(path), "", values).tables("model"):
         names.append(model.text("name", ""))

@@ -13,10 +13,9 @@ corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is
 from __future__ import annotations
 
 import functools
-import tomllib
 from os import PathLike, fspath
 from pathlib import Path as FilePath
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from nclient.errors import WorldFileError
 from nclient.suggesting import did_you_mean
 from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
 from worlds.tables import SHORTEST_IN, Table
-from worlds.texts import read_text
+from worlds.texts import read_text, toml_of
 from worlds.world import Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
@@ -60,12 +59,7 @@ def world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
 def parse_world(text: str, file: str, name: str) -> World:
     """The world that the text of a file describes; `file` is what errors call it, `name` what it is called
     unless it says so itself. Raises WorldFileError."""
-    try:
-        values: dict[str, Any] = tomllib.loads(text)
-    except RecursionError:
-        raise WorldFileError(f"{file}: is no TOML: nested too deeply") from None
-    except ValueError as error:
-        raise WorldFileError(f"{file}: is no TOML: {error}") from error
+    values = toml_of(text, file)
     top = Table(file, "", values)
     top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
     if not any(values.get(key) for key in ("room", "wall", "obstacle")):

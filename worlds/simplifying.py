@@ -89,19 +89,17 @@ def _merged(walls: FloatArray, tolerance_in: float) -> FloatArray:
     done: list[list[float]] = []
     while left:
         group = [left.pop(0)]
-        grown = True
-        while grown:
-            grown = False
-            for wall in left:
-                whole = _one_of(np.array([*group, wall]), tolerance_in)
-                if whole is not None:
-                    group.append(wall)
-                    left.remove(wall)
-                    grown = True
-                    break
+        while (joined := _joining(group, left, tolerance_in)) is not None:
+            group.append(joined)
+            left.remove(joined)
         whole = _one_of(np.array(group), tolerance_in)
         done.append(group[0] if whole is None or len(group) == 1 else whole.tolist())
     return np.array(done, dtype=np.float64).reshape(-1, 4)
+
+
+def _joining(group: list[list[float]], others: list[list[float]], tolerance_in: float) -> list[float] | None:
+    """The first of the others that is one wall with the group, None where none is."""
+    return next((wall for wall in others if _one_of(np.array([*group, wall]), tolerance_in) is not None), None)
 
 
 def _one_of(walls: FloatArray, tolerance_in: float) -> FloatArray | None:

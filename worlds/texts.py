@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from nclient import file_text
 from nclient.errors import WorldFileError
@@ -15,3 +15,8 @@ MOST_BYTES: Final = 1 << 22
 def read_text(path: Path) -> str:
     """What stands in a file, UTF-8. Raises WorldFileError."""
     return file_text.read_text(path, MOST_BYTES, WorldFileError)
+
+
+def toml_of(text: str, file: str) -> dict[str, Any]:
+    """What it holds; `file` is what errors call it. Raises WorldFileError."""
+    return file_text.toml_of(text, file, WorldFileError)

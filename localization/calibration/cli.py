@@ -33,7 +33,9 @@ from localization.readers import check_writable, noise, numbers, opened, pose, p
 from localization.sonars_taken import taken
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient import Robot
+from nclient.errors import OutputFileError
 from nclient.exit_codes import ExitCode
+from nclient.unwritable import unwritable
 from worlds.bodies import BODIES
 from worlds.calibration import Calibration, calibration_text
 from worlds.files import load_world
@@ -110,13 +112,21 @@ def run(options: argparse.Namespace) -> int:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return ExitCode.UNFIT
-    if options.out:
-        said = f"nomad calibrate, in {world.name}: {laps} laps each way, {options.spins} turns a corner"
-        options.out.write_text(calibration_text(options.body, found, said), encoding="utf-8")
     if options.json:
         print(json.dumps({**asdict(found), "nis": fit.nis, "refused_share": fit.refused_share, "laps": laps,
-                          "known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}))  # fmt: skip
+                          "known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}),
+              flush=True)  # fmt: skip
+    if options.out:
+        said = f"nomad calibrate, in {world.name}: {laps} laps each way, {options.spins} turns a corner"
+        _write(options.out, calibration_text(options.body, found, said))
     return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputFileError(unwritable(path, error)) from error
 
 
 def _drive(

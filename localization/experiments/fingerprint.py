@@ -5,6 +5,7 @@ Rules: reads the files of the packages, imports none of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,12 +28,16 @@ def fingerprint() -> str:
 
 def _sources() -> dict[str, bytes]:
     """Every file of the packages, by its name in them."""
-    found = {}
-    for package in CODE:
-        spec = find_spec(package)
-        assert spec is not None
-        for folder in map(Path, spec.submodule_search_locations or ()):
-            for path in folder.rglob("*"):
-                if path.suffix in SUFFIXES:
-                    found[f"{package}/{path.relative_to(folder).as_posix()}"] = path.read_bytes()
-    return found
+    return {
+        f"{package}/{path.relative_to(folder).as_posix()}": path.read_bytes()
+        for package in CODE
+        for folder in _folders(package)
+        for path in folder.rglob("*")
+        if path.suffix in SUFFIXES
+    }
+
+
+def _folders(package: str) -> Iterator[Path]:
+    spec = find_spec(package)
+    assert spec is not None
+    return map(Path, spec.submodule_search_locations or ())

@@ -1,11 +1,19 @@
-"""Options that all commands of the experiments have."""
+"""Options that all commands of the experiments have, and the crew that they ask for."""
 
 from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
+
+from localization.experiments import crew
+from localization.experiments.fingerprint import fingerprint
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 NO_PICTURES: Final = "--no-pictures"
 
@@ -31,6 +39,15 @@ def add_work(parser: argparse.ArgumentParser) -> None:
         "--cluster", metavar="ADDRESS", help="work on the Dask cluster whose scheduler is there, host:port (extra "
         "`cluster`); the numbers are the same"
     )
+
+
+def crew_for(
+    work: Callable[[Item], Result], options: argparse.Namespace
+) -> Callable[[Sequence[Item]], Iterator[Result]]:
+    """Who does this work with items, as the options of `add_work` say."""
+    if options.cluster:
+        return partial(crew.on_cluster, work, address=options.cluster, code=fingerprint)
+    return partial(crew.here, work, jobs=options.jobs)
 
 
 def positive(text: str) -> int:

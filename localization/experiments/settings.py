@@ -18,6 +18,7 @@ from localization.belief import Floats
 from localization.control import Gains
 from localization.measurement import IDEAL_SONAR, Beams, SonarModel, WallMap, ring, wall_map
 from localization.motion import OdometryNoise
+from localization.surroundings import THESIS_ODOMETRY
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -27,7 +28,7 @@ WAYPOINT_RADIUS_IN: Final = 0.25
 START_STD: Final = (0.1, 0.1, 0.01)
 """What the filter starts with: in, in, rad; its first estimate is drawn from that."""
 
-NOISE: Final = OdometryNoise(translation_std=0.1, rotation_std=0.1, drift_std=0.005)
+NOISE: Final = THESIS_ODOMETRY
 """How the true motion strays; the filter knows these numbers."""
 
 PATIENCE: Final = 3

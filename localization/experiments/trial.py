@@ -28,7 +28,7 @@ Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Batch:
     """A batch of n robots after a step: `truth` (n, 3), what each filter believes, the `bound` (n, 3, 3) on its
     covariance, the goal each drives to (`leg`, (n,), as many as there are goals when all are reached), and the NIS
     (n,) of its last correction with the number of beams `used` (n,)."""
@@ -63,22 +63,22 @@ class Runs:
 
 def run(course: Course, seeds: Sequence[int], tick: Callable[[int], None] = lambda _: None) -> Runs:
     """Drive the course once with each seed; after each step `tick` is told how many robots took it."""
-    moment = _start(course, seeds)
-    history: list[Moment] = []
+    batch = _start(course, seeds)
+    history: list[Batch] = []
     steps = np.zeros(len(seeds), dtype=np.intp)
     chance = streams.step_errors(seeds, len(course.beams.directions))
     for motion_error, sonar_error in islice(chance, course.most_steps):
-        driving = moment.leg < len(course.goals_in)
+        driving = batch.leg < len(course.goals_in)
         if not driving.any():
             break
-        moment = _advance(course, moment, motion_error, sonar_error)
-        history.append(moment)
+        batch = _advance(course, batch, motion_error, sonar_error)
+        history.append(batch)
         steps += driving
         tick(int(driving.sum()))
     return Runs(
         tuple(seeds),
         steps,
-        moment.leg == len(course.goals_in),
+        batch.leg == len(course.goals_in),
         np.stack([past.truth for past in history]),
         np.stack([past.belief.mean for past in history]),
         np.stack([past.belief.cov for past in history]),
@@ -88,31 +88,31 @@ def run(course: Course, seeds: Sequence[int], tick: Callable[[int], None] = lamb
     )
 
 
-def _start(course: Course, seeds: Sequence[int]) -> Moment:
+def _start(course: Course, seeds: Sequence[int]) -> Batch:
     """All robots at the start; each filter a little off, as its covariance says; without the filter exactly there."""
     count = len(seeds)
     truth = np.tile(course.start, (count, 1))
     std = np.array(course.start_std) if course.filtered else np.zeros(3)
     belief = independent(add(truth, std * streams.start_errors(seeds)), std)
     nothing = np.zeros(count, dtype=np.intp)
-    return Moment(truth, belief, belief.cov, nothing, np.zeros(count), nothing)
+    return Batch(truth, belief, belief.cov, nothing, np.zeros(count), nothing)
 
 
-def _advance(course: Course, moment: Moment, motion_error: Floats, sonar_error: Floats) -> Moment:
+def _advance(course: Course, batch: Batch, motion_error: Floats, sonar_error: Floats) -> Batch:
     """One step of all robots: command, move, predict, and with the filter look and correct."""
-    driving = moment.leg < len(course.goals_in)
-    goals = course.goals_in[np.minimum(moment.leg, len(course.goals_in) - 1)]
-    step = next_step(moment.belief.mean, goals, course.gains) * driving[:, None]
-    truth = move(moment.truth, step + np.sqrt(step_variance(step, course.noise)) * motion_error)
-    belief = ekf.predict(moment.belief, step, course.noise)
-    bound, nis, used = moment.bound, moment.nis, moment.used
+    driving = batch.leg < len(course.goals_in)
+    goals = course.goals_in[np.minimum(batch.leg, len(course.goals_in) - 1)]
+    step = next_step(batch.belief.mean, goals, course.gains) * driving[:, None]
+    truth = move(batch.truth, step + np.sqrt(step_variance(step, course.noise)) * motion_error)
+    belief = ekf.predict(batch.belief, step, course.noise)
+    bound, nis, used = batch.bound, batch.nis, batch.used
     if course.filtered:
         readings, gain = _sound(course, truth, sonar_error)
         belief, nis, used = _correct(course, belief, readings)
-        _, by_pose, process_cov = transition(moment.truth, step, course.noise)
+        _, by_pose, process_cov = transition(batch.truth, step, course.noise)
         bound = bound_step(bound, by_pose, process_cov, gain)
     arrived = driving & reached(belief.mean, goals, course.waypoint_radius_in)
-    return Moment(truth, belief, bound, moment.leg + arrived, nis, used)
+    return Batch(truth, belief, bound, batch.leg + arrived, nis, used)
 
 
 def _sound(course: Course, truth: Floats, sonar_error: Floats) -> tuple[Floats, Floats]:

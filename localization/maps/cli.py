@@ -21,6 +21,7 @@ from localization.readers import noise, positive
 from localization.surroundings import THESIS_ODOMETRY, Surroundings
 from nclient.errors import WorldFileError
 from nclient.exit_codes import ExitCode
+from nclient.unwritable import unwritable
 from worlds.bodies import BODIES
 from worlds.checking import Finding, Limits, Space, findings, space
 from worlds.files import load_world, parse_world
@@ -94,7 +95,7 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
     try:
         options.out.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise WorldFileError(f"{options.out}: cannot be written: {error.strerror}") from error
+        raise WorldFileError(unwritable(options.out, error)) from error
     told = {"walls_before": len(world.walls), "walls": len(simpler.walls), "apart_in": far_in}
     print(json.dumps(told) if options.json else f"{told['walls_before']} walls became {told['walls']}, {far_in:.3g} in "
           f"apart at most: {options.out}")

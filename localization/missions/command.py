@@ -11,15 +11,18 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from localization.missions.files import load_mission
 from localization.missions.mission import Mission
 from localization.missions.report import Report
 from localization.missions.running import run_mission
-from localization.missions.setting_out import add_options, set_out
+from localization.missions.setting_out import SetOut, add_options, set_out
+from localization.missions.settings import Settings
 from nclient.errors import MissionFileError
 from nclient.exit_codes import ExitCode
+from nclient.unwritable import unwritable
 
 FAILED = ExitCode.NOT_REACHED
 
@@ -41,14 +44,19 @@ def run(options: argparse.Namespace) -> int:
         print(f"{options.file}: a mission{f', {orders.settings.title}' if orders.settings.title else ''}")
         return 0
     with set_out(options, orders.settings.map) as out:
-        mission = Mission(out.helm, orders.settings)
+        return carry_out(out, orders.settings, orders.run, options)
+
+
+def carry_out(out: SetOut, settings: Settings, act: Callable[[Mission], object], options: argparse.Namespace) -> int:
+    """Act as a mission; however that ends, its report is told and what is believed is kept. The exit code."""
+    mission = Mission(out.helm, settings)
+    try:
+        run_mission(mission, act)
+    finally:
         try:
-            run_mission(mission, orders.run)
+            tell(out.close(mission.report), options)
         finally:
-            try:
-                tell(out.close(mission.report), options)
-            finally:
-                kept = out.keep(options)
+            kept = out.keep(options)
     return FAILED if not mission.report.done else ExitCode.DONE if kept else ExitCode.FAILED
 
 
@@ -65,4 +73,4 @@ def _write(report: Report, options: argparse.Namespace) -> None:
         try:
             options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
-            raise MissionFileError(f"{options.report}: the report cannot be written: {error.strerror}") from error
+            raise MissionFileError(unwritable(options.report, error, "the report")) from error

@@ -19,10 +19,10 @@ moves; a program is compiled and its module run, and what its function raises is
 from __future__ import annotations
 
 import re
-import tomllib
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Final
@@ -31,7 +31,7 @@ from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
 from localization.missions.verbs import LONGEST_S, step_of
 from nclient.errors import MissionFileError, NomadError, WorldFileError
-from nclient.file_text import read_text
+from nclient.file_text import read_text, toml_of
 from nclient.suggesting import did_you_mean
 from worlds.tables import Table
 
@@ -58,10 +58,7 @@ def load_mission(path: str | PathLike[str]) -> Orders:
 
 def parse_list(text: str, file: str) -> Orders:
     """The mission that a text in TOML says; `file` is what errors call it. Raises MissionFileError."""
-    try:
-        values: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise MissionFileError(f"{file}: is no TOML: {error}") from error
+    values = toml_of(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP, ("fence",))
@@ -127,19 +124,18 @@ def _with_line(message: str, file: str, text: str) -> str:
     """The message with the line its key stands in, where that can be told: a key, or the head of its step."""
     place = re.match(r"(?:step\[(\d+)\])?\.?([A-Za-z_]+)?", message.removeprefix(f"{file}: "))
     step, key = place.groups() if place else (None, None)
-    lines, number = text.splitlines(), 0
-    if step is not None:
-        heads = [at for at, line in enumerate(lines) if re.match(r"\s*\[\[\s*step\s*\]\]", line)]
-        number = heads[int(step)] if int(step) < len(heads) else 0
-    for at in range(number, len(lines)):
-        if at > number and lines[at].lstrip().startswith("[["):
-            break
-        if key and re.match(rf"\s*\"?{key}\"?\s*=", lines[at]):
-            number = at
-            break
-    else:
-        number = number if step is not None else -1
-    return message if number < 0 else message.replace(f"{file}: ", f"{file}: line {number + 1}: ", 1)
+    at = _line_of(key, None if step is None else int(step), text.splitlines())
+    return message if at is None else message.replace(f"{file}: ", f"{file}: line {at + 1}: ", 1)
+
+
+def _line_of(key: str | None, step: int | None, lines: Sequence[str]) -> int | None:
+    """Where the key stands in its step, or above all steps; else the head of the step."""
+    heads = [at for at, line in enumerate(lines) if re.match(r"\s*\[\[\s*step\s*\]\]", line)]
+    head = heads[step] if step is not None and step < len(heads) else None
+    first = 0 if head is None else head
+    section = takewhile(lambda at: at == first or not lines[at].lstrip().startswith("[["), range(first, len(lines)))
+    stands = (at for at in section if key and re.match(rf"\s*\"?{key}\"?\s*=", lines[at]))
+    return next(stands, head)
 
 
 def _told(error: Exception, file: str) -> str:

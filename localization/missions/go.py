@@ -12,15 +12,12 @@ from __future__ import annotations
 import argparse
 from math import degrees, inf
 
-from localization.missions.command import FAILED, tell
+from localization.missions.command import carry_out
 from localization.missions.helm import Sight
-from localization.missions.mission import Mission
-from localization.missions.running import run_mission
 from localization.missions.setting_out import add_options, set_out
 from localization.missions.settings import OnLost, Settings
 from localization.navigation import STOP_RADIUS_IN
 from localization.readers import numbers, positive
-from nclient.exit_codes import ExitCode
 
 TELL_S = 1.0
 
@@ -47,15 +44,7 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             out.helm.watchers.append(_Teller())
         out.goals.append(options.to[:2])
-        mission = Mission(out.helm, settings)
-        try:
-            run_mission(mission, lambda robot: robot.go_to(*options.to, within_in=options.within))
-        finally:
-            try:
-                tell(out.close(mission.report), options)
-            finally:
-                kept = out.keep(options)
-    return FAILED if not mission.report.done else ExitCode.DONE if kept else ExitCode.FAILED
+        return carry_out(out, settings, lambda robot: robot.go_to(*options.to, within_in=options.within), options)
 
 
 class _Teller:

@@ -105,8 +105,7 @@ class Helm:
 
     def _look(self, state: RobotState) -> Sight:
         angles = self.body.sonar_angles_rad
-        report = spared(self.unmapped, self.sight.estimate, state, angles)
-        estimate = self._localizer.update(report)
+        estimate = self._localizer.update(spared(self.unmapped, self.sight.estimate, state, angles))
         take_in(self.unmapped, estimate, state, angles)
         return Sight(estimate, state)
 

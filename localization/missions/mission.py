@@ -158,17 +158,21 @@ class Mission:
         if self._step is not None:
             raise StepFailed("error", f"{verb} inside of {self._step.verb}: one step at a time")
         with self._reported(verb, words) as step:
-            for left in range(retries, -1, -1):
-                step.tries += 1
-                self._step_ends_s = self._helm.clock_s + limit_s
-                try:
-                    act()
-                    return
-                except StepFailed as failure:
-                    if not left:
-                        raise
-                    self._note(f"{failure}; tried again")
-                    self._helm.period()
+            while not self._tried(step, act, limit_s, last=step.tries == retries):
+                self._helm.period()
+
+    def _tried(self, step: Step, act: Callable[[], None], limit_s: float, last: bool) -> bool:
+        """Whether it succeeded. Raises StepFailed where this was the last time."""
+        step.tries += 1
+        self._step_ends_s = self._helm.clock_s + limit_s
+        try:
+            act()
+        except StepFailed as failure:
+            if last:
+                raise
+            self._note(f"{failure}; tried again")
+            return False
+        return True
 
     @contextmanager
     def _reported(self, verb: str, words: str) -> Iterator[Step]:

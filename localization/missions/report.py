@@ -10,8 +10,7 @@ from math import degrees
 from typing import Any
 
 from localization.belief import wrapped
-
-Pose = tuple[float, float, float]
+from localization.run import Pose
 
 
 @dataclass

@@ -11,7 +11,6 @@ Rules: pure; estimates and states in, nothing asked.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import cos, sin
 from typing import Final
 
@@ -19,25 +18,14 @@ import numpy as np
 
 from localization.localizer import Estimate
 from localization.planning.unmapped import NEAREST_IN, Unmapped
+from localization.told import Told, retold
 from localization.watch import Trust
 from nclient.robot_state import RobotState
 
 MOST_SPARED: Final = 6
 
 
-@dataclass(frozen=True, slots=True)
-class Spared:
-    """A report for a filter: the state's, but for some readings."""
-
-    clock_s: float | None
-    x_in: float
-    y_in: float
-    steering_rad: float
-    turret_rad: float
-    sonars_in: tuple[int, ...]
-
-
-def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> Spared:
+def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> Told:
     """The state for the filter whose last estimate is given; the sonars stand at `angles_rad` on the turret."""
     readings = state.sonars_in
     if estimate.verdict.trust is not Trust.LOST:
@@ -46,7 +34,7 @@ def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad
         near = unmapped.too_near((x, y), looking + np.asarray(angles_rad), np.array(readings, dtype=np.float64), std)
         if sum(near) <= MOST_SPARED:
             readings = tuple(int(NEAREST_IN) if hidden else told for hidden, told in zip(near, readings, strict=True))
-    return Spared(state.clock_s, state.x_in, state.y_in, state.steering_rad, state.turret_rad, readings)
+    return retold(state, readings)
 
 
 def take_in(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> None:

@@ -12,7 +12,7 @@ model's are not believed however often they come, until they have once been this
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from nclient.protocol.commands import Call
@@ -117,7 +117,11 @@ class Plausibility:
             passed_ms = (reply.clock - self._seen.clock) % _WORD
             if passed_ms > _LONGEST_PAUSE_MS:
                 yield f"the clock goes from {self._seen.clock} to {reply.clock} ms"
-            yield from self._jumps(reply, self._seen, passed_ms)
+            yield from self._leaps(reply.slots, self._seen.slots, passed_ms)
+            yield from self._too_many_fired(reply.slots, self._seen.slots, passed_ms)
+            for old, new in zip(self._seen.volts or (), reply.volts or (), strict=False):
+                if abs(new - old) > _VOLT_STEP:
+                    yield f"a battery byte goes from {old} to {new}"
 
     def _out_of_range(self, reply: Reply) -> Iterator[str]:
         slots = reply.slots
@@ -129,24 +133,23 @@ class Plausibility:
         if slots.get(BUMPER_SLOT, rest) & rest != rest:
             yield f"bumper bits {slots[BUMPER_SLOT]:06x} {_WITHOUT}"
 
-    def _jumps(self, reply: Reply, seen: _Seen, passed_ms: int) -> Iterator[str]:
-        slots, before = reply.slots, seen.slots
-        for slot in _POSE:
-            if slot in slots and slot in before:
-                step = abs(slots[slot] - before[slot])
-                if slot in _PLACE:
-                    within = step <= _way(_REACH, passed_ms)
-                else:
-                    within = min(step, FULL_TURN_TENTHS - step) <= _way(self._swing, passed_ms)
-                if not within:
-                    yield f"{_name(slot)} jumps from {before[slot]} to {slots[slot]} in {passed_ms} ms"
-        if self._firing_ms is not None:
-            changed = sum(before.get(slot, slots[slot]) != slots[slot] for slot in _SONARS if slot in slots)
-            if changed > passed_ms / self._firing_ms + 2:
-                yield f"{changed} sonars changed in {passed_ms} ms, and one fires every {self._firing_ms:g}"
-        for old, new in zip(seen.volts or (), reply.volts or (), strict=False):
-            if abs(new - old) > _VOLT_STEP:
-                yield f"a battery byte goes from {old} to {new}"
+    def _leaps(self, slots: Mapping[int, int], before: Mapping[int, int], passed_ms: int) -> Iterator[str]:
+        """Of place and directions, farther than a robot comes."""
+        for slot in (slot for slot in _POSE if slot in slots and slot in before):
+            step = abs(slots[slot] - before[slot])
+            if slot in _PLACE:
+                within = step <= _way(_REACH, passed_ms)
+            else:
+                within = min(step, FULL_TURN_TENTHS - step) <= _way(self._swing, passed_ms)
+            if not within:
+                yield f"{_name(slot)} jumps from {before[slot]} to {slots[slot]} in {passed_ms} ms"
+
+    def _too_many_fired(self, slots: Mapping[int, int], before: Mapping[int, int], passed_ms: int) -> Iterator[str]:
+        if self._firing_ms is None:
+            return
+        changed = sum(before.get(slot, slots[slot]) != slots[slot] for slot in _SONARS if slot in slots)
+        if changed > passed_ms / self._firing_ms + 2:
+            yield f"{changed} sonars changed in {passed_ms} ms, and one fires every {self._firing_ms:g}"
 
 
 def _name(slot: int) -> str:

@@ -20,11 +20,13 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Final
 
 from nclient.commands.serving import tell
 from nclient.connect import address_or_default
 from nclient.errors import NomadError, ShellError
 from nclient.exit_codes import ExitCode
+from nclient.file_text import read_text
 from nclient.schemes import Wanted, opening_of
 from nclient.shell.language import parse
 from nclient.shell.session import Session
@@ -32,6 +34,8 @@ from nclient.shell.terminal import Reader, default_history, reader
 from nclient.shell.watching import LOOK_S, Watcher
 
 STDIN = "-"
+MOST_BYTES: Final = 1 << 20
+"""More than any script by hand; a larger file is something else."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -145,12 +149,7 @@ def _given(options: argparse.Namespace) -> tuple[Iterable[str] | None, str]:
         return (line for line in sys.stdin), "stdin"
     if options.script is None:
         return None, ""
-    try:
-        lines = Path(options.script).read_text(encoding="utf-8").splitlines()
-    except OSError as error:
-        raise ShellError(f"{options.script}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise ShellError(f"{options.script}: no text ({error.reason} at byte {error.start})") from error
+    lines = read_text(Path(options.script), MOST_BYTES, ShellError).splitlines()
     for number, line in enumerate(lines, 1):
         try:
             parse(line)

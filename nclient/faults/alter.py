@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections import Counter
 from random import Random
 
-from nclient.faults.kinds import BIT, Corrupt, Cut, DropByte, Noise, Stray
+from nclient.faults.kinds import BIT, Alteration, Corrupt, DropByte, Noise, Stray
 
 CORRUPTED, DROPPED, ADDED = "corrupted_bytes", "dropped_bytes", "added_bytes"
 
 
-def altered(data: bytes, fault: Corrupt | DropByte | Stray | Cut, chance: Random) -> bytes:
+def altered(data: bytes, fault: Alteration, chance: Random) -> bytes:
     """The bytes after the fault; `data` has at least one, the result may have none."""
     match fault:
         case Corrupt():

@@ -14,7 +14,7 @@ from random import Random
 from typing import NamedTuple
 
 from nclient.faults.alter import altered, with_noise
-from nclient.faults.kinds import Delay, Drop, Fault, HangUp, Nak, Noise, Silence
+from nclient.faults.kinds import Alteration, Delay, Drop, Fault, HangUp, Nak, Noise, Silence
 from nclient.faults.plan import Direction, Plan, Rule
 from nclient.protocol.commands import NAK_TYPE
 from nclient.protocol.serial_frame import build_frame
@@ -75,31 +75,38 @@ class Injector:
             return []
         delay_s = 0.0
         for striker in self._strikers:
-            fault = striker.struck(command, direction, now_s - self._start_s)
-            if fault is None:
-                continue
-            match fault:
-                case Drop():
-                    data = b""
-                case Silence():
-                    silence = (now_s + fault.silence_s, striker)
-                    self._silences.update(dict.fromkeys(striker.rule.directions, silence))
-                    data = b""
-                case HangUp():
+            match striker.struck(command, direction, now_s - self._start_s):
+                case None:
+                    continue
+                case HangUp() as fault:
                     return [Delivery(delay_s, data[: fault.keep], hang_up=True)]
                 case Nak() if direction is Direction.REQUEST:
                     return [Delivery(delay_s, nak, back=True)]
-                case Nak():
-                    data = nak
-                case Delay():
+                case Delay() as fault:
                     delay_s += max(0.0, fault.delay_s + fault.jitter_s * striker.chance.uniform(-1.0, 1.0))
-                case Noise():
-                    data = with_noise(data, fault, striker.chance, striker.tally)
-                case _:
-                    data = altered(data, fault, striker.chance)
+                case fault:
+                    data = self._changed(data, fault, striker, now_s, nak)
             if not data:
                 return []
         return [Delivery(delay_s, data)]
+
+    def _changed(
+        self, data: bytes, fault: Alteration | Drop | Silence | Nak | Noise, striker: _Striker, now_s: float, nak: bytes
+    ) -> bytes:
+        """What goes on of a frame, nothing where the fault swallows it."""
+        match fault:
+            case Drop():
+                return b""
+            case Silence():
+                silence = (now_s + fault.silence_s, striker)
+                self._silences.update(dict.fromkeys(striker.rule.directions, silence))
+                return b""
+            case Nak():
+                return nak
+            case Noise():
+                return with_noise(data, fault, striker.chance, striker.tally)
+            case _:
+                return altered(data, fault, striker.chance)
 
 
 class _Striker:

@@ -146,7 +146,9 @@ class Noise:
             fail(" + ".join(rates), "together more than 0 and at most 100", sum(rates.values()))
 
 
-Fault = Drop | Delay | Corrupt | DropByte | Stray | Cut | Nak | Silence | HangUp | Noise
+Alteration = Corrupt | DropByte | Stray | Cut
+"""What changes bytes of a frame by chance alone."""
+Fault = Drop | Delay | Alteration | Nak | Silence | HangUp | Noise
 KINDS: dict[str, type[Fault]] = {
     kind.kind: kind for kind in (Drop, Delay, Corrupt, DropByte, Stray, Cut, Nak, Silence, HangUp, Noise)
 }

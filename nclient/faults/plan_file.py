@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +24,7 @@ from typing import Any, Final
 from nclient.errors import FaultPlanError
 from nclient.faults.kinds import KINDS, Fault, check_choice
 from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
-from nclient.file_text import read_text
+from nclient.file_text import read_text, toml_of
 from nclient.suggesting import did_you_mean
 
 MOST_BYTES: Final = 1 << 20
@@ -48,10 +47,7 @@ def read_plan(path: Path) -> str:
 
 def parse_plan(text: str, file: str = "plan") -> Plan:
     """The plan that a text says; `file` is what errors call it. Raises FaultPlanError."""
-    try:
-        top: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FaultPlanError(f"{file}: is no TOML: {error}") from error
+    top = toml_of(text, file, FaultPlanError)
     try:
         _allow(top, ("seed", "rule"))
         tables = top.get("rule", [])

@@ -10,12 +10,14 @@ that they made whole. A daemon notes what it takes to do the same again: `steps`
 since the entry before, [seconds, how many]; `by_time`, an answer that time brought; `at`, its clock on a robot's line.
 
 Rules: time is handed in. What cannot be read names file, line and remedy; a last line cut short, as after a power cut,
-is left out and remarked upon. A disk that fills up costs the recording, never the robot's run: it is told once.
+is left out and remarked upon. A recording of days is read line by line; what is none is not read to its end. A disk
+that fills up costs the recording, never the robot's run: it is told once.
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import logging
 import math
@@ -23,7 +25,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 from nclient.errors import RecordingError
 from nclient.unwritable import remedy, unwritable
@@ -35,6 +37,8 @@ VERSION: Final = 1
 OUT, IN, OPEN, CLOSE, TIME = "out", "in", "open", "close", "time"
 _DIRECTIONS: Final = (OUT, IN)
 _EVENTS: Final = (OPEN, CLOSE, TIME)
+LONGEST_LINE: Final = 1 << 26
+"""Characters. The longest that is written has a world in it, of 24 million at the most."""
 _NAMED: Final = ("t", "dir", "event", "connection", "bytes", "decoded")
 
 
@@ -150,21 +154,37 @@ def as_object(entry: Entry) -> dict[str, Any]:
 def read_recording(path: Path) -> Recording:
     """The recording in a file. Raises RecordingError, naming file, line and remedy."""
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return _recording(file, str(path))
+    except RecordingError:
+        raise
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror})") from error
     except ValueError as error:
         raise RecordingError(f"{str(path)!r}: cannot be read ({error})") from None
-    return parse_recording(text, str(path))
 
 
 def parse_recording(text: str, name: str) -> Recording:
     """The recording that a text is; `name` is what errors call it."""
-    lines = text.split("\n")
-    header = _header(lines[0], name)
+    return _recording(io.StringIO(text), name)
+
+
+def _recording(file: TextIO, name: str) -> Recording:
+    lines = _lines(file, name)
+    header = _header(next(lines, ""), name)
     remarks: list[str] = []
     entries = tuple(_entries(lines, name, remarks))
     return Recording(name, header, entries, "".join(remarks))
+
+
+def _lines(file: TextIO, name: str) -> Iterator[str]:
+    number = 1
+    while line := file.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
+            raise RecordingError(f"{name}, line {number}: longer than {LONGEST_LINE} characters, which no line of a "
+                                 "recording is; is it the right file?")
+        yield line
+        number += 1
 
 
 def _header(line: str, name: str) -> dict[str, Any]:
@@ -181,16 +201,16 @@ def _header(line: str, name: str) -> dict[str, Any]:
     return header
 
 
-def _entries(lines: list[str], name: str, remarks: list[str]) -> Iterator[Entry]:
-    *whole, last = lines
-    for number, line in enumerate(whole[1:], start=2):
-        if line.strip():
-            yield _entry(line, number, name)
-    if last and len(lines) > 1:
+def _entries(lines: Iterator[str], name: str, remarks: list[str]) -> Iterator[Entry]:
+    for number, line in enumerate(lines, start=2):
+        if not line.strip():
+            continue
         try:
-            yield _entry(last, len(lines), name)
+            yield _entry(line, number, name)
         except RecordingError:
-            remarks.append(f"{name}, line {len(lines)}: cut short after {len(last)} characters, and left out")
+            if line.endswith("\n"):
+                raise
+            remarks.append(f"{name}, line {number}: cut short after {len(line)} characters, and left out")
 
 
 def _entry(line: str, number: int, name: str) -> Entry:

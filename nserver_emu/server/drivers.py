@@ -68,8 +68,7 @@ class Drivers:
         """This connection is gone: what still moves because of it brakes and holds."""
         for robot_id, drivers in self._drivers.items():
             robot = robots[robot_id]
-            for axis in ALL_AXES:
-                if drivers[axis] is visit:
-                    drivers[axis] = None
-                    if robot.moving[axis]:
-                        robot.command_axis(axis, Command.VELOCITY, 0.0)
+            for axis in (axis for axis in ALL_AXES if drivers[axis] is visit):
+                drivers[axis] = None
+                if robot.moving[axis]:
+                    robot.command_axis(axis, Command.VELOCITY, 0.0)

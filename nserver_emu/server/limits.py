@@ -14,11 +14,14 @@ from dataclasses import dataclass, field, fields
 from typing import Final, NamedTuple
 
 from nclient.protocol.tcp_frame import MAX_UNKNOWN_WORDS
+from nclient.recording.log import LONGEST_LINE
 from worlds.texts import MOST_BYTES
 
 _LIMIT: Final = "limit"
 FOR_A_PAGE: Final = 7
 """Connections that a browser opens for a page at the same time: six for its files, and the websocket."""
+SNAPSHOT_BYTES: Final = 1 << 29
+"""The longest snapshot. One with the limits' defaults takes a few MB; a million shapes take 200."""
 NONE: Final = 0
 """The value that lets go of a limit, for those that may be let go."""
 
@@ -133,7 +136,9 @@ def page() -> Iterator[str]:
         "(`/metrics`, [service.md](service.md)).", "",
         "Obstacles, graphics and frame decide answers: a recording keeps them, and `--replay` takes them from it.", "",
         f"Of a world, a setup, models, a calibration no more than {MOST_BYTES >> 20} MiB are read: a longer file is "
-        "refused by name.", "",
+        "refused by name. Of a", f"snapshot {SNAPSHOT_BYTES >> 20} MiB, and `--save` writes none that is longer. A "
+        "recording is read line by line, however long it", f"is, and a line up to {LONGEST_LINE >> 20} Mi characters.",
+        "",
         "## Who may connect", "",
         "The original protocol has no authentication and no encryption: whoever connects may drive the robots. So the "
         "daemon", "listens on loopback unless `--bind` says otherwise, and warns when it does. "

@@ -41,6 +41,10 @@ class Outcome:
     difference: str = ""
 
 
+class _NeverOpened(Exception):
+    """An entry is of a connection that did not come, or has gone."""
+
+
 class Again(Protocol):
     """What is asked once more: gives an answer at each entry that is one."""
 
@@ -64,7 +68,7 @@ def replay(recording: Recording) -> Outcome:
     for entry in recording.entries:
         try:
             said = again.follow(entry)
-        except KeyError:
+        except _NeverOpened:
             raise RecordingError(
                 f"{recording.name}, line {entry.line}: connection {entry.connection!r} was never opened"
             ) from None
@@ -119,7 +123,7 @@ class _DaemonAgain:
             case "open":
                 self._open(entry)
             case "out":
-                self._sessions[entry.connection].receive(entry.data)
+                self._session(entry).receive(entry.data)
             case "in":
                 return self._turn(entry)
             case "close":
@@ -153,8 +157,15 @@ class _DaemonAgain:
         self._sessions[name] = line
         self._greetings[name] = line.greeting if wire == HELLO_FIRST else b""
 
+    def _session(self, entry: Entry) -> Conversation[Any]:
+        session = self._sessions.get(entry.connection)
+        if session is None:
+            raise _NeverOpened
+        return session
+
     def _close(self, entry: Entry) -> None:
-        session = self._sessions.pop(entry.connection)
+        session = self._session(entry)
+        del self._sessions[entry.connection]
         if session.closing:
             self._acquaintances.leave(entry.connection, disconnected=True)
         else:
@@ -164,7 +175,7 @@ class _DaemonAgain:
     def _turn(self, entry: Entry) -> bytes:
         """What the daemon did at such an entry: greet, look whether time has brought an answer, or take a turn."""
         name = entry.connection
-        session = self._sessions[name]
+        session = self._session(entry)
         if greeting := self._greetings.pop(name, b""):
             return greeting
         if entry.more.get("by_time"):

@@ -18,8 +18,8 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from nclient.errors import NomadError
+from nserver_emu.server.old_setups import read_setups
 from nserver_emu.server.setting import DEFAULT_WORLD
-from nserver_emu.server.setup_files import read_setups
 
 log = logging.getLogger(__name__)
 

@@ -30,10 +30,10 @@ from nclient.protocol.units import (
 from nserver_emu.server.axis_units import axis_tenths
 from nserver_emu.server.laser_vector import is_on, laser_vector
 from nserver_emu.server.session import Visit
+from nserver_emu.simulation import poses
 from nserver_emu.simulation.battery import battery_v
 from nserver_emu.simulation.instants import to_s
 from nserver_emu.simulation.poses import Pose
-from nserver_emu.simulation.poses import Stamp as Moment
 from nserver_emu.simulation.robot import SimulatedRobot
 
 INFRARED_NOTHING = 15
@@ -192,7 +192,7 @@ def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
     return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 
-def _stamp(robot: SimulatedRobot, at: Moment) -> Stamp:
+def _stamp(robot: SimulatedRobot, at: poses.Stamp) -> Stamp:
     return Stamp(
         *_pose_tenths(at.pose),
         *axis_tenths(robot, at.velocities),

@@ -15,15 +15,13 @@ left out is as it was. Whatever is wrong is a WorldFileError: file, key, what wa
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from math import tau
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
-from nclient.errors import WorldFileError
 from nclient.suggesting import did_you_mean
 from nserver_emu.simulation.axis import AxisLimits
 from nserver_emu.simulation.models import MODELS, RobotModel
@@ -31,7 +29,7 @@ from worlds.bodies import Body
 from worlds.calibration import TABLES as CALIBRATION_TABLES
 from worlds.calibration import calibration_of
 from worlds.tables import INCHES, Table
-from worlds.texts import read_text
+from worlds.texts import read_text, toml_of
 
 MOST_BUMPERS: Final = 24
 """Bits in the three bytes of State[33]."""
@@ -48,10 +46,7 @@ def load_models(path: Path) -> Mapping[str, RobotModel]:
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
     """The same from the text of a file; `file` is what errors call it. A model may be like one above it."""
-    try:
-        values: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WorldFileError(f"{file}: is no TOML: {error}") from error
+    values = toml_of(text, file)
     top = Table(file, "", values)
     top.allow(("model",))
     models = dict(MODELS)

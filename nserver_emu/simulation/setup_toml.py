@@ -13,14 +13,13 @@ was expected.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from math import radians
 from pathlib import Path
 from typing import Any, Final
 
-from nclient.errors import AddressError, WorldFileError
+from nclient.errors import AddressError
 from nclient.suggesting import did_you_mean
 from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import IDEAL, SETUPS, RobotSetup
@@ -28,7 +27,7 @@ from nserver_emu.simulation.setup_keys import KEYS, POLAROID, RAY, SONAR_NUMBERS
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
 from worlds.bodies import SONARS
 from worlds.tables import Table
-from worlds.texts import read_text
+from worlds.texts import read_text, toml_of
 
 SUFFIX: Final = ".toml"
 TABLES: Final = tuple(dict.fromkeys(key.table for key in KEYS if key.table))
@@ -54,10 +53,7 @@ def load_setup(path: Path) -> RobotSetup:
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:
     """The same from a text; `file` is what errors call it, `name` what the setup is called unless it says so."""
-    try:
-        values: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WorldFileError(f"{file}: is no TOML: {error}") from error
+    values = toml_of(text, file)
     top = Table(file, "", values)
     top.allow(("base", "name", *(key.name for key in KEYS if not key.table), *TABLES))
     base_name = top.text("base", IDEAL.name)

@@ -165,8 +165,12 @@ class Viewing:
         host = request.remote or ""
         if not self._door.access.admits(host):
             self._door.turn_away(host, "that address is not allowed (--allow)")
-            raise web.HTTPForbidden(text="this address is not let in\n")
-        return await handler(request)
+            return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not let in\n")
+        try:
+            return await handler(request)
+        except web.HTTPException as refusal:  # aiohttp keeps what is raised, and so where it was raised
+            _forget_where(refusal)
+            return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
 
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
@@ -242,6 +246,7 @@ class Viewing:
             self.desk.leave(viewer)
             if socket.close_code == WSCloseCode.ABNORMAL_CLOSURE:
                 outlet.hang_up()
+            _forget_where(socket.exception())
         return socket
 
     def _tell(self, viewer: Viewer) -> None:
@@ -274,6 +279,12 @@ def _transport(request: web.Request) -> asyncio.Transport:
     if request.transport is None:
         raise ConnectionResetError("gone before it was answered")
     return request.transport
+
+
+def _forget_where(error: BaseException | None) -> None:
+    """Who keeps an error keeps the frames in which it arose, and they keep him, until garbage is looked for."""
+    while error is not None:
+        error.__traceback__, error = None, error.__context__
 
 
 async def _no_icon(_request: web.Request) -> web.StreamResponse:

@@ -1,4 +1,4 @@
-"""Reports of a robot that is known to err, as those of one that does not."""
+"""What a robot tells that is known to err, as one that does not would."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import pytest
 
 from localization import calibrated
 from localization.belief import independent
-from localization.calibrated import Faultless, with_wheels
+from localization.calibrated import with_wheels
 from localization.echoes import FiringSchedule
 from localization.localizer import Localizer
 from localization.measurement import WIRE_SONAR
 from localization.surroundings import Surroundings
+from localization.told import Retold
 from worlds.bodies import N150
 from worlds.calibration import FAULTLESS, Calibration, Spread
 from worlds.files import load_world
 
-REPORT = Faultless(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
+TOLD = Retold(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
 ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), Spread(0.01, 0.02, 1e-4))
 
 
 def test_readings_lose_their_offsets_and_limits_stay_limits() -> None:
-    corrected = calibrated.of(REPORT, ERRS)
+    corrected = calibrated.of(TOLD, ERRS)
     assert corrected.sonars_in[:3] == (6.0, 255.0, 0.0)
     assert 6.0 < corrected.sonars_in[3] < 6.01
     assert 254.99 < corrected.sonars_in[4] < 255.0
@@ -33,7 +34,7 @@ def test_readings_lose_their_offsets_and_limits_stay_limits() -> None:
 
 
 def test_a_faultless_robot_is_told_as_it_is() -> None:
-    assert calibrated.of(REPORT, FAULTLESS) is REPORT
+    assert calibrated.of(TOLD, FAULTLESS) is TOLD
     pose = independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
     assert with_wheels(pose, FAULTLESS) is pose
 
@@ -50,6 +51,6 @@ def test_a_localizer_hears_what_is_corrected() -> None:
     start = independent([2.0, 3.0, 0.5], [0.1, 0.1, 0.01])
     known = Surroundings(walls, N150, sonar=WIRE_SONAR, errs=ERRS)
     localizer = Localizer(known, start, FiringSchedule(1.0))
-    localizer.update(REPORT)
-    estimate = localizer.update(Faultless(2.0, 2.0, 3.0, 0.5, 0.6, REPORT.sonars_in))
+    localizer.update(TOLD)
+    estimate = localizer.update(Retold(2.0, 2.0, 3.0, 0.5, 0.6, TOLD.sonars_in))
     assert {echo.sonar: echo.reading_in for echo in estimate.echoes}[15] == 52.0

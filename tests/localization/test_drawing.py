@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from localization import drawing
-from nclient.errors import NomadError
+from nclient.errors import NomadError, OutputFileError
 
 
 def test_an_ellipse_lies_its_sigmas_away() -> None:
@@ -25,3 +26,13 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) 
         drawing.require_matplotlib()
     assert isinstance(caught.value, NomadError)
     assert isinstance(caught.value, ImportError)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_a_picture_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "full.png").symlink_to("/dev/full")
+    with pytest.raises(OutputFileError, match=r"full\.png: cannot be written: No space left on device; make room"):
+        drawing.save(drawing.blank(1.0, 1.0), tmp_path / "full.png")
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputFileError, match=r"run\.png: cannot be written: "):
+        drawing.save(drawing.blank(1.0, 1.0), tmp_path / "file" / "run.png")

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.belief import independent
+from localization.belief import Belief, independent
 from localization.kept import Kept, Site
-from localization.kept_file import KEYS, load, save
+from localization.kept_file import KEYS, MOST_BYTES, load, save
 from localization.odometry import EncoderPose
+from localization.systematic import LARGEST
 from nclient.errors import EstimateFileError
 
 KEPT = Kept(
@@ -70,6 +71,16 @@ def test_a_wrong_value_is_told(file: Path, key: str, value: Any) -> None:
 def test_what_is_no_such_file_is_told(file: Path, text: str) -> None:
     file.write_text(text)
     with pytest.raises(EstimateFileError, match=r"here\.json: "):
+        load(file)
+
+
+def test_the_largest_state_fits_and_a_longer_file_is_not_read(file: Path) -> None:
+    cov = np.full((LARGEST, LARGEST), -1.2345678901234567e-300) + np.eye(LARGEST)
+    save(file, Kept(Site("x" * 1000, *KEPT.site[1:]), KEPT.encoders, Belief(np.full(LARGEST, -1 / 3e9), cov)))
+    assert file.stat().st_size < MOST_BYTES / 10
+    assert len(load(file).belief.mean) == LARGEST
+    file.write_text(file.read_text() + " " * MOST_BYTES)
+    with pytest.raises(EstimateFileError, match=rf"here\.json: is longer than {MOST_BYTES} bytes"):
         load(file)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,24 +13,13 @@ from localization.echoes import FiringSchedule
 from localization.localizer import Localizer
 from localization.observation import Refusal
 from localization.surroundings import Surroundings
+from localization.told import Retold
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
 
 ROOM = load_world("thesis_room").walls
-
-
-@dataclass(frozen=True)
-class Report:
-    """What RobotState gives the filter."""
-
-    clock_s: float | None
-    x_in: float
-    y_in: float
-    steering_rad: float
-    turret_rad: float
-    sonars_in: tuple[int, ...]
 
 
 class Robot:
@@ -45,12 +34,12 @@ class Robot:
         way = self.speed * time_s
         return 20 + way * math.cos(self.heading), 30 + way * math.sin(self.heading)
 
-    def report(self, time_s: float) -> Report:
+    def report(self, time_s: float) -> Retold:
         while self.fired * 0.06 <= time_s + 1e-9:
             self.fire(DEFAULT_SONAR_ORDER[self.fired % 16], self.fired * 0.06)
             self.fired += 1
         x, y = self.pose(time_s)
-        return Report(time_s, x, y, self.heading % math.tau, self.turret % math.tau, tuple(self.sonars))
+        return Retold(time_s, x, y, self.heading % math.tau, self.turret % math.tau, tuple(self.sonars))
 
     def fire(self, sonar: int, time_s: float) -> None:
         angle = self.turret + N150.sonar_angles_rad[sonar]

@@ -49,6 +49,8 @@ def test_a_file_that_is_none_says_nothing_wrong(text: str, tmp_path: Path) -> No
     file.write_text(text)
     assert rays_told_by(f"sim:?setup={file}") is (None if text.endswith("= ") else True)
     assert rays_told_by(f"sim:?setup={tmp_path}/none.toml") is None
+    file.write_text("x = " + 5000 * "[")
+    assert rays_told_by(f"sim:?setup={file}") is None
 
 
 def test_a_server_does_not_tell_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:

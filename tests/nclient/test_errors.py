@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import pytest
 
@@ -26,6 +27,15 @@ def test_each_error_has_the_root_and_a_standard_parent(error: type[Exception], s
     assert issubclass(error, errors.NomadError)
     assert issubclass(error, standard)
     assert error.__name__ in (errors.__doc__ or "")
+
+
+def test_the_tree_is_drawn_whole() -> None:
+    drawn = re.findall(r"── (\w+)(?: \((\w+)\))? ", errors.__doc__ or "")
+    there = {name: error for name, error in vars(errors).items() if isinstance(error, type)}
+    assert {name for name, _ in drawn} == there.keys() - {"NomadError"}
+    assert {name: married for name, married in drawn if married} == {
+        name: error.__bases__[1].__name__ for name, error in there.items() if len(error.__bases__) > 1
+    }
 
 
 @pytest.mark.parametrize(

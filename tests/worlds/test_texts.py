@@ -51,3 +51,12 @@ def test_a_mark_of_the_byte_order_is_passed_over_and_other_bytes_are_named(tmp_p
 def test_what_cannot_be_read_is_named(name: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(WorldFileError, match=f"cannot be read: .*{said}"):
         read_text(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", READERS)
+@pytest.mark.parametrize(("text", "told"), [("x =", "Invalid value"), ("x = " + 5000 * "[", "nested too deeply")])
+def test_every_reader_of_such_files_tells_what_is_no_toml(kind: str, text: str, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(WorldFileError, match=rf"bad\.toml: is no TOML: {told}"):
+        READERS[kind](file)

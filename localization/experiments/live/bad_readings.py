@@ -5,26 +5,12 @@ Rules: the filter sees the same interface; all chance is the seed's. Which echo 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from localization.echoes import FiringSchedule
-from localization.localizer import Report
+from localization.told import Told, retold
 
 LOWEST_IN, HIGHEST_IN = 6, 255
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """A report whose sonars may not be what the robot said."""
-
-    clock_s: float | None
-    x_in: float
-    y_in: float
-    steering_rad: float
-    turret_rad: float
-    sonars_in: tuple[int, ...]
 
 
 class BadReadings:
@@ -36,16 +22,12 @@ class BadReadings:
         self._round_s = schedule.round_s
         self._replaced: dict[int, tuple[int, int | None]] = {}
 
-    def of(self, report: Report) -> Report:
-        """The report as the filter is shown it."""
-        if not self._share or report.clock_s is None:
-            return report
-        readings = [
-            self._reading(sonar, report.clock_s, int(heard)) for sonar, heard in enumerate(report.sonars_in)
-        ]
-        return Shown(
-            report.clock_s, report.x_in, report.y_in, report.steering_rad, report.turret_rad, tuple(readings)
-        )
+    def of(self, told: Told) -> Told:
+        """What the robot told as the filter is shown it."""
+        if not self._share or told.clock_s is None:
+            return told
+        readings = [self._reading(sonar, told.clock_s, int(heard)) for sonar, heard in enumerate(told.sonars_in)]
+        return retold(told, tuple(readings))
 
     def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
         since_s = clock_s - self._schedule.start_s - self._late_s[sonar]

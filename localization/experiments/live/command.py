@@ -9,11 +9,9 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 from localization.drawing import require_matplotlib
-from localization.experiments import crew
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.live import matrix, report, tum
 from localization.experiments.live.matrix import COMPARED, Done, Job, Trial, trials
@@ -21,7 +19,7 @@ from localization.experiments.live.scenario import COURSES, SCENARIOS
 from localization.experiments.live.store import Store
 from localization.experiments.live.summary import TrialResult
 from localization.experiments.live.trial import MOST_PERIODS
-from localization.experiments.options import add_shared, positive
+from localization.experiments.options import add_shared, crew_for, positive
 from localization.experiments.progress import Tally, progress
 from localization.filters.table import METHODS
 
@@ -36,7 +34,7 @@ def main(arguments: Sequence[str]) -> None:
     wanted = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
     store = Store(options.out / "trials", fingerprint())
     with progress(len(wanted), "live", "trials") as tally:
-        results = collect(wanted, store, options.tum, _crew(options), tally)
+        results = collect(wanted, store, options.tum, crew_for(matrix.run, options), tally)
     found = matrix.summaries(results)
     written = report.write(found, options.out, picture=options.pictures)
     print(json.dumps(report.rows(found)) if options.json else report.table(found), flush=True)
@@ -70,12 +68,6 @@ def _drawn(folder: Path, trial: Trial, store: Store) -> bool:
     """Whether the paths of a trial are written, no earlier than its result."""
     since = store.path(trial).stat().st_mtime_ns
     return all(path.exists() and path.stat().st_mtime_ns >= since for path in tum.paths(folder, trial).values())
-
-
-def _crew(options: argparse.Namespace) -> Crew:
-    if options.cluster:
-        return partial(crew.on_cluster, matrix.run, address=options.cluster, code=fingerprint)
-    return partial(crew.here, matrix.run, jobs=options.jobs)
 
 
 def _parser() -> argparse.ArgumentParser:

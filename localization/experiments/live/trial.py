@@ -38,7 +38,7 @@ START: Final = 0
 """Stream of a seed's chance from which the error of the first estimate is drawn."""
 
 
-class Moment(NamedTuple):
+class Period(NamedTuple):
     """A period: the estimate, truth and encoders (3,) at its clock, and the seconds of the timer spent on it."""
 
     estimate: Estimate
@@ -87,8 +87,8 @@ def drive(
         with connect(f"sim:{world.name}?{options}") as robot:
             localizer, shown = _listening(robot, scenario, world, figure, seed)
             navigator = Navigator(world.paths[figure].goals_in, Speeds(translation_in_s=scenario.speed_in_s))
-            moments = _follow(robot, localizer, shown, navigator, periods, timer)
-    return _record(seed, navigator.finished, moments)
+            followed = _follow(robot, localizer, shown, navigator, periods, timer)
+    return _record(seed, navigator.finished, followed)
 
 
 def _listening(
@@ -109,9 +109,9 @@ def _listening(
 
 def _follow(
     robot: Robot, localizer: Localizer, shown: BadReadings, navigator: Navigator, periods: int, timer: Timer
-) -> list[Moment]:
+) -> list[Period]:
     """Drive on the estimate until the last goal, or until the periods are over."""
-    moments: list[Moment] = []
+    followed: list[Period] = []
     for _ in range(periods):
         state, actual = robot.refresh(), robot.truth()
         report = shown.of(state)
@@ -119,22 +119,22 @@ def _follow(
         estimate = localizer.update(report)
         spent_s = timer() - before_s
         truth = np.array([actual.x_in, actual.y_in, actual.steering_rad])
-        moments.append(Moment(estimate, truth, np.array([state.x_in, state.y_in, state.steering_rad]), spent_s))
+        followed.append(Period(estimate, truth, np.array([state.x_in, state.y_in, state.steering_rad]), spent_s))
         command = navigator.command(estimate.pose)
         if command is None:
             break
         robot.drive(translation_in_s=command.translation_in_s, steering_rad_s=command.steering_rad_s)
-    return moments
+    return followed
 
 
-def _record(seed: int, reached: bool, moments: Sequence[Moment]) -> Record:
+def _record(seed: int, reached: bool, periods: Sequence[Period]) -> Record:
     """The trial in columns; of estimates that look back, each instant once, as told last."""
-    polled_s = np.array([moment.estimate.clock_s for moment in moments])
-    truth = np.stack([moment.truth for moment in moments])
-    encoders = np.stack([moment.encoders for moment in moments])
+    polled_s = np.array([period.estimate.clock_s for period in periods])
+    truth = np.stack([period.truth for period in periods])
+    encoders = np.stack([period.encoders for period in periods])
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
-    spent = np.array([moment.spent_s for moment in moments])
-    told = [_told(moment.estimate) for moment in moments]
+    spent = np.array([period.spent_s for period in periods])
+    told = [_told(period.estimate) for period in periods]
     fresh = [k for k in range(len(told)) if k == len(told) - 1 or told[k + 1].clock_s > told[k].clock_s]
     clock = np.array([told[k].clock_s for k in fresh])
     means = np.stack([told[k].belief.mean[:3] for k in fresh])

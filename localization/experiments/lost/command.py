@@ -9,17 +9,15 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.experiments import crew
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.kept import Kept
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.lost.summary import summaries, words
 from localization.experiments.lost.trial import Case, Kind, Outcome, drive
-from localization.experiments.options import add_work, positive
+from localization.experiments.options import add_work, crew_for, positive
 from localization.experiments.progress import progress
 from worlds.files import world_names
 
@@ -60,12 +58,9 @@ def _outcomes(cases: Sequence[Case], kept: Kept, options: argparse.Namespace) ->
     paths = {case: kept.path(case.name, (case,)) for case in cases}
     there = {case: found for case, path in paths.items() if (found := kept.get(path)) is not None}
     outcomes = {case: Outcome(**found) for case, found in there.items()}
-    work = partial(crew.on_cluster, address=options.cluster, code=fingerprint) if options.cluster else partial(
-        crew.here, jobs=options.jobs
-    )
     with progress(len(cases), "lost", "runs") as tally:
         tally(len(outcomes))
-        for case, outcome in work(run, [case for case in cases if case not in there]):
+        for case, outcome in crew_for(run, options)([case for case in cases if case not in there]):
             kept.put(paths[case], outcome.as_dict())
             outcomes[case] = outcome
             tally(len(outcomes))

@@ -10,16 +10,14 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from statistics import mean
 from typing import Any, Final
 
-from localization.experiments import crew
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.kept import Kept
 from localization.experiments.live.scenario import SCENARIOS
-from localization.experiments.options import add_work, positive
+from localization.experiments.options import add_work, crew_for, positive
 from localization.experiments.plan.drive import Driven, drive
 from localization.experiments.plan.pairs import WORLDS, Pair
 from localization.experiments.progress import Tally, progress
@@ -35,7 +33,7 @@ def main(arguments: Sequence[str]) -> None:
     wanted = [Pair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
     kept = Kept(options.out / "drives", fingerprint())
     with progress(len(wanted), "plan", "drives") as tally:
-        results = collect(wanted, kept, _crew(options), tally)
+        results = collect(wanted, kept, crew_for(drive, options), tally)
     rows = [row(world, [results[pair] for pair in wanted if pair.world == world]) for world in options.worlds]
     options.out.mkdir(parents=True, exist_ok=True)
     written = options.out / f"plan_{options.scenario}.json"
@@ -100,12 +98,6 @@ def table(rows: Sequence[dict[str, Any]], drives: Sequence[Driven]) -> str:
         if drive.ending != "done" or drive.contact
     ]
     return "\n".join(told)
-
-
-def _crew(options: argparse.Namespace) -> Crew:
-    if options.cluster:
-        return partial(crew.on_cluster, drive, address=options.cluster, code=fingerprint)
-    return partial(crew.here, drive, jobs=options.jobs)
 
 
 def _parser() -> argparse.ArgumentParser:

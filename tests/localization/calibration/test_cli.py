@@ -119,6 +119,16 @@ def test_it_gives_up_at_the_time_limit_and_writes_nothing(
     assert not out.exists()
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_what_was_found_is_told_where_it_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--laps", "1", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60", "--json"]
+    address = ["sim:thesis_room", "--world", "thesis_room"]
+    assert cli.main(["calibrate", *address, *words, "--out", "/dev/full"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["laps"] == 1
+    assert "nomad: /dev/full: cannot be written: No space left on device; make room" in said.err
+
+
 @pytest.mark.parametrize("words", [[], ["--json"]])
 def test_readings_that_do_not_fit_are_told_and_nothing_is_written(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -136,6 +136,8 @@ def test_settings_are_read_and_have_defaults() -> None:
         ('lost_s = 0\n[[step]]\ndo = "look"\n', "m.toml: line 1: lost_s: expected 0.1 to 86400, found 0"),
         ('fence_in = [[1, 2]]\n[[step]]\ndo = "look"\n',
          "m.toml: line 1: fence_in: expected at least 3 points, found 1"),
+        ('# rounds\n\n[[stp]]\ndo = "look"\n', "m.toml: stp: unknown key; expected one of title, map, time_limit_s, "
+         "on_lost, lost_s, step, fence_in, fence_cm, fence_m; did you mean step?"),
     ],
 )  # fmt: skip
 def test_a_list_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:

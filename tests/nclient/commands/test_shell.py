@@ -13,6 +13,7 @@ from answering import ScriptedServer
 from nclient import cli
 from nclient.backends.nserver import NserverBackend
 from nclient.commands import shell
+from nclient.commands.shell import MOST_BYTES
 from nclient.shell.session import Session
 from nclient.shell.watching import Watcher
 from nclient.transports.memory import MemoryStream
@@ -61,10 +62,13 @@ def test_the_first_line_that_fails_ends_it_and_typos_do_before_anything_moves(
 
 def test_a_script_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["shell", SIM, "--script", str(tmp_path / "none")]) == 1
-    assert "none: cannot be read (No such file or directory)" in capsys.readouterr().err
+    assert "none: cannot be read: No such file or directory" in capsys.readouterr().err
     (tmp_path / "bytes").write_bytes(b"gs\n\xff")
     assert cli.main(["shell", SIM, "--script", str(tmp_path / "bytes")]) == 1
-    assert "bytes: no text (invalid start byte at byte 3)" in capsys.readouterr().err
+    assert "bytes: expected text in UTF-8, found other bytes at 3: invalid start byte" in capsys.readouterr().err
+    (tmp_path / "long").write_bytes(b"#" * (MOST_BYTES + 1))
+    assert cli.main(["shell", SIM, "--script", str(tmp_path / "long")]) == 1
+    assert f"long: is longer than {MOST_BYTES} bytes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [["--script", "-"], []])

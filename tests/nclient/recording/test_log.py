@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import RecordingError
+from nclient.recording import log
 from nclient.recording.log import Entry, LogWriter, parse_recording, read_recording
 
 HEADER = '{"format": "nomad recording", "version": 1, "seed": 7}\n'
@@ -80,6 +81,29 @@ def test_a_last_line_that_lacks_its_end_only_counts() -> None:
 def test_what_is_no_recording(text: str, told: str) -> None:
     with pytest.raises(RecordingError, match=f"run.log, {told}"):
         parse_recording(text, "run.log")
+
+
+def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "LONGEST_LINE", len(HEADER))
+    path = tmp_path / "run.log"
+    path.write_text(HEADER + 1000 * GS)
+    assert len(read_recording(path).entries) == 1000
+    path.write_text(HEADER + GS + GS.rstrip() + 20 * " " + "\n")
+    with pytest.raises(RecordingError, match=r"run\.log, line 3: longer than .* is it the right file\?"):
+        read_recording(path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
+def test_what_is_no_recording_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log, "LONGEST_LINE", 10_000)
+    with pytest.raises(RecordingError, match="/dev/zero, line 1: longer than 10000 characters"):
+        read_recording(Path("/dev/zero"))
+
+
+def test_lines_of_another_system_are_read_as_well(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_bytes((HEADER + GS + "\n" + GS).replace("\n", "\r\n").encode())
+    assert [entry.line for entry in read_recording(path).entries] == [2, 4]
 
 
 def test_files_that_cannot_be(tmp_path: Path) -> None:

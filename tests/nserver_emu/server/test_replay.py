@@ -288,6 +288,8 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     ({"pace": 5}, "line 2: nothing that"), ({"pace": [1e9, False]}, "line 2: nothing that"),
     ({"hold": []}, "line 2: nothing that"),
     ({"world": 3}, "line 2: nothing that"),
+    ({"hold": {"robots": [1]}}, r"line 2: nothing that a daemon writes \(KeyError\('by'\)\)"),
+    ({"hold": {"robots": [9], "by": "a"}}, "line 2: nothing that a daemon writes"),
 ])  # fmt: skip
 def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
     path = tmp_path / "run.log"
@@ -295,6 +297,29 @@ def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[s
     writer.write(Entry(0.0, "time", more=changes))
     writer.close()
     with pytest.raises(RecordingError, match=told):
+        replay(read_recording(path))
+
+
+@pytest.mark.parametrize("missing", ["wire", "model"])
+def test_a_connection_that_is_opened_without_what_it_takes_is_told_by_that(tmp_path: Path, missing: str) -> None:
+    path = tmp_path / "run.log"
+    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    told = {"wire": "tcp", "model": "n150"}
+    del told[missing]
+    writer.write(Entry(0.0, "open", "a", more=told))
+    writer.close()
+    with pytest.raises(RecordingError, match=rf"line 2: nothing that a daemon writes \(KeyError\('{missing}'\)\)"):
+        replay(read_recording(path))
+
+
+@pytest.mark.parametrize("kind", ["out", "in", "close"])
+def test_a_connection_that_has_gone_is_told(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "run.log"
+    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    for each in ("open", "close", kind):
+        writer.write(Entry(0.0, each, "a", more={"wire": "tcp", "model": "n150"} if each == "open" else {}))
+    writer.close()
+    with pytest.raises(RecordingError, match="line 4: connection 'a' was never opened"):
         replay(read_recording(path))
 
 

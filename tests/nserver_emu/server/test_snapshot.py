@@ -6,6 +6,7 @@ import json
 import struct
 import sys
 import tracemalloc
+from array import array
 from base64 import b64decode
 from pathlib import Path
 
@@ -178,6 +179,25 @@ def test_a_file_that_cannot_be_written_or_read_says_so(tmp_path: Path) -> None:
         snapshot.restore(emulator, tmp_path / "nothing.json")
 
 
+def test_what_is_too_long_to_be_a_snapshot_is_neither_read_nor_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator, path = Emulator(simulation()), tmp_path / "saved.json"
+    length = len(snapshot.dumps(emulator))
+    monkeypatch.setattr(snapshot, "SNAPSHOT_BYTES", length)
+    snapshot.save(emulator, path)
+    snapshot.restore(emulator, path)
+    monkeypatch.setattr(snapshot, "SNAPSHOT_BYTES", length - 1)
+    with pytest.raises(SnapshotError, match=rf"saved\.json: is longer than {length - 1} bytes"):
+        snapshot.restore(emulator, path)
+    emulator.simulation.step(0.1)
+    before = path.read_text()
+    with pytest.raises(SnapshotError, match=r"saved\.json: cannot be written: \d+ bytes.*lower --limit-graphics or"):
+        snapshot.save(emulator, path)
+    assert path.read_text() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["saved.json"]
+
+
 def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
     emulator, _ = busy()
     (tmp_path / "full").symlink_to("/dev/full")
@@ -234,6 +254,13 @@ def test_what_the_rooms_do_not_know_is_not_kept() -> None:
     emulator, _ = busy()
     emulator.graphics.redrawn = json.JSONDecoder()  # type: ignore[assignment]
     with pytest.raises(SnapshotError, match="no snapshot may hold"):
+        snapshot.dumps(emulator)
+
+
+def test_an_array_of_no_doubles_is_not_kept() -> None:
+    emulator, _ = busy()
+    emulator.graphics.redrawn = array("i")  # type: ignore[assignment]
+    with pytest.raises(SnapshotError, match="cannot keep an array of 'i'"):
         snapshot.dumps(emulator)
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import json
 import socket
+import types
+from collections.abc import Awaitable, Callable
 
 import pytest
 from viewed_daemon import HOST, Served, served
@@ -160,3 +163,43 @@ def test_a_page_is_told_that_the_daemon_goes() -> None:
             assert page.socket.close_code == 1001
 
     asyncio.run(scenario())
+
+
+async def refusals(here: Served) -> None:
+    for path, status in (("/?token=x", 403), ("/ws?token=x", 403), ("/nothing", 404)):
+        async with here.web.get(here.origin + path) as answer:
+            assert answer.status == status
+    async with here.web.post(here.origin + "/") as answer:
+        assert (answer.status, answer.headers["Allow"]) == (405, "GET,HEAD")
+    for data in (b"{", b"\xff"):
+        async with here.web.post(f"{here.origin}/publish", params={"token": here.viewing.token}, data=data) as answer:
+            assert answer.status == 400
+            assert await answer.text()
+
+
+async def torn_off(here: Served) -> None:
+    page = await dumb_page(here)
+    page.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # an end without goodbye
+    page.close()
+    await forgotten(here)
+    await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize("visit", [refusals, torn_off])
+def test_errors_keep_no_frames_until_garbage_is_looked_for(visit: Callable[[Served], Awaitable[None]]) -> None:
+    async def scenario() -> list[object]:
+        async with served(Emulator(simulation())) as here:
+            await visit(here)
+            gc.collect()
+            gc.disable()
+            gc.set_debug(gc.DEBUG_SAVEALL)
+            try:
+                await visit(here)
+                gc.collect()
+                return [thing for thing in gc.garbage if isinstance(thing, types.FrameType | types.TracebackType)]
+            finally:
+                gc.set_debug(0)
+                gc.garbage.clear()
+                gc.enable()
+
+    assert asyncio.run(scenario()) == []

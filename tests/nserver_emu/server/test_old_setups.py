@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import SetupFileError
-from nserver_emu.server import setup_files
-from nserver_emu.server.setup_files import OldSetup, parse_setup, read_setups
+from nserver_emu.server import old_setups
+from nserver_emu.server.old_setups import OldSetup, parse_setup, read_setups
 
 ROBOT = r"""
 ; the robot of room 12
@@ -75,7 +75,7 @@ def test_a_fault_is_named_by_file_and_line(tmp_path: Path, text: str, match: str
 def test_what_cannot_be_read_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(SetupFileError, match=r"nothing.setup: cannot be read"):
         read_setups([tmp_path / "nothing.setup"])
-    monkeypatch.setattr(setup_files, "MOST_BYTES", 10)
+    monkeypatch.setattr(old_setups, "MOST_BYTES", 10)
     with pytest.raises(SetupFileError, match="is longer than"):
         read_setups([written(tmp_path, "big.setup", "; 123456789")])
 
