@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from forked import Forked
 from playwright.sync_api import Browser, Page
 
 from nclient import Robot, connect
@@ -77,10 +76,8 @@ class Program:
 @contextmanager
 def nserver(*words: str) -> Iterator[Program]:
     """The program with these words."""
-    command = [sys.executable, "-m", "nserver_emu", *words, "--port", "0", "--viewer", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with Forked("nserver", *words, "--port", "0", "--viewer", "0") as process:
         try:
-            assert process.stdout is not None
             port = int(process.stdout.readline().rpartition(":")[2])
             line = process.stdout.readline()
             found = re.fullmatch(r"listening viewer (\S+)\n", line)
