@@ -77,7 +77,7 @@ def test_the_bumpers_of_a_scout_turn_with_its_body(browser: Browser) -> None:
     with nserver("thesis_room", "--robot", "scout") as program, opened(browser, program.url) as page:
         say = "nserver.link.ask({ do: 'call', robot: 1, call: '%s', args: %s }).then((answer) => answer.ok)"
         assert page.value(say % ("place_robot", [300, 900, 900, 900]))
-        assert page.value(say % ("vm", [50, 50, 0]))
+        assert page.value(say % ("vm", [100, 100, 0]))
         page.wait("nserver.scene.robots['1'].state[33] !== 0")
         page.page.locator("#window-short").scroll_into_view_if_needed()
         page.page.wait_for_timeout(400)
@@ -85,7 +85,7 @@ def test_the_bumpers_of_a_scout_turn_with_its_body(browser: Browser) -> None:
             """(() => { const canvas = document.querySelector('#window-short canvas'), { width, height } = canvas;
             const data = canvas.getContext('2d').getImageData(0, 0, width, height).data, found = [0, 0];
             for (let y = 0; y < height; y += 1) for (let x = 0; x < width; x += 1) {
-              const [red, green, blue] = data.slice(4 * (y * width + x));
+              const k = 4 * (y * width + x), [red, green, blue] = data.subarray(k, k + 3);
               if (red > 180 && green < 60 && blue < 80) found[height / 2 - y > Math.abs(x - width / 2) ? 0 : 1] += 1;
             } return found; })()"""
         )
