@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,15 +30,17 @@ class Opened:
     page: Page
     troubles: list[str] = field(default_factory=list)
 
-    def wait(self, condition: str, patience_s: float = PATIENCE_S) -> None:
-        """Until this JavaScript is true; `nserver` is the page's own application.
+    def wait(self, condition: str, patience_s: float = PATIENCE_S, doing: Callable[[], object] = lambda: None) -> None:
+        """Until this JavaScript is true, `doing` this before each look; `nserver` is the page's own application.
 
         Asked again and again from here: the page's policy forbids what Playwright would have it ask itself.
         """
         deadline = time.monotonic() + patience_s
+        doing()
         while not self.page.evaluate(condition):
             assert time.monotonic() < deadline, f"never came true: {condition}"
             self.page.wait_for_timeout(PAUSE_MS)
+            doing()
 
     def value(self, expression: str) -> Any:
         """What this JavaScript comes to."""
