@@ -69,16 +69,16 @@ class Forked:
         return code
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """What it says until it ends; killed where it does not in time."""
-        streams = [stream for stream in (self.stdout, self.stderr) if stream]
-        with ThreadPoolExecutor(len(streams)) as readers:
-            said = readers.map(operator.methodcaller("read"), streams)
+        """What else it says until it ends, once; killed where it does not in time."""
+        with ThreadPoolExecutor(len(self._streams)) as readers:
+            said = readers.map(operator.methodcaller("read"), self._streams)
             try:
                 self.wait(timeout)
             except subprocess.TimeoutExpired:
                 self.kill()
                 raise
             out, err = (*said, "")[:2]
+        self._close()
         return out, err
 
     def send_signal(self, number: int) -> None:
@@ -98,10 +98,16 @@ class Forked:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stdout.close()
-        if self.stderr:
-            self.stderr.close()
+        self._close()
         self.wait()
+
+    @property
+    def _streams(self) -> list[IO[str]]:
+        return [stream for stream in (self.stdout, self.stderr) if stream]
+
+    def _close(self) -> None:
+        for stream in self._streams:
+            stream.close()
 
 
 def done(program: str, *words: str, timeout: float) -> subprocess.CompletedProcess[str]:
