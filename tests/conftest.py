@@ -23,6 +23,7 @@ settings.register_profile("steady", _UNHURRIED, derandomize=True)
 settings.register_profile("roaming", _UNHURRIED, derandomize=False)
 settings.load_profile("steady")
 
+sys.path.insert(0, str(Path(__file__).parent / "programs"))
 sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "gateway"))

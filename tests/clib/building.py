@@ -19,12 +19,13 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from forked import Forked
 
 ROOT = Path(__file__).parents[2]
 CLIB = ROOT / "clib"
@@ -150,10 +151,8 @@ def held(program: list[str], script: str) -> list[dict[str, Any]]:
 @contextlib.contextmanager
 def daemon(*words: str) -> Iterator[str]:
     """A daemon; its port."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with Forked("nserver", "--port", "0", *words) as process:
         try:
-            assert process.stdout is not None
             port = process.stdout.readline().rpartition(":")[2].strip()
             if "--serial-link" in words:
                 process.stdout.readline()

@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -52,8 +53,7 @@ def run(command: str, folder: Path) -> str:
 def daemon(command: str, *more: str) -> Iterator[str]:
     """The page's daemon on a free port; the port."""
     words = [*shlex.split(command)[1:], "--port", "0", *more]
-    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, text=True) as program:
-        assert program.stdout is not None
+    with Forked("nserver", *words) as program:
         try:
             port = program.stdout.readline().strip().rpartition(":")[2]
             for _ in range(words.count("--serial-link")):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from envelope import HOME_IN, SPEED_IN_S, Bench, Walk, limited
+from forked import Forked
 
 EMULATED = ("n150", "n200", "scout")
 FASTER = 2
@@ -32,8 +31,7 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     link: Path = tmp_path_factory.mktemp("line") / request.param
     words = ["--noisy", "--seed", "1", "--robot", request.param, "--start", "45,45", "--speed", str(FASTER),
              "--port", "0", "--serial-link", str(link)]  # fmt: skip
-    with subprocess.Popen([sys.executable, "-m", "nserver_emu", *words], stdout=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    with Forked("nserver", *words) as daemon:
         lines = [daemon.stdout.readline() for _ in range(2)]
         assert lines[1] == f"listening serial {link}\n"
         try:

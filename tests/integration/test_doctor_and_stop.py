@@ -10,6 +10,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from forked import Forked
+
 from nclient import connect
 
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
@@ -24,9 +26,7 @@ every = 3
 @contextlib.contextmanager
 def robot_on_a_line(link: Path) -> Iterator[tuple[str, str]]:
     """A daemon with a pseudo-terminal: the addresses of both."""
-    words = [sys.executable, "-m", "nserver_emu", "--port", "0", "--noisy", "--serial-link", str(link)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout
+    with Forked("nserver", "--port", "0", "--noisy", "--serial-link", str(link)) as daemon:
         try:
             places = dict(daemon.stdout.readline().split()[1:] for _ in range(2))
             yield f"nserver://{places['nserver']}", f"serial://{places['serial']}?model=n150"

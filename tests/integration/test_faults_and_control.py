@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from forked import Forked
 
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import NserverBackend
@@ -69,10 +68,8 @@ class Bench:
 @contextmanager
 def bench(folder: Path, *words: str) -> Iterator[Bench]:
     """The daemon on free places in a folder; it is told to stop at the end, and stops cleanly."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(folder / "robot"),
-               "--control", str(folder / "s.sock"), *words]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    places = ("--port", "0", "--serial-link", str(folder / "robot"), "--control", str(folder / "s.sock"))
+    with Forked("nserver", *places, *words, stderr=True) as daemon:
         try:
             told = [daemon.stdout.readline().split() for _ in range(3)]
             yield Bench(folder, {kind: place for _, kind, place in told})
@@ -208,9 +205,7 @@ def test_the_users_own_place_is_the_default(
 
 def test_without_control_a_plan_may_be_in_force(folder: Path) -> None:
     (folder / "plan.toml").write_text("[[rule]]\ndo = 'nak'\ncommand = 'vm'\ndirection = 'request'")
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--faults", str(folder / "plan.toml")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    with Forked("nserver", "--port", "0", "--faults", str(folder / "plan.toml")) as daemon:
         port = int(daemon.stdout.readline().rpartition(":")[2])
         with closing(NserverBackend(TcpStream("127.0.0.1", port))) as tcp:
             assert answered(tcp, Call("vm", (100, 0, 0)), 2) == [False, False]

@@ -7,11 +7,11 @@ import csv
 import json
 import re
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from forked import Forked
 
 from nclient import connect
 from nclient.errors import ConnectionLost, RobotRefused
@@ -23,8 +23,7 @@ WHOLE_S = 30.0
 class Program:
     """An nserver that runs; `port` is where it listens."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
+    def __init__(self, process: Forked) -> None:
         line = process.stdout.readline()
         found = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", line)
         assert found, line
@@ -33,19 +32,17 @@ class Program:
 
     def other_line(self) -> str:
         """What it says next of where it listens, such as `serial /tmp/nomad`."""
-        assert self.process.stdout is not None
-        return self.process.stdout.readline().removeprefix("listening ").strip()
+        return str(self.process.stdout.readline()).removeprefix("listening ").strip()
 
     def end(self, how: signal.Signals = signal.SIGTERM) -> str:
         """What it said on stderr."""
         self.process.send_signal(how)
-        return self.process.communicate(timeout=WHOLE_S)[1]
+        return str(self.process.communicate(timeout=WHOLE_S)[1])
 
 
 @contextlib.contextmanager
 def nserver(*words: str) -> Iterator[Program]:
-    command = [sys.executable, "-m", "nserver_emu", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with Forked("nserver", *words, stderr=True) as process:
         try:
             yield Program(process)
         finally:

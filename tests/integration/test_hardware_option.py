@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from envelope import LIMITS, limited
+from forked import Forked
 
 from nclient.address import parsed
 
@@ -22,9 +23,7 @@ def pytest_on(address: str, wanted: str, *words: str) -> subprocess.CompletedPro
 
 def test_the_robot_that_is_named_is_the_one_that_is_tried(tmp_path: Path) -> None:
     link = tmp_path / "robot"
-    words = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(link), "--robot", "scout"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    with Forked("nserver", "--port", "0", "--serial-link", str(link), "--robot", "scout") as daemon:
         try:
             assert [daemon.stdout.readline() for _ in range(2)][1].startswith("listening serial")
             done = pytest_on(f"serial://{link}?model=scout", "encoders or room or refused")

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 from nclient import ConnectionLost, capi, connect
 from nclient.errors import ReplyTimeout
@@ -23,9 +24,7 @@ class Emulated:
     """An nserver with lines; `said`: where it listens, by kind."""
 
     def __init__(self, *words: str) -> None:
-        command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout is not None
+        self.process = Forked("nserver", "--port", "0", *words)
         count = 1 + sum(word in ("--serial-link", "--robotd") for word in words)
         lines = [self.process.stdout.readline().split() for _ in range(count)]
         self.said = {kind: where for _, kind, where in lines}

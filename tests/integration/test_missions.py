@@ -5,19 +5,18 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import forked
 import pytest
+from forked import Forked
 
 from nclient import connect
 
 PATIENCE_S = 60.0
-NOMAD = str(Path(sys.executable).parent / "nomad")
 MISSION = """
 title = "A little way"
 map = "thesis_room"
@@ -48,11 +47,9 @@ def mission(tmp_path: Path) -> Path:
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[dict[str, str]]:
     """A daemon with a line of its own; where each listens."""
-    command = [sys.executable, "-m", "nserver_emu", "thesis_room", "--port", "0", "--noisy", "--seed", "2",
-               "--serial-link", str(tmp_path / "nomad")]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    words = ("--port", "0", "--noisy", "--seed", "2", "--serial-link", str(tmp_path / "nomad"))
+    with Forked("nserver", "thesis_room", *words) as process:
         try:
-            assert process.stdout is not None
             said = [process.stdout.readline().split() for _ in range(2)]
             yield {kind: where for _, kind, where in said}
         finally:
@@ -69,8 +66,8 @@ def address_of(kind: str, server: dict[str, str]) -> str:
 
 
 def run(mission: Path, address: str, *words: str) -> dict[str, Any]:
-    line = [NOMAD, "mission", str(mission), address, "--json", "--sonars", "rays", *words]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    line = ("mission", str(mission), address, "--json", "--sonars", "rays", *words)
+    done = forked.done("nomad", *line, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stdout + done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found
@@ -96,9 +93,9 @@ def test_interrupted_it_stops_the_robot_and_still_reports(server: dict[str, str]
     report = tmp_path / "report.json"
     far = tmp_path / "far.toml"
     far.write_text(MISSION.replace("[16, 8]", "[80, 80]"))
-    line = [NOMAD, "mission", str(far), address_of("nserver", server), "--report", str(report)]
+    line = ("mission", str(far), address_of("nserver", server), "--report", str(report))
     with connect(f"nserver://{server['nserver']}/1") as watching:
-        with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        with Forked("nomad", *line, stderr=True) as process:
             until_s = time.monotonic() + PATIENCE_S
             while watching.refresh().translation_in_s < 1.0:
                 assert time.monotonic() < until_s

@@ -11,15 +11,15 @@ import select
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import termios
 import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import forked
 import pytest
+from forked import Forked
 
 from nclient import connect
 
@@ -91,10 +91,8 @@ def at_port(port: str) -> Iterator[OldHost]:
 @contextlib.contextmanager
 def nserver(*words: str, end: int = signal.SIGTERM) -> Iterator[list[str]]:
     """A daemon; where it listens, a word a line of its output, Nserver's port first."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with Forked("nserver", "--port", "0", *words, stderr=True) as process:
         try:
-            assert process.stdout is not None
             count = 1 + sum(word.startswith(("--serial-link", "--robotd")) for word in words)
             yield [process.stdout.readline().split()[2] for _ in range(count)]
         finally:
@@ -176,8 +174,7 @@ def test_a_host_sees_the_daemon_die(path: Path) -> None:
 
 def test_what_is_no_link_stays_and_nothing_starts(path: Path) -> None:
     path.write_text("precious")
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    done = forked.done("nserver", "--port", "0", "--serial-link", str(path), timeout=PATIENCE_S)
     assert (done.returncode, done.stdout) == (1, "")
     assert f"nserver: {path} is there and no symbolic link: it stays" in done.stderr
     assert path.read_text() == "precious"
@@ -185,8 +182,7 @@ def test_what_is_no_link_stays_and_nothing_starts(path: Path) -> None:
 
 def test_a_second_daemon_does_not_take_the_link(path: Path) -> None:
     with nserver("--serial-link", str(path)):
-        command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--serial-link", str(path)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+        done = forked.done("nserver", "--port", "0", "--serial-link", str(path), timeout=PATIENCE_S)
         assert done.returncode == 1
         assert "is the line of another nserver that runs" in done.stderr
         with at_link(path) as host:

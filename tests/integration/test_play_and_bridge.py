@@ -10,7 +10,6 @@ import select
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 import tty
@@ -18,7 +17,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
+import forked
 import pytest
+from forked import Forked
 
 from nclient import ConnectionLost, Robot, connect
 from nclient.protocol import language
@@ -29,8 +30,7 @@ from nclient.protocol.terms import line_terms
 from nclient.recording.log import read_recording
 from nserver_emu import cli as nserver_cli
 
-NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
-NSERVER = [sys.executable, "-m", "nserver_emu", "--port", "0", "--lockstep", "0.1"]
+NSERVER = ("nserver", "--port", "0", "--lockstep", "0.1")
 GS = language.line_request(Call("gs"), line_terms(N150))
 STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), line_terms(N150))
 
@@ -38,7 +38,7 @@ STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), li
 class Program:
     """A process whose lines are waited for, and not for ever."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
+    def __init__(self, process: Forked) -> None:
         self.out, self.err = (self._lines(pipe) for pipe in (process.stdout, process.stderr))
 
     def rest(self) -> list[str]:
@@ -62,7 +62,7 @@ class Program:
 @contextlib.contextmanager
 def program(*words: str, ends: int = 0, by_signal: bool = True) -> Iterator[tuple[str, Program]]:
     """A program that says where it listens: that place, and what it says; its exit code is checked."""
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    with Forked(*words, stderr=True) as process:
         told = Program(process)
         try:
             first = told.out().split()
@@ -88,7 +88,7 @@ def drive(robot: Robot) -> list[tuple[int, ...]]:
 def test_a_recording_is_played_to_one_visitor_after_the_other(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     seen = drive(connect(f"sim:thesis_room?noisy=1&record={path}"))
-    with program(*NOMAD, "play", str(path), "--listen", "0", ends=1) as (place, process):
+    with program("nomad", "play", str(path), "--listen", "0", ends=1) as (place, process):
         for _ in range(2):
             assert drive(connect(f"nserver://{place}/1")) == seen
         robot = connect(f"nserver://{place}/1")
@@ -123,7 +123,7 @@ def read(fd: int, count: int) -> bytes:
 def test_a_robots_line_is_played_on_a_pseudo_terminal_at_its_own_pace(tmp_path: Path) -> None:
     serial_recording(tmp_path / "run.log", 0.4)
     words = ("play", str(tmp_path / "run.log"), "--link", str(tmp_path / "robot"), "--pace", "recorded", "--once")
-    with program(*NOMAD, *words, ends=1, by_signal=False) as (link, process):
+    with program("nomad", *words, ends=1, by_signal=False) as (link, process):
         fd = opened(link)
         start_s = time.monotonic()
         os.write(fd, GS)
@@ -139,7 +139,7 @@ def test_a_robots_line_is_played_on_a_pseudo_terminal_at_its_own_pace(tmp_path: 
 def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     with program(*NSERVER) as (far, _), program(
-        *NOMAD, "bridge", f"nserver://{far}?model=n150", "--listen", "0", "--record", str(path), "--dump"
+        "nomad", "bridge", f"nserver://{far}?model=n150", "--listen", "0", "--record", str(path), "--dump"
     ) as (near, process):
         for _ in range(2):
             drive(connect(f"nserver://{near}/1"))
@@ -160,7 +160,7 @@ def test_a_bridge_whose_far_end_goes_away_and_comes_back(tmp_path: Path) -> None
     with socket.create_server(("127.0.0.1", 0)) as far:
         far.settimeout(10)
         address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
-        with program(*NOMAD, "bridge", address, "--link", str(tmp_path / "robot")) as (link, process):
+        with program("nomad", "bridge", address, "--link", str(tmp_path / "robot")) as (link, process):
             fd = opened(link)  # kept open, as an old program does: the bridge calls the far end again for it
             for word in (b"one", b"two"):
                 end, _ = far.accept()
@@ -177,9 +177,9 @@ def test_a_bridge_whose_far_end_goes_away_and_comes_back(tmp_path: Path) -> None
 def test_a_bridge_that_nobody_crosses_and_one_whose_far_end_is_gone() -> None:
     with socket.create_server(("127.0.0.1", 0)) as far:
         address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
-        with program(*NOMAD, "bridge", address, "--listen", "0"):
+        with program("nomad", "bridge", address, "--listen", "0"):
             pass
-        with program(*NOMAD, "bridge", address, "--listen", "0") as (near, process):
+        with program("nomad", "bridge", address, "--listen", "0") as (near, process):
             host, _, port = near.rpartition(":")
             with socket.create_connection((host, int(port))):
                 pass
@@ -198,14 +198,14 @@ def test_a_bridge_that_nobody_crosses_and_one_whose_far_end_is_gone() -> None:
     (("play", "/no/run.log", "--listen", "0"), "cannot be read"),
 ])
 def test_what_cannot_be(words: tuple[str, ...], told: str) -> None:
-    done = subprocess.run([*NOMAD, *words], capture_output=True, text=True, timeout=30, check=False)
+    done = forked.done("nomad", *words, timeout=30)
     assert done.returncode == 1
     assert told in done.stderr
 
 
 @pytest.mark.parametrize("words", [("play", "x", "--listen", "-1"), ("play", "x"), ("bridge", "x", "--listen", "a")])
 def test_what_makes_no_sense(words: tuple[str, ...]) -> None:
-    done = subprocess.run([*NOMAD, *words], capture_output=True, text=True, timeout=30, check=False)
+    done = forked.done("nomad", *words, timeout=30)
     assert done.returncode == 2
 
 

@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 from nclient import ConnectionLost, Robot, connect
 from nserver_emu import ctl
@@ -49,9 +48,7 @@ class Daemon:
     def start(self) -> None:
         """Another one, behind the same link."""
         words = ["--port", "0", "--serial-link", str(self.link), "--control", str(self._socket)]
-        command = [sys.executable, "-m", "nserver_emu", *words]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self._process.stdout is not None
+        self._process = Forked("nserver", *words)
         for _ in range(3):
             assert self._process.stdout.readline().startswith("listening ")
 

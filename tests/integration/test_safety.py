@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 from nclient import BumperHit, ConnectionLost, NomadError, connect
 from nclient.errors import ReplyTimeout
@@ -51,9 +52,7 @@ def goes_on(robot: Robot, steps: int = 1000) -> None:
 def robot_on_a_line(folder: Path, model: str = "n150") -> Iterator[tuple[str, Robot]]:
     """A daemon with a pseudo-terminal and a control socket: its line's address, and an eye."""
     words = ["--port", "0", "--robot", model, "--serial-link", str(folder / "line"), "--control", str(folder / "ctl")]
-    command = [sys.executable, "-m", "nserver_emu", "thesis_room", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
-        assert daemon.stdout is not None
+    with Forked("nserver", "thesis_room", *words) as daemon:
         try:
             places = dict(daemon.stdout.readline().split()[1:] for _ in range(3))
             with connect(f"nserver://{places['nserver']}/1?model={model}&tm_s=0") as eye:

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forked import Forked
 
 from nclient import connect
 
 PATIENCE_S = 60.0
-NOMAD = str(Path(sys.executable).parent / "nomad")
 MISSION = "map = 'thesis_room'\n[[step]]\ndo = 'go_to'\nto_in = [80, 80]\n"
 
 
 @pytest.fixture
 def address() -> Iterator[str]:
     """A robot of a daemon."""
-    command = [sys.executable, "-m", "nserver_emu", "thesis_room", "--port", "0", "--noisy", "--seed", "2"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with Forked("nserver", "thesis_room", "--port", "0", "--noisy", "--seed", "2") as process:
         try:
-            assert process.stdout is not None
             yield f"nserver://{process.stdout.readline().split()[2]}/1"
         finally:
             process.terminate()
@@ -52,10 +47,8 @@ def words_of(command: str, address: str, folder: Path) -> list[str]:
 def test_a_signal_stops_the_robot_and_what_was_asked_for_is_written(
     command: str, number: signal.Signals, code: int, address: str, tmp_path: Path
 ) -> None:
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
-    line = [NOMAD, *words_of(command, address, tmp_path)]
     with connect(address) as watching:
-        with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=plain) as process:
+        with Forked("nomad", *words_of(command, address, tmp_path), stderr=True) as process:
             until_s = time.monotonic() + PATIENCE_S
             while abs(watching.refresh().translation_in_s) + abs(watching.state.steering_rad_s) < 0.2:
                 assert time.monotonic() < until_s

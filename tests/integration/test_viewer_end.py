@@ -5,24 +5,21 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import aiohttp
+from forked import Forked
 
 AT_ONCE_S = 2.0
-"""With the interpreter's own end, the best of three for busy machines; with a page open it was 2.9 s more each time."""
+"""The best of three, for busy machines: it takes hundredths; with a page open it was 2.9 s more each time."""
 
 
 @contextlib.contextmanager
-def nserver(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def nserver(*words: str) -> Iterator[tuple[Forked, str]]:
     """The process, and the address of its page."""
-    command = [sys.executable, "-m", "nserver_emu", "--port", "0", *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
+    with Forked("nserver", "--port", "0", *words) as process:
         try:
             process.stdout.readline()
             yield process, process.stdout.readline().split()[-1]
@@ -33,7 +30,7 @@ def nserver(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_an_open_page_keeps_no_daemon_from_ending(tmp_path: Path) -> None:
     words = ("--viewer", "0", "--viewer-token-file", str(tmp_path / "tokens"))
 
-    async def look(url: str, process: subprocess.Popen[str]) -> float:
+    async def look(url: str, process: Forked) -> float:
         origin, _, query = url.partition("/?")
         async with aiohttp.ClientSession() as web:
             sockets = [await web.ws_connect(f"{origin}/ws?{query}", headers={"Origin": origin}) for _ in range(3)]

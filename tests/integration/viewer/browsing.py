@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from forked import Forked
 from playwright.sync_api import Browser, Page
 
 from nclient import Robot, connect
@@ -31,15 +30,17 @@ class Opened:
     page: Page
     troubles: list[str] = field(default_factory=list)
 
-    def wait(self, condition: str, patience_s: float = PATIENCE_S) -> None:
-        """Until this JavaScript is true; `nserver` is the page's own application.
+    def wait(self, condition: str, patience_s: float = PATIENCE_S, doing: Callable[[], object] = lambda: None) -> None:
+        """Until this JavaScript is true, `doing` this before each look; `nserver` is the page's own application.
 
         Asked again and again from here: the page's policy forbids what Playwright would have it ask itself.
         """
         deadline = time.monotonic() + patience_s
+        doing()
         while not self.page.evaluate(condition):
             assert time.monotonic() < deadline, f"never came true: {condition}"
             self.page.wait_for_timeout(PAUSE_MS)
+            doing()
 
     def value(self, expression: str) -> Any:
         """What this JavaScript comes to."""
@@ -77,10 +78,8 @@ class Program:
 @contextmanager
 def nserver(*words: str) -> Iterator[Program]:
     """The program with these words."""
-    command = [sys.executable, "-m", "nserver_emu", *words, "--port", "0", "--viewer", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with Forked("nserver", *words, "--port", "0", "--viewer", "0") as process:
         try:
-            assert process.stdout is not None
             port = int(process.stdout.readline().rpartition(":")[2])
             line = process.stdout.readline()
             found = re.fullmatch(r"listening viewer (\S+)\n", line)

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
 from browsing import nserver, opened
+from forked import Forked
 from playwright.sync_api import Browser
 
 
 def test_an_estimate_is_shown_and_waypoints_come_back(browser: Browser) -> None:
     words = ("thesis_room", "--noisy", "--seed", "1", "--speed", "4")
     with nserver(*words) as program, opened(browser, program.url) as page:
-        command = [
-            sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())", "localize",
-            f"nserver://127.0.0.1:{program.port}/1",
-            "--map", "thesis_room", "--waypoints", "60,0", "--publish", program.url,
-        ]  # fmt: skip
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as localizer:
+        order = ("--map", "thesis_room", "--waypoints", "60,0", "--publish", program.url)
+        with Forked("nomad", "localize", f"nserver://127.0.0.1:{program.port}/1", *order) as localizer:
             page.wait("document.querySelector('#window-localization').innerText.includes('0 of 1 reached')")
             page.wait("nserver.map.shown.estimate")
             page.page.click("#pause")
@@ -132,18 +127,16 @@ def test_how_far_it_is_believed_is_said_in_words_and_where_it_may_be_is_drawn(br
 
 
 def test_a_robot_that_finds_itself_and_one_that_goes_are_shown(browser: Browser) -> None:
-    nomad = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
     with nserver("several_walls", "--noisy", "--seed", "3", "--speed", "4", "--start", "5,5,0,0") as program:
         address = f"nserver://127.0.0.1:{program.port}/1"
         with opened(browser, program.url) as page:
-            lost = [*nomad, "localize", address, "--map", "several_walls", "--start", "unknown", "--waypoints", "30,10",
-                    "--publish", program.url]  # fmt: skip
-            with subprocess.Popen(lost, stdout=subprocess.DEVNULL) as localizer:
+            lost = ("--map", "several_walls", "--start", "unknown", "--waypoints", "30,10", "--publish", program.url)
+            with Forked("nomad", "localize", address, *lost) as localizer:
                 page.wait(f"{WORDS}.includes('✕ LOST')", 60.0)
                 page.wait(f"{WORDS}.includes('✓ OK')", 60.0)
                 localizer.terminate()
-            going = [*nomad, "go", address, "--map", "several_walls", "--to", "30,20", "--publish", program.url]
-            with subprocess.Popen(going, stdout=subprocess.DEVNULL) as driver:
+            going = ("--map", "several_walls", "--to", "30,20", "--publish", program.url)
+            with Forked("nomad", "go", address, *going) as driver:
                 page.wait("nserver.estimateOf('1')?.waypoints[0]?.join() === '30,20'", 60.0)
                 page.wait("nserver.estimateOf('1')?.pose[0] + nserver.estimateOf('1').pose[1] > 47", 60.0)
                 assert driver.wait(timeout=60) == 0

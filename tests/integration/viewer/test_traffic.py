@@ -13,7 +13,7 @@ def test_requests_and_replies_are_shown_filtered_and_opened(browser: Browser) ->
         robot.refresh()
         page.page.click("#window-traffic > summary")
         page.wait("nserver.link && document.querySelector('#window-traffic').open")
-        page.page.wait_for_timeout(300)
+        page.wait(f"{LOG}.childElementCount > 0", doing=robot.refresh)
         robot.drive(translation_in_s=5)
         robot.refresh()
         page.wait(f"{LOG}.innerText.includes('> vm 50 0 0')")
