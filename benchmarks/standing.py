@@ -66,15 +66,20 @@ def stood(scenario: Scenario, seed: int, at_s: Sequence[float], method: str = "e
     return np.array(found)
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """Measure, and print a table, or JSON with --json."""
+def options_parser() -> argparse.ArgumentParser:
+    """The command's words."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--noise", nargs="+", choices=NOISES, default=NOISES)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--at", nargs="+", type=float, default=SECONDS, metavar="S", help="seconds from the start")
     parser.add_argument("--method", choices=METHODS, default="ekf")
     parser.add_argument("--json", action="store_true")
-    options = parser.parse_args(words)
+    return parser
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Measure, and print a table, or JSON with --json."""
+    options = options_parser().parse_args(words)
     rows: list[dict[str, Any]] = []
     for name in options.noise:
         runs = np.array([stood(SCENARIOS[name], seed, options.at, options.method) for seed in range(options.seeds)])
