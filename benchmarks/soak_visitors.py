@@ -22,7 +22,7 @@ import json
 import random
 import socket
 import struct
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -109,18 +109,17 @@ async def host(house: House, rng: random.Random) -> None:
 
 async def dies(house: House, rng: random.Random) -> None:
     """A program that is killed in the middle of an answer."""
-    reader, writer = await _connected(house, rng)
-    writer.write(language.tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
-    await reader.read(100)
-    _reset(writer)
+    async with _connected(house, rng) as (reader, writer):
+        writer.write(language.tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
+        await reader.read(100)
+        _reset(writer)
 
 
 async def half(house: House, rng: random.Random) -> None:
     """A program that stops in the middle of a request."""
-    _, writer = await _connected(house, rng)
-    writer.write(GS + GS[:rng.randint(1, len(GS) - 1)])
-    await asyncio.sleep(SILENCE_S)
-    await _close(writer)
+    async with _connected(house, rng) as (_, writer):
+        writer.write(GS + GS[:rng.randint(1, len(GS) - 1)])
+        await asyncio.sleep(SILENCE_S)
 
 
 async def deaf(house: House, rng: random.Random) -> None:
@@ -134,12 +133,11 @@ async def deaf(house: House, rng: random.Random) -> None:
 
 async def noise(house: House, rng: random.Random) -> None:
     """No program of ours at all."""
-    reader, writer = await asyncio.open_connection(HOST, rng.choice((house.nserver, house.robotd)))
-    writer.write(rng.randbytes(rng.randint(1, 5000)))
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(SILENCE_S):
-            await reader.read(1000)
-    await _close(writer)
+    async with _open(asyncio.open_connection(HOST, rng.choice((house.nserver, house.robotd)))) as (reader, writer):
+        writer.write(rng.randbytes(rng.randint(1, 5000)))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(SILENCE_S):
+                await reader.read(1000)
 
 
 async def page(house: House, rng: random.Random) -> None:
@@ -171,41 +169,49 @@ async def localizer(house: House, rng: random.Random) -> None:
 
 async def owner(house: House, rng: random.Random) -> None:
     """Whoever runs the daemon."""
-    reader, writer = await asyncio.open_unix_connection(house.control)
-    for command in rng.sample(("status", "faults counts", "world show", "stop", "help"), 3):
-        writer.write(json.dumps({"command": command}).encode() + b"\n")
+    async with _open(asyncio.open_unix_connection(house.control)) as (reader, writer):
+        for command in rng.sample(("status", "faults counts", "world show", "stop", "help"), 3):
+            writer.write(json.dumps({"command": command}).encode() + b"\n")
+            await reader.readline()
+        writer.write(b'{"command": "release"}\n')
         await reader.readline()
-    writer.write(b'{"command": "release"}\n')
-    await reader.readline()
-    await _close(writer)
 
 
 async def ask_owner(house: House, command: str) -> dict[str, object]:
     """One question over the control socket."""
-    reader, writer = await asyncio.open_unix_connection(house.control)
-    writer.write(json.dumps({"command": command}).encode() + b"\n")
-    said: dict[str, object] = json.loads(await reader.readline())["said"]
-    await _close(writer)
-    return said
+    async with _open(asyncio.open_unix_connection(house.control)) as (reader, writer):
+        writer.write(json.dumps({"command": command}).encode() + b"\n")
+        said: dict[str, object] = json.loads(await reader.readline())["said"]
+        return said
 
 
-async def _connected(house: House, rng: random.Random) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    reader, writer = await asyncio.open_connection(HOST, house.nserver)
-    writer.write(rng.choice(CONNECT))
-    await reader.readexactly(8)
-    return reader, writer
+Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+@contextlib.asynccontextmanager
+async def _open(opening: Awaitable[Streams]) -> AsyncIterator[Streams]:
+    """A connection for as long as the block, however it ends: faults break off some."""
+    reader, writer = await opening
+    try:
+        yield reader, writer
+    finally:
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
+
+
+@contextlib.asynccontextmanager
+async def _connected(house: House, rng: random.Random) -> AsyncIterator[Streams]:
+    async with _open(asyncio.open_connection(HOST, house.nserver)) as (reader, writer):
+        writer.write(rng.choice(CONNECT))
+        await reader.readexactly(8)
+        yield reader, writer
 
 
 def _reset(writer: asyncio.StreamWriter) -> None:
     """Let the other end have a reset, not an end."""
     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     writer.transport.abort()
-
-
-async def _close(writer: asyncio.StreamWriter) -> None:
-    writer.close()
-    with contextlib.suppress(OSError):
-        await writer.wait_closed()
 
 
 KINDS: Final[dict[str, Callable[[House, random.Random], Awaitable[None]]]] = {

@@ -14,7 +14,7 @@ from nclient import connect
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "line_localizer.py"
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
-SPEED = 5.0
+SPEED = 2.0
 
 
 @pytest.mark.parametrize("line", ["tcp", "serial"])
@@ -40,6 +40,6 @@ def test_the_program_drives_a_robot_on_its_line() -> None:
 
 
 def test_a_run_of_each_line_in_a_table() -> None:
-    command = [sys.executable, str(SCRIPT), "--seeds", "1", "--speed", "10"]
+    command = [sys.executable, str(SCRIPT), "--seeds", "1", "--speed", "3"]
     table = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100).stdout.splitlines()
     assert [row.split(" | ")[:2] for row in table[2:]] == [["| tcp", "1 of 1"], ["| serial", "1 of 1"]]
