@@ -1,4 +1,4 @@
-"""How often each sonar was heard from where the robot stands: what errs the same way each time is heard once.
+"""How many readings of each sonar came from where the robot stands: what errs the same way each time is news once.
 
 A reading's error has two parts: one of variance r, drawn anew each time, and one of variance c, which is the same as
 long as the robot stands where it does (of readings in whole inches: the rounding). However many readings there are, a
@@ -34,22 +34,22 @@ def nth_variance(variance: Floats, constant: Floats, times: int) -> Floats:
     return worth
 
 
-class _Heard(NamedTuple):
-    """Where a sonar was heard first from a place (way and turn of the encoders so far, inches and radians; the turret
-    against the heading), and how often since."""
+class _Taken(NamedTuple):
+    """Where a sonar's reading was first taken in from a place (way and turn of the encoders so far, inches and radians;
+    the turret against the heading), and how many were."""
 
     way_in: float
     turned_rad: float
     turret_rad: float
-    times: int
+    number: int
 
 
 class Repeats:
-    """See the head of this file."""
+    """See the head of this file. Only readings that were taken in count: one that was refused told nothing."""
 
     def __init__(self) -> None:
         self._way_in = self._turned_rad = 0.0
-        self._heard: dict[int, _Heard] = {}
+        self._taken: dict[int, _Taken] = {}
 
     def move(self, step: Floats) -> None:
         """The encoders told of a step (2,)."""
@@ -57,16 +57,19 @@ class Repeats:
         self._way_in += abs(way_in)
         self._turned_rad += turn_rad
 
-    def count(self, sonar: int, turret_offset_rad: float) -> int:
-        """Take a reading of this sonar into account, the turret turned by so much against the heading; its number from
-        this place, 1 for the first."""
-        first = self._heard.get(sonar)
-        if first is None or not self._is_here(first, turret_offset_rad):
-            first = _Heard(self._way_in, self._turned_rad, turret_offset_rad, 0)
-        self._heard[sonar] = first._replace(times=first.times + 1)
-        return first.times + 1
+    def before(self, sonar: int, turret_offset_rad: float) -> int:
+        """How many readings of this sonar have been taken in from here, the turret turned by so much against the
+        heading."""
+        taken = self._taken.get(sonar)
+        return taken.number if taken and self._is_here(taken, turret_offset_rad) else 0
 
-    def _is_here(self, place: _Heard, turret_offset_rad: float) -> bool:
+    def take(self, sonar: int, turret_offset_rad: float) -> None:
+        """One more was."""
+        before = self.before(sonar, turret_offset_rad)
+        first = self._taken[sonar] if before else _Taken(self._way_in, self._turned_rad, turret_offset_rad, 0)
+        self._taken[sonar] = first._replace(number=before + 1)
+
+    def _is_here(self, place: _Taken, turret_offset_rad: float) -> bool:
         turned = self._turned_rad - place.turned_rad
         aimed = wrapped(turned + turret_offset_rad - place.turret_rad)
         return self._way_in - place.way_in <= SAME_IN and max(abs(turned), abs(aimed)) <= SAME_RAD

@@ -112,11 +112,13 @@ class Finder:
         self._fresh += 1
         if not self.hypotheses:
             return self._search()
-        times = self._repeats.count(sonar, turret_offset_rad)
+        times = self._repeats.before(sonar, turret_offset_rad) + 1
         heard = [
             self._hearing.hear(known.belief, sonar, turret_offset_rad, reading_in, times) for known in self.hypotheses
         ]
         judgement = heard[0].judgement
+        if judgement.refusal is Refusal.NONE:
+            self._repeats.take(sonar, turret_offset_rad)
         if len(heard) == 1:
             self.hypotheses = [Hypothesis(heard[0].belief, 1.0)]
             self._look_on(self._clues[-1], heard[0].likelihood, judgement)

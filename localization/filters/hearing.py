@@ -43,8 +43,8 @@ class Hearing:
     def hear(
         self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, times: int = 1
     ) -> Heard:
-        """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading; `times`: how
-        often it has been heard from this place, this time included (repeats)."""
+        """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading; the
+        `times`-th of its readings that is taken in from this place (repeats)."""
         sensed = self._sense.sense(belief, sonar, turret_offset_rad, reading_in)
         if sensed.candidates is None:
             return Heard(belief, Judgement(sensed.refusal, 0.0, 0.0, 1.0), sensed.likelihood)

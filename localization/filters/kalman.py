@@ -52,9 +52,11 @@ class KalmanFilter:
         return self._predict(self.belief, step, self._odometry)
 
     def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
-        times = self._repeats.count(sonar, turret_offset_rad)
+        times = self._repeats.before(sonar, turret_offset_rad) + 1
         heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in, times)
         self.belief = heard.belief
+        if heard.judgement.refusal is Refusal.NONE:
+            self._repeats.take(sonar, turret_offset_rad)
         if heard.judgement.refusal in TELLING:
             self._watch.look(heard.judgement)
         return heard.judgement

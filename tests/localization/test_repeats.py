@@ -32,13 +32,26 @@ def test_what_is_mostly_one_error_says_nothing_again(anew: float) -> None:
     assert second[0] > 1e9
 
 
+def number_of(repeats: Repeats, sonar: int, turret_rad: float = 0.0) -> int:
+    """Of a reading that is taken in: 1 for the first from this place."""
+    before = repeats.before(sonar, turret_rad)
+    repeats.take(sonar, turret_rad)
+    return before + 1
+
+
 def test_a_robot_that_stands_counts_each_sonar() -> None:
     repeats = Repeats()
     counts = []
     for _ in range(3):
         repeats.move(STAND)
-        counts.append((repeats.count(0, 0.1), repeats.count(1, 0.1)))
+        counts.append((number_of(repeats, 0, 0.1), number_of(repeats, 1, 0.1)))
     assert counts == [(1, 1), (2, 2), (3, 3)]
+
+
+def test_what_was_not_taken_in_does_not_count() -> None:
+    repeats = Repeats()
+    assert [repeats.before(0, 0.0) for _ in range(3)] == [0, 0, 0]
+    assert [number_of(repeats, 0), repeats.before(0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -55,23 +68,23 @@ def test_a_robot_that_stands_counts_each_sonar() -> None:
 )
 def test_elsewhere_it_begins_anew(step: tuple[float, float], turret_rad: float, again: bool) -> None:
     repeats = Repeats()
-    repeats.count(3, 0.0)
+    repeats.take(3, 0.0)
     repeats.move(np.array(step))
-    assert repeats.count(3, turret_rad) == (2 if again else 1)
+    assert number_of(repeats, 3, turret_rad) == (2 if again else 1)
 
 
 def test_a_creeping_robot_is_elsewhere_after_a_while() -> None:
     repeats = Repeats()
     counts = []
     for _ in range(7):
-        counts.append(repeats.count(0, 0.0))
+        counts.append(number_of(repeats, 0))
         repeats.move(np.array([0.4 * SAME_IN, 0.0]))
     assert counts == [1, 2, 3, 1, 2, 3, 1]
 
 
 def test_to_and_fro_is_not_the_same_place() -> None:
     repeats = Repeats()
-    repeats.count(0, 0.0)
+    repeats.take(0, 0.0)
     for way in (0.6, -0.6):
         repeats.move(np.array([way * SAME_IN, 0.0]))
-    assert repeats.count(0, 0.0) == 1
+    assert repeats.before(0, 0.0) == 0

@@ -109,3 +109,13 @@ def test_the_same_echo_again_tells_nothing_more_until_the_robot_moves(kind: str)
     before = known.belief.cov
     known.hear(0, 0.0, AHEAD_IN)
     assert known.belief.cov[0, 0] < 0.9 * before[0, 0]
+
+
+@pytest.mark.parametrize("kind", ["kalman", "finder"])
+@pytest.mark.parametrize("refused_in", [AHEAD_IN - 20.0, 255.0])
+def test_a_reading_that_was_refused_takes_nothing_from_the_next(kind: str, refused_in: float) -> None:
+    known, once = tracking(kind), tracking(kind)
+    assert known.hear(0, 0.0, refused_in).refusal is not Refusal.NONE
+    for each in (known, once):
+        each.hear(0, 0.0, AHEAD_IN)
+    np.testing.assert_array_equal(known.belief.cov, once.belief.cov)
