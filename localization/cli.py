@@ -17,6 +17,7 @@ from pathlib import Path
 from localization import resuming
 from localization.body_taken import body_of
 from localization.filters.table import DEFAULT_METHOD, finder
+from localization.map_taken import add_map, world_of
 from localization.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
 from localization.obstruction import Obstruction
 from localization.outset import add_options, outset
@@ -30,19 +31,17 @@ from nclient.errors import EstimateFileError
 from nclient.exit_codes import ExitCode
 from nclient.leaving import Left
 from worlds.bodies import BODIES
-from worlds.files import load_world
 from worlds.world import World
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `nomad localize`."""
     parser.description = "Drive a robot to way-points, localizing it by its sonars against a map of walls."
-    parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --map thesis_room --waypoints 0,0 60,40"
+    parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --waypoints 0,0 60,40"
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
                         help="nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
                              "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
-    parser.add_argument("--map", "--world", required=True, metavar="WORLD",
-                        help="the walls: a shipped world or a TOML file")
+    add_map(parser)
     parser.set_defaults(refuse=parser.error)
     goals = parser.add_mutually_exclusive_group()
     goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
@@ -69,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
-    world = load_world(options.map)
+    world = world_of(options.map, options.address)
     if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
         raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
                                 "alone: leave --resume and other methods out")

@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from localization.body_taken import SIMULATION
 from localization.calibration.fit import Fit
 from localization.localizer import Echo
 from nclient.address import parsed
@@ -39,7 +40,6 @@ class Taken(NamedTuple):
 
 
 AS_CONES: Final = Taken(rays=False, guessed=False)
-SIMULATION: Final = "sim"
 RING_SETUPS: Final = ("measured",)
 """The named setups whose sonars hear like a real ring."""
 RING_MODEL: Final = "polaroid"

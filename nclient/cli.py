@@ -61,10 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Left as left:
         return left.exit_code
     except OSError as error:
-        refused = outputs.ended_by(error, "nomad")
-        if refused is None:
-            raise
-        return refused
+        return outputs.ended_by(error, "nomad")
     return code
 
 

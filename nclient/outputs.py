@@ -28,8 +28,8 @@ def fill_in() -> None:
     sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
 
 
-def ended_by(error: OSError, command: str) -> ExitCode | None:
-    """What a command ends with whose stdout gave it this error, which is told; None where the error is another's."""
+def ended_by(error: OSError, command: str) -> ExitCode:
+    """What a command ends with whose stdout gave it this error, which is told. Raises another's error again."""
     if isinstance(error, BrokenPipeError):
         _let_go()
         return ExitCode.READER_GONE
@@ -39,7 +39,7 @@ def ended_by(error: OSError, command: str) -> ExitCode | None:
         _let_go()
         print(f"{command}: {unwritable(Path('stdout'), again)}", file=sys.stderr)
         return ExitCode.FAILED
-    return None
+    raise error
 
 
 def _let_go() -> None:

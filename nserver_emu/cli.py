@@ -73,10 +73,7 @@ def main(argv: list[str] | None = None) -> int:
         code = run(words)
         sys.stdout.flush()
     except OSError as error:
-        refused = outputs.ended_by(error, "nserver")
-        if refused is None:
-            raise
-        return refused
+        return outputs.ended_by(error, "nserver")
     return code
 
 

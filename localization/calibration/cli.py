@@ -26,6 +26,7 @@ from localization.calibration.precision import missing, noise_in
 from localization.calibration.rounds import Rounds
 from localization.calibration.square import Driver, Go, NoSquareError, Square, Task, is_clear, largest_square, tasks
 from localization.cone import ConeModel
+from localization.map_taken import add_map, world_of
 from localization.measurement import WIRE_SONAR
 from localization.planning.course import waypoints
 from localization.planning.roadmap import Roadmap
@@ -38,7 +39,6 @@ from nclient.exit_codes import ExitCode
 from nclient.unwritable import unwritable
 from worlds.bodies import BODIES
 from worlds.calibration import Calibration, calibration_text
-from worlds.files import load_world
 from worlds.world import World
 
 START_STD = (0.5, 0.5, 0.02)
@@ -57,8 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
     parser.add_argument("address", nargs="?", metavar="ADDRESS", help="of the robot (default: NOMAD_ROBOT, or a local "
                                                                       "nserver)")
-    parser.add_argument("--map", "--world", dest="world", required=True, metavar="WORLD",
-                        help="the walls: a shipped world or a TOML file")
+    add_map(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="write a model file (model_file= of nserver and sim:, "
                                                                  "--calibration of nomad localize)")
     parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
@@ -91,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
-    world = load_world(options.world)
+    world = world_of(options.map, options.address)
     check_writable(options.out)
     robot, simulated = opened(options.address)
     sonars = taken(options.sonars, simulated, options.address)

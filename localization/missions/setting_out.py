@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 from localization import resuming
 from localization.body_taken import body_of
 from localization.localizer import Echo
+from localization.map_taken import add_map, world_of
 from localization.missions.helm import Helm
 from localization.missions.report import Report
 from localization.missions.settings import Point
@@ -26,21 +27,17 @@ from localization.publishing import Publisher
 from localization.readers import check_writable, opened, pose
 from localization.sonars_taken import Taken, hint
 from localization.witness import Witness
-from nclient import NomadError, Robot, WorldFileError
+from nclient import NomadError, Robot
 from worlds.bodies import BODIES
-from worlds.files import load_world
 from worlds.world import World
 
 METHOD: Final = "finder"
 """It knows when it is lost."""
-SIMULATION: Final = "sim:"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What all of them have."""
-    parser.add_argument("--map", "--world", metavar="WORLD",
-                        help="the walls: a shipped world or a TOML file (default: what the mission says, or the world "
-                             "of a sim: address)")
+    add_map(parser, "what the mission says, or ")
     parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
                         help="where the robot stands now, inches and degrees; its encoders are set to it "
                              "(default: what they say)")
@@ -90,7 +87,7 @@ class SetOut(NamedTuple):
 @contextlib.contextmanager
 def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]:
     """Connect to the robot of the options, and begin to localize it; it stands at the end, however it ends."""
-    world = load_world(_map_of(options, map_name))
+    world = world_of(options.map, options.address, map_name)
     check_writable(options.save, options.report)
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
@@ -105,13 +102,3 @@ def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]
                 helm.watchers.append(shown := Showing(publisher, Witness(robot, simulated), out.goals))
                 shown(helm.sight)
             yield out
-
-
-def _map_of(options: argparse.Namespace, map_name: str) -> str:
-    """The option's, the mission's, or the simulation's own. Raises WorldFileError where none is told."""
-    address = options.address or ""
-    own = address.removeprefix(SIMULATION).partition("?")[0] if address.startswith(SIMULATION) else ""
-    told = options.map or map_name or own
-    if not told:
-        raise WorldFileError("which walls are there? --map WORLD, a shipped world or a TOML file")
-    return str(told)

@@ -75,5 +75,6 @@ def test_what_is_open_stays_as_it_is() -> None:
 
 
 def test_an_error_of_something_else_is_not_stdouts(capsys: pytest.CaptureFixture[str]) -> None:
-    assert outputs.ended_by(OSError(28, "No space left on device"), "try") is None
+    with pytest.raises(OSError, match="No space left on device"):
+        outputs.ended_by(OSError(28, "No space left on device"), "try")
     assert capsys.readouterr().err == ""

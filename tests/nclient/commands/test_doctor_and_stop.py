@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from types import SimpleNamespace
 
 import pytest
 from answering import Answer, ScriptedServer
@@ -10,6 +12,7 @@ from answering import Answer, ScriptedServer
 from nclient import cli
 from nclient.backends.backend import Backend
 from nclient.backends.nserver import NserverBackend
+from nclient.commands import doctor
 from nclient.commands.stop import Stopping
 from nclient.errors import ConnectionLost
 from nclient.protocol import language
@@ -20,6 +23,14 @@ from nclient.transports.memory import MemoryStream
 ST, GS = (language.tcp_request(Call(name)) for name in ("st", "gs"))
 
 
+@pytest.fixture
+def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A millisecond passes between two looks at the clock, however busy this machine is."""
+    ticks = itertools.count()
+    monkeypatch.setattr(doctor, "time", SimpleNamespace(perf_counter=lambda: next(ticks) / 1000, sleep=None))
+
+
+@pytest.mark.usefixtures("ticking")
 def test_a_report_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", "sim:thesis_room"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -29,12 +40,14 @@ def test_a_report_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
     ]
 
 
+@pytest.mark.usefixtures("ticking")
 def test_a_report_as_an_object(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", "sim:thesis_room?robot=n200", "--json", "--exchanges", "20"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["model"], found["worst"]) == ("n200", "OK")
     assert found["findings"][0]["what"] == "link"
     assert found["findings"][0]["grade"] == "OK"
+    assert "1.00 ms p50, 1.00 ms p99" in found["findings"][0]["seen"]
 
 
 @pytest.mark.parametrize(("words", "code"), [

@@ -1,0 +1,54 @@
+"""Whose walls are taken for true."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from localization.map_taken import world_of
+from nclient.cli import main
+from nclient.errors import WorldFileError
+
+
+@pytest.mark.parametrize(("option", "address", "known", "world"), [
+    (None, "sim:thesis_room?noisy=1", "", "thesis_room"),
+    (None, "SIM:worlds/several_walls.toml", "", "several_walls"),
+    ("several_walls", "sim:thesis_room", "empty_room", "several_walls"),
+    (None, "sim:thesis_room", "several_walls", "several_walls"),
+    ("several_walls", "nserver://host/1", "", "several_walls"),
+])  # fmt: skip
+def test_the_option_comes_first_then_the_command_then_the_address(
+    option: str | None, address: str, known: str, world: str
+) -> None:
+    assert world_of(option, address, known).name == world
+
+
+def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOMAD_ROBOT", "sim:several_walls?seed=1")
+    assert world_of(None, None).name == "several_walls"
+
+
+@pytest.mark.parametrize("address", ["nserver://host/1", "sim:", "serial:///dev/ttyUSB0?model=n150", None])
+def test_where_nobody_tells_the_remedy_is_told(address: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOMAD_ROBOT", raising=False)
+    with pytest.raises(WorldFileError, match="which walls are there\\? --map WORLD"):
+        world_of(None, address)
+
+
+@pytest.mark.parametrize("words", [
+    ["localize", "nserver://127.0.0.1:1/1", "--waypoints", "5,0"],
+    ["calibrate", "nserver://127.0.0.1:1/1", "--out", "mine.toml"],
+    ["go", "nserver://127.0.0.1:1/1", "--to", "5,0"],
+])  # fmt: skip
+def test_every_command_asks_before_it_connects(
+    words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 1
+    assert "which walls are there? --map WORLD" in capsys.readouterr().err
+
+
+def test_a_simulation_is_localized_in_its_own_walls(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["localize", "sim:thesis_room?seed=1", "--waypoints", "5,0"]) == 0
+    assert "reached" in capsys.readouterr().out
