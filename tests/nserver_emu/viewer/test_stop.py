@@ -29,21 +29,24 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
             await asyncio.sleep(0.02)
 
     driving, reading = asyncio.create_task(drive()), asyncio.create_task(reader.read())
-    yield
-    for task in (driving, reading):
-        task.cancel()
-    writer.close()
-    with contextlib.suppress(OSError):
-        await writer.wait_closed()
+    try:
+        yield
+    finally:
+        for task in (driving, reading):
+            task.cancel()
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
 
 
-async def picture(page: Page, speed: int, held: object = ...) -> Message:
-    """The next picture in which robot 1 goes at this speed, and is held so."""
+async def picture(page: Page, speed: int, held: object = ..., beyond: int = -1) -> Message:
+    """The next picture in which robot 1 goes at this speed, is held so, and is farther along x than so many tenths."""
     def right(message: Message) -> bool:
         if message["type"] != "picture":
             return False
         robot = message["robots"]["1"]
-        return bool(robot["state"][38] == speed and (held is ... or robot["held"] == held))
+        state = robot["state"]
+        return bool(state[38] == speed and (held is ... or robot["held"] == held) and state[34] > beyond)
 
     return await page.until(right)
 
@@ -69,7 +72,7 @@ def test_stop_holds_against_a_program_that_drives_on_until_released() -> None:
             assert shown["robots"]["1"]["held"]["by"] == "viewer 1"
             await other.say(do="release", id=1, robot=1)
             assert (await other.answer(1))["held"] == {}
-            await picture(page, 40, None)
+            await picture(page, 40, None, beyond=round(10 * at.x_in) + 1)
             assert robot.actual != at
 
     asyncio.run(scenario())
