@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -29,6 +30,9 @@ sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
 sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "gateway"))
 sys.path.insert(0, str(Path(__file__).parent / "hardware"))
 sys.path.insert(0, str(Path(__file__).parent / "localization"))
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a script, for all that is begun
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

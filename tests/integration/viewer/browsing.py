@@ -38,7 +38,9 @@ class Opened:
         deadline = time.monotonic() + patience_s
         doing()
         while not self.page.evaluate(condition):
-            assert time.monotonic() < deadline, f"never came true: {condition}"
+            if time.monotonic() > deadline:
+                told = self.page.inner_text("#notice")
+                raise AssertionError(f"never came true: {condition}" + (f"; the page says {told!r}" if told else ""))
             self.page.wait_for_timeout(PAUSE_MS)
             doing()
 

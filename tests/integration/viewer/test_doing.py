@@ -37,8 +37,8 @@ def test_an_obstacle_drawn_by_pointer_is_heard_by_the_sonar_of_a_client(browser:
         page.page.click("#tool-remove")
         page.page.mouse.click(*page.at(65, 0))
         page.wait("nserver.scene.world.obstacles.length === 0")
-        for count, middle in ((1, 65), (1, 55), (0, None)):
-            page.page.click("#undo")
+        for step, count, middle in (("delete", 1, 65), ("move", 1, 55), ("add", 0, None)):
+            page.page.click(f"#undo:has-text('{step} obstacle')")
             page.wait(f"nserver.scene.world.obstacles.length === {count}")
             if middle:
                 page.wait(f"Math.abs(nserver.scene.world.obstacles[0].corners[0][0] + 5 - {middle}) < 1")
