@@ -29,9 +29,14 @@ LEAST_WORTH: Final = 1e-12
 
 def nth_variance(variance: Floats, constant: Floats, times: int) -> Floats:
     """R_n of the `times`-th reading from one place, of any shape: `variance` r + c of one reading, `constant` c."""
-    left = np.maximum(1.0 - 2.0 * constant / variance, 0.0) ** (times - 1)
-    worth: Floats = variance / np.maximum(left, LEAST_WORTH)
+    worth: Floats = variance / np.maximum(share_of_first(variance, constant, times), LEAST_WORTH)
     return worth
+
+
+def share_of_first(variance: Floats, constant: Floats, times: int) -> Floats:
+    """q^(n - 1), 0 where c is r or more: what the `times`-th reading adds, as a share of what the first does."""
+    share: Floats = np.maximum(1.0 - 2.0 * constant / variance, 0.0) ** (times - 1)
+    return share
 
 
 class _Taken(NamedTuple):

@@ -3,8 +3,9 @@
     RayLikelihood     z_hit N(z; ray, sigma) + z_rand / range        the beam model (Thrun, Burgard, Fox 2005, 6.3)
     ConeLikelihood    the same over all reflectors in the cone       the densities of mixture
 
-Rules: pure arrays; a pose a row, a likelihood a row, never 0; no particle is changed here. `widened` by what the number
-of particles cannot resolve: a likelihood sharper than the distance between particles kills all but one.
+Rules: pure arrays; a pose a row, a likelihood a row, never 0; no particle is changed here. Widened by what the number
+of particles cannot resolve: a likelihood sharper than the distance between particles kills all but one, and so would
+many from one place. What it is widened by counts as an error that stays (repeats).
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import numpy.typing as npt
 from localization.belief import Floats
 from localization.cone import ConeModel, Ear, cone_chances
 from localization.measurement import SonarModel, SonarRing, pick, rays, ring, wall_map
+from localization.range_noise import RangeNoise
 from localization.reflectors import reflectors
+from localization.repeats import share_of_first
 from worlds.raycast import cast_rays
 
 SPAN_IN: Final = 249.0
@@ -31,9 +34,18 @@ class Likelihood(Protocol):
         """Whether a reading tells a range at all."""
         ...
 
+    def news(self, reading_in: float, times: int) -> float:
+        """What the `times`-th of such readings from one place adds, as a share of the first (repeats)."""
+        ...
+
     def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
         """The likelihoods (n,) of a reading at poses (n, 3), per inch."""
         ...
+
+
+def _news(noise: RangeNoise, widened_in2: float, reading_in: float, times: int) -> float:
+    variance, constant = np.array((noise.variance_at(reading_in), noise.constant_at(reading_in))) + widened_in2
+    return float(share_of_first(variance, constant, times))
 
 
 class RayLikelihood:
@@ -53,6 +65,9 @@ class RayLikelihood:
 
     def is_range(self, reading_in: float) -> bool:
         return self._sonar.lowest_in < reading_in < self._sonar.highest_in
+
+    def news(self, reading_in: float, times: int) -> float:
+        return _news(self._sonar, self._widen, reading_in, times)
 
     def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
         beam = pick(ring(self._body, turret_offset_rad), sonar)
@@ -83,6 +98,9 @@ class ConeLikelihood:
 
     def is_range(self, reading_in: float) -> bool:
         return self._model.lowest_in < reading_in < self._model.highest_in
+
+    def news(self, reading_in: float, times: int) -> float:
+        return _news(self._model, self._widen, reading_in, times)
 
     def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
         model = self._model

@@ -1,7 +1,8 @@
 """Monte Carlo localization: a belief as weighted particles. For what no gaussian can hold, and as another opinion.
 
     move    every particle takes the step with its own noise         (sampled from motion's random walk)
-    hear    weights are multiplied with the reading's likelihood      (likelihood)
+    hear    weights are multiplied with the reading's likelihood      (likelihood), to the power of what it adds to
+            those that came from the same place                       (repeats)
     then    where the effective number 1 / sum w^2 falls below `resample_threshold` of them: low-variance resampling
 
 Probabilistic Robotics (Thrun, Burgard, Fox 2005), tables 4.4 and 8.2, its parameters by the names that users of other
@@ -21,6 +22,7 @@ from localization.filters.likelihood import Likelihood
 from localization.filters.method import Judgement
 from localization.motion import OdometryNoise, step_variance
 from localization.observation import Refusal
+from localization.repeats import Repeats
 from localization.systematic import POSE, move_states
 from localization.watch import ALL_WELL, Verdict
 
@@ -52,6 +54,7 @@ class ParticleFilter:
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._chance = likelihood, odometry, chance
         self._parameters = parameters or MonteCarlo(len(states))
+        self._repeats = Repeats()
 
     @property
     def belief(self) -> Belief:
@@ -71,6 +74,7 @@ class ParticleFilter:
         """Each particle takes the step that the encoders tell, with its own noise."""
         noise = np.sqrt(step_variance(step, self._odometry)) * self._chance.standard_normal((len(self.states), 2))
         self.states = move_states(self.states, step + noise)
+        self._repeats.move(step)
 
     def ahead(self, step: Floats) -> Belief:
         """Without chance: the particles moved as told, and the step's own variance to the gaussian."""
@@ -86,8 +90,10 @@ class ParticleFilter:
         """Weigh the particles with a reading; limits say nothing."""
         if not self._likelihood.is_range(reading_in):
             return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
+        times = self._repeats.before(sonar, turret_offset_rad) + 1
+        self._repeats.take(sonar, turret_offset_rad)
         likelihood = self._likelihood.of(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
-        self.weights = self.weights * likelihood
+        self.weights = self.weights * likelihood ** self._likelihood.news(reading_in, times)
         self.weights /= self.weights.sum()
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()

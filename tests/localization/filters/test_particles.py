@@ -26,6 +26,10 @@ class Ruler:
     def is_range(self, reading_in: float) -> bool:
         return reading_in >= 0.0
 
+    def news(self, reading_in: float, times: int) -> float:
+        del reading_in, times
+        return 1.0
+
     def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
         del sonar, turret_offset_rad
         likelihood: Floats = np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2)
@@ -113,6 +117,23 @@ def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:
             cloud.hear(sonar, 0.0, _reading(truth, sonar))
     assert np.hypot(*(cloud.belief.mean - truth)[:2]) < 0.5
     assert cloud.belief.std[:2].max() < 1.0
+
+
+def test_a_robot_that_stands_keeps_its_cloud() -> None:
+    """Readings of whole inches, the same again and again: taken for news, they leave a handful of particles."""
+    chance, truth = np.random.default_rng(6), np.array([40.5, 45.2, 0.31])
+    likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
+    cloud = ParticleFilter(drawn_from(BELIEF, 1000, chance), likelihood, OdometryNoise(), chance)
+    after = []
+    for _ in range(40):
+        for sonar in range(16):
+            cloud.hear(sonar, 0.0, _reading(truth, sonar))
+        after.append(cloud.belief.std)
+    assert len(np.unique(cloud.states, axis=0)) > 100
+    np.testing.assert_allclose(after[-1], after[20], rtol=0.2)
+    cloud.move(np.array([1.0, 0.0]))
+    cloud.hear(0, 0.0, _reading(move(truth, np.array([1.0, 0.0])), 0))
+    assert not np.allclose(cloud.weights, cloud.weights[0])
 
 
 def _reading(pose: Floats, sonar: int) -> float:
