@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
                              "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
     add_map(parser)
-    parser.set_defaults(refuse=parser.error)
     goals = parser.add_mutually_exclusive_group()
     goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
     goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
@@ -68,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
-    world = world_of(options.map, options.address)
+    world = world_of(options)
     if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
         raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
                                 "alone: leave --resume and other methods out")

@@ -10,7 +10,6 @@ import argparse
 from localization.body_taken import SIMULATION
 from nclient.address import parsed
 from nclient.connect import address_or_default
-from nclient.errors import WorldFileError
 from worlds.files import load_world
 from worlds.world import World
 
@@ -19,13 +18,15 @@ def add_map(parser: argparse.ArgumentParser, known: str = "") -> None:
     """The option; `known` is where else the command may have its walls from, for its help."""
     parser.add_argument("--map", "--world", metavar="WORLD",
                         help=f"the walls: a shipped world or a TOML file (default: {known}the world of a sim: address)")
+    parser.set_defaults(refuse=parser.error)
 
 
-def world_of(option: str | None, address: str | None, known: str = "") -> World:
-    """The world; `address` None: the default's. Raises WorldFileError where none is told, or it cannot be read."""
-    there = parsed(address_or_default(address))
+def world_of(options: argparse.Namespace, known: str = "") -> World:
+    """The world, of options with an `address` (None: the default's); where none is told that is wrong usage. Raises
+    WorldFileError where it cannot be read."""
+    there = parsed(address_or_default(options.address))
     own = there.text.partition(":")[2].partition("?")[0] if there.scheme == SIMULATION else ""
-    told = option or known or own
+    told = options.map or known or own
     if not told:
-        raise WorldFileError("which walls are there? --map WORLD, a shipped world or a TOML file")
+        options.refuse("which walls are there? --map WORLD, a shipped world or a TOML file")
     return load_world(told)

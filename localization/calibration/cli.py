@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
-    world = world_of(options.map, options.address)
+    world = world_of(options)
     check_writable(options.out)
     robot, simulated = opened(options.address)
     sonars = taken(options.sonars, simulated, options.address)

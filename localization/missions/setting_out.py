@@ -87,7 +87,7 @@ class SetOut(NamedTuple):
 @contextlib.contextmanager
 def set_out(options: argparse.Namespace, map_name: str = "") -> Iterator[SetOut]:
     """Connect to the robot of the options, and begin to localize it; it stands at the end, however it ends."""
-    world = world_of(options.map, options.address, map_name)
+    world = world_of(options, map_name)
     check_writable(options.save, options.report)
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)

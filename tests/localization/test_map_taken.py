@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import pytest
 
-from localization.map_taken import world_of
+from localization.map_taken import add_map, world_of
 from nclient.cli import main
-from nclient.errors import WorldFileError
+
+
+def said(option: str | None, address: str | None) -> argparse.Namespace:
+    """Options as a command has them."""
+    parser = argparse.ArgumentParser()
+    add_map(parser)
+    parser.add_argument("address", nargs="?")
+    return parser.parse_args([*(("--map", option) if option else ()), *((address,) if address else ())])
 
 
 @pytest.mark.parametrize(("option", "address", "known", "world"), [
@@ -21,19 +29,22 @@ from nclient.errors import WorldFileError
 def test_the_option_comes_first_then_the_command_then_the_address(
     option: str | None, address: str, known: str, world: str
 ) -> None:
-    assert world_of(option, address, known).name == world
+    assert world_of(said(option, address), known).name == world
 
 
 def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "sim:several_walls?seed=1")
-    assert world_of(None, None).name == "several_walls"
+    assert world_of(said(None, None)).name == "several_walls"
 
 
 @pytest.mark.parametrize("address", ["nserver://host/1", "sim:", "serial:///dev/ttyUSB0?model=n150", None])
-def test_where_nobody_tells_the_remedy_is_told(address: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nobody_tells_the_remedy_is_told(
+    address: str | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
-    with pytest.raises(WorldFileError, match="which walls are there\\? --map WORLD"):
-        world_of(None, address)
+    with pytest.raises(SystemExit, match="2"):
+        world_of(said(None, address))
+    assert "which walls are there? --map WORLD" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [
@@ -45,7 +56,8 @@ def test_every_command_asks_before_it_connects(
     words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(words) == 1
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
     assert "which walls are there? --map WORLD" in capsys.readouterr().err
 
 

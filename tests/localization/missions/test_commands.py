@@ -21,7 +21,7 @@ from localization.missions.running import run_mission
 from localization.navigation import standing_after
 from localization.readers import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
 from nclient.cli import main
-from nclient.errors import ConnectionLost, MissionFileError, WorldFileError
+from nclient.errors import ConnectionLost, MissionFileError
 from nclient.leaving import Left
 from worlds.calibration import Calibration, calibration_text
 
@@ -53,18 +53,6 @@ def test_where_it_stands_can_be_told_and_what_it_is_is_the_address_word(capsys: 
     address = "sim:thesis_room?robot=scout&start=40,40,90"
     assert main(["go", address, "--to", "40,46", "--start", "40,40,90", "--sonars", "cones", "--method", "ekf"]) == 0
     assert "done at (40." in capsys.readouterr().out.replace("(39.", "(40.")
-
-
-def test_without_a_map_the_remedy_is_told() -> None:
-    options = argparse.Namespace(address="nserver://nowhere/1", map=None)
-    with pytest.raises(WorldFileError, match="which walls are there\\? --map WORLD"):
-        go.run(_with_defaults(options))
-
-
-def _with_defaults(options: argparse.Namespace) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    go.add_arguments(parser)
-    return argparse.Namespace(**{**vars(parser.parse_args(["--to", "1,2"])), **vars(options)})
 
 
 def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
