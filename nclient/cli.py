@@ -16,15 +16,16 @@ import importlib.util
 import re
 import sys
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points, version
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
 from nclient import outputs
 from nclient.arguments import Parser
+from nclient.distribution import version
 from nclient.errors import ExtraMissing, NomadError
 from nclient.exit_codes import ExitCode, in_short
-from nclient.extras import DISTRIBUTION, remedy
+from nclient.extras import remedy
 from nclient.leaving import Left, left_in_order
 from nclient.suggesting import nearest
 
@@ -124,7 +125,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
         epilog="\n".join(("commands (nomad COMMAND --help says more):", *lines)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"nomad {version(DISTRIBUTION)}")
+    parser.add_argument("--version", action="version", version=f"nomad {version()}")
     return parser
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 from importlib.metadata import PackageNotFoundError, requires
 
-DISTRIBUTION = "nomad-nserver"
+from nclient.distribution import DISTRIBUTION
+
 _GROUPS = frozenset({"all", "dev", "bench"})
 """Extras that bring others, or nothing that the commands want."""
 _REQUIREMENT = re.compile(r"""(?P<name>[\w.-]+).*extra == ["'](?P<extra>[\w-]+)["']""")

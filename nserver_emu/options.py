@@ -10,11 +10,11 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
 from nclient.arguments import Parser
+from nclient.distribution import version
 from nclient.suggesting import did_you_mean
 from nserver_emu import logs
 from nserver_emu.gateway import options as real_options
@@ -58,7 +58,7 @@ def nserver_parser() -> Parser:
         room.add_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     logs.add_options(parser)
-    parser.add_argument("--version", action="version", version=f"nserver {version('nomad-nserver')}")
+    parser.add_argument("--version", action="version", version=f"nserver {version()}")
     return parser
 
 

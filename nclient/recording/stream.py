@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+from nclient.distribution import version
 from nclient.protocol.models import Model
 from nclient.recording.log import LogWriter
 from nclient.recording.recorder import Recorder, Tape
@@ -68,7 +68,7 @@ class ProgramsRecording:
         self, path: Path, what: Recorded, clock: Callable[[], float] | None = None, started: datetime | None = None
     ) -> None:
         header = {
-            "package": version("nomad-nserver"),
+            "package": version(),
             "started": started and started.isoformat(timespec="seconds"),
             "time": "the robot's clock" if clock is None else "seconds since the start",
             "address": what.address, "wire": what.line, "model": what.model.name,

@@ -14,10 +14,10 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Protocol
 
+from nclient.distribution import version
 from nclient.errors import ControlError, NomadError
 from nclient.faults.injector import total
 from nclient.faults.plan_file import parse_plan, plan_text
@@ -123,7 +123,7 @@ def status(served: Served, _: object = None) -> Said:
     emulator, pace = served.emulator, served.emulator.pace
     simulation = emulator.simulation
     return {
-        "version": version("nomad-nserver"), "world": simulation.world.name, "seed": simulation.seed,
+        "version": version(), "world": simulation.world.name, "seed": simulation.seed,
         "time_s": round(simulation.time_s, 6), "speed": MAX_SPEED if pace.factor is None else pace.factor,
         "paused": pace.paused, "lockstep_s": pace.lockstep_s,
         "robots": [

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from nclient.distribution import version
 from nclient.errors import RecordingError
 from nserver_emu.server import snapshot
 from nserver_emu.server.handlers import Emulator
@@ -59,7 +59,7 @@ def header(beginning: Beginning, started: str, **of_daemon: int) -> dict[str, An
         "model_file": _path_text(setting.model_file),
     }
     return {
-        "package": version("nomad-nserver"), "started": started, "by": DAEMON, "time": "simulated",
+        "package": version(), "started": started, "by": DAEMON, "time": "simulated",
         "setting": asdict(setting) | files, "pace": asdict(beginning.pace), "allowed": asdict(beginning.allowed),
         "restored": _path_text(beginning.restored), "keeps_pace": beginning.keeps_pace,
     } | of_daemon  # fmt: skip

@@ -11,10 +11,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
+from nclient.distribution import version
 from nclient.errors import SnapshotError
 from nclient.file_text import read_text
 from nclient.unwritable import unwritable
@@ -87,7 +87,7 @@ def dumps(emulator: Emulator) -> str:
     """The snapshot of an emulator as text."""
     writer = Writer()
     root = writer.value({name: getattr(emulator, name) for name in KEPT})
-    head = json.dumps({"format": FORMAT, "version": version("nomad-nserver"), "root": root}, separators=(",", ":"))
+    head = json.dumps({"format": FORMAT, "version": version(), "root": root}, separators=(",", ":"))
     return writer.whole(f'{head[:-1]},"objects":[', "]}")
 
 
@@ -97,7 +97,7 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         whole = json.loads(text)
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             raise SnapshotError("is no snapshot of an nserver")
-        if whole.get("version") != version("nomad-nserver"):
+        if whole.get("version") != version():
             raise SnapshotError(f"was made by version {whole.get('version')} and can be read by that one only")
         parts, tried = (Reader(whole["objects"]).value(whole["root"]) for _ in range(2))
         for part in KEPT:
