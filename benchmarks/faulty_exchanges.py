@@ -29,8 +29,8 @@ from nclient.protocol.commands import Call
 from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.transports.byte_stream import Deadline
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.line_session import LineSession
+from nserver_emu.server.conversation.line_session import LineSession
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
 from worlds.world import StartPose

@@ -34,9 +34,9 @@ from typing import NamedTuple
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nserver_emu.garbage import seldom_sought
-from nserver_emu.server.daemon import LOOPBACK, Daemon
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.setting import Setting
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import LOOPBACK, Daemon
+from nserver_emu.server.setting_up.setting import Setting
 from nserver_emu.viewer.web import served
 from worlds.world import StartPose
 

@@ -16,7 +16,7 @@ from localization.missions.files import load_mission
 from nclient.errors import FaultPlanError, MissionFileError, SetupFileError, WorldFileError
 from nclient.faults.kinds import KINDS
 from nclient.faults.plan_file import load_plan, parse_plan, plan_text
-from nserver_emu.server.old_setups import read_setups
+from nserver_emu.server.setting_up.old_setups import read_setups
 from nserver_emu.simulation.model_files import load_models
 from nserver_emu.simulation.setup_keys import KEYS
 from nserver_emu.simulation.setup_toml import load_setup

@@ -26,14 +26,14 @@ from nclient.recording.log import FORMAT, IN, OUT, VERSION, Entry, as_object, re
 from nclient.recording.player import LOOSE, Player
 from nclient.recording.readable import lines_of
 from nclient.recording.script import script_of, state_before
-from nserver_emu.server import snapshot
+from nserver_emu.server.conversation.session import Session
 from nserver_emu.server.in_process import open_address
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.recording import Beginning, header
-from nserver_emu.server.replay import replay
-from nserver_emu.server.session import Session
-from nserver_emu.server.setting import Setting
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.keeping import snapshot
+from nserver_emu.server.keeping.recording import Beginning, header
+from nserver_emu.server.keeping.replay import replay
+from nserver_emu.server.setting_up.setting import Setting
+from nserver_emu.server.stage.pace import Pace
+from nserver_emu.server.stage.stage import Allowed
 
 MOST_STEPS: Final = 100
 """Pieces of time, or seconds, that a recording asks to pass: more takes longer than an input may."""

@@ -16,9 +16,9 @@ from fuzz.reader import Reader
 from localization.publishing import waypoints_in
 from nclient.errors import ControlError
 from nserver_emu.ctl_answers import said_in, shown
-from nserver_emu.server.control import COMMANDS, answer_line
-from nserver_emu.server.fault_desk import FaultDesk
+from nserver_emu.server.control.control import COMMANDS, answer_line
 from nserver_emu.server.in_process import open_address
+from nserver_emu.server.ports.fault_desk import FaultDesk
 from nserver_emu.viewer.localization import published
 from nserver_emu.viewer.protocol import CALLS, CONTROLS, BadMessage, from_page
 
@@ -33,7 +33,7 @@ _ARGUMENTS: dict[str, list[Any]] = {
 
 
 class House:
-    """A daemon without a socket (nserver_emu.server.control.Served)."""
+    """A daemon without a socket (nserver_emu.server.control.control.Served)."""
 
     def __init__(self) -> None:
         self.emulator = open_address("sim:several_walls?robot=scout").emulator

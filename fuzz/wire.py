@@ -32,8 +32,8 @@ from nclient.recording.readable import told
 from nclient.robot import Robot
 from nclient.shell import glance
 from nclient.transports.byte_stream import Deadline
-from nserver_emu.server.line_session import NAK, LineSession
-from nserver_emu.server.session import Session, Visit, error_reply
+from nserver_emu.server.conversation.line_session import NAK, LineSession
+from nserver_emu.server.conversation.session import Session, Visit, error_reply
 
 _VECTORS = Path(__file__).parents[1] / "tests" / "vectors"
 _LINE_MODELS = (N150, SCOUT, N200)

@@ -17,7 +17,7 @@ from nclient.protocol.commands import COMMANDS
 from nclient.schemes import OPTIONS, Wanted, opening_of
 from nclient.shell.own_words import OWN
 from nclient.shell.session import Session
-from nserver_emu.server import access
+from nserver_emu.server.admission import access
 from nserver_emu.server.in_process import open_address
 
 _SHELL = (

@@ -34,25 +34,25 @@ from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
-from nserver_emu.server.access import access_of, warning
-from nserver_emu.server.autosave import SaveFile, autosaved
-from nserver_emu.server.control import BY_NAME
-from nserver_emu.server.control_options import controlled, may_have_faults
-from nserver_emu.server.daemon import Daemon, stop_on_signals
-from nserver_emu.server.descriptors import make_room
-from nserver_emu.server.door import Door
-from nserver_emu.server.fault_desk import FaultDesk
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.limits import limits_of
-from nserver_emu.server.line_options import at_port, open_lines
-from nserver_emu.server.old_setups import OldSetup, read_setups
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.recording import Beginning, header
-from nserver_emu.server.replay import replay
-from nserver_emu.server.restore_options import settle
-from nserver_emu.server.setting import READY_MODELS, Setting, placed
-from nserver_emu.server.stage import Allowed
-from nserver_emu.server.talker import REQUESTS_A_TURN
+from nserver_emu.server.admission.access import access_of, warning
+from nserver_emu.server.admission.descriptors import make_room
+from nserver_emu.server.admission.door import Door
+from nserver_emu.server.admission.limits import limits_of
+from nserver_emu.server.control.control import BY_NAME
+from nserver_emu.server.control.control_options import controlled, may_have_faults
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping.autosave import SaveFile, autosaved
+from nserver_emu.server.keeping.recording import Beginning, header
+from nserver_emu.server.keeping.replay import replay
+from nserver_emu.server.ports.daemon import Daemon, stop_on_signals
+from nserver_emu.server.ports.fault_desk import FaultDesk
+from nserver_emu.server.ports.line_options import at_port, open_lines
+from nserver_emu.server.ports.talker import REQUESTS_A_TURN
+from nserver_emu.server.setting_up.old_setups import OldSetup, read_setups
+from nserver_emu.server.setting_up.restore_options import settle
+from nserver_emu.server.setting_up.setting import READY_MODELS, Setting, placed
+from nserver_emu.server.stage.pace import Pace
+from nserver_emu.server.stage.stage import Allowed
 from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.viewer.options import viewed
 from worlds.compiled import load_for

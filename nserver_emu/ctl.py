@@ -23,8 +23,8 @@ from nclient.exit_codes import ExitCode
 from nclient.faults.plan_file import read_plan
 from nclient.suggesting import did_you_mean
 from nserver_emu.ctl_answers import said_in, shown
-from nserver_emu.server.control import BY_NAME, COMMANDS
-from nserver_emu.server.control_socket import LONGEST_LINE, default_path
+from nserver_emu.server.control.control import BY_NAME, COMMANDS
+from nserver_emu.server.control.control_socket import LONGEST_LINE, default_path
 from worlds.files import world_text
 
 HELP: Final = "help"

@@ -18,10 +18,14 @@ from nclient.distribution import version
 from nclient.suggesting import did_you_mean
 from nserver_emu import logs
 from nserver_emu.gateway import options as real_options
-from nserver_emu.server import access, autosave, control_options, limits, line_options, restore_options
-from nserver_emu.server.daemon import LOOPBACK
-from nserver_emu.server.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
-from nserver_emu.server.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS
+from nserver_emu.server.admission import access, limits
+from nserver_emu.server.control import control_options
+from nserver_emu.server.keeping import autosave
+from nserver_emu.server.ports import line_options
+from nserver_emu.server.ports.daemon import LOOPBACK
+from nserver_emu.server.setting_up import restore_options
+from nserver_emu.server.setting_up.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS
+from nserver_emu.server.stage.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
 from nserver_emu.simulation.setup import SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer import options as viewer_options

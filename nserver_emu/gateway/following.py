@@ -21,8 +21,8 @@ from nclient.protocol.terms import tcp_terms
 from nclient.protocol.units import rad_from_tenths
 from nserver_emu.gateway.robot_state import Link, whole_state
 from nserver_emu.gateway.shadow import Shadow
-from nserver_emu.server.session import Answer, Visit
-from nserver_emu.server.state_reply import state_slots
+from nserver_emu.server.conversation.session import Answer, Visit
+from nserver_emu.server.stage.state_reply import state_slots
 from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)

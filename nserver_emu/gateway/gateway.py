@@ -21,9 +21,9 @@ from nclient.protocol.replies import Reply
 from nserver_emu.gateway.following import Follower, Simulated
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.gateway.translate import stays_here
-from nserver_emu.server.ground import done
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.conversation.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.handling.ground import done
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,7 @@ import logging
 from collections.abc import AsyncIterator
 
 from nserver_emu.gateway.gateway import Gateway
-from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.ports.daemon import Daemon
 
 log = logging.getLogger(__name__)
 

@@ -23,7 +23,7 @@ from nclient.opening import Wanted
 from nclient.schemes import opening_of
 from nserver_emu.gateway import report
 from nserver_emu.gateway.side import TIMEOUT_S, RealSide
-from nserver_emu.server.fault_desk import NOTHING, FaultDesk
+from nserver_emu.server.ports.fault_desk import NOTHING, FaultDesk
 
 ROBOT_ID: Final = 1
 """The robot whose real side --real names."""

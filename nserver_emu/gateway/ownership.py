@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import Final
 
 from nclient.protocol.commands import Call
-from nserver_emu.server.holds import MOTIONS, moves
-from nserver_emu.server.session import Visit
+from nserver_emu.server.conversation.session import Visit
+from nserver_emu.server.stage.holds import MOTIONS, moves
 
 _CHANGES: Final = MOTIONS | {
     "lp", "sp", "ac", "dp", "da", "place_robot", "tk", "special_request", "arm_ws",

@@ -24,7 +24,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.robot_state import Link
 from nserver_emu.gateway.translate import REFRESH
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, REFUSED
+from nserver_emu.server.conversation.session import BAD_VALUES, NOT_AVAILABLE, REFUSED
 
 log = logging.getLogger(__name__)
 

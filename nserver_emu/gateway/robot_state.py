@@ -19,8 +19,8 @@ from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.terms import LINES
 from nserver_emu.gateway.laser_shape import in_shape
-from nserver_emu.server.session import Visit
-from nserver_emu.server.state_reply import INFRARED_NOTHING, as_sent
+from nserver_emu.server.conversation.session import Visit
+from nserver_emu.server.stage.state_reply import INFRARED_NOTHING, as_sent
 from nserver_emu.simulation.laser import LineFit
 from worlds.bodies import BODIES
 

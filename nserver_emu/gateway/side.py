@@ -23,8 +23,8 @@ from nserver_emu.gateway.ownership import Ownership
 from nserver_emu.gateway.real_robot import SLOW, STOP, Outcome, RealRobot, Ticket
 from nserver_emu.gateway.robot_state import REAL_TIME, Link, moving_axes, state_for
 from nserver_emu.gateway.translate import HIGHEST_TIMEOUT_S, REFRESH, Plan, Shaping, plan
-from nserver_emu.server.holds import moves
-from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.conversation.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.stage.holds import moves
 
 log = logging.getLogger(__name__)
 

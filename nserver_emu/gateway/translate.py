@@ -24,8 +24,8 @@ from nclient.protocol.commands import BY_NAME, Call, on_line
 from nclient.protocol.mask import COMPASS_SLOT
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.robot_state import Link, laser_for, state_for
-from nserver_emu.server.ground import done
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.conversation.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.handling.ground import done
 
 Shaping = Callable[[Visit, Reply, Link], Reply]
 REFRESH: Final = Call("gs")

@@ -19,11 +19,11 @@ from urllib.parse import parse_qs
 from nclient.errors import AddressError
 from nclient.protocol.models import model_named
 from nclient.suggesting import did_you_mean
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.line_session import LineSession
-from nserver_emu.server.session import REFUSED, Conversation, Session
-from nserver_emu.server.setting import DEFAULT_WORLD, FIRST_ROBOT, MOST_ROBOTS, Setting, placed
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.conversation.line_session import LineSession
+from nserver_emu.server.conversation.session import REFUSED, Conversation, Session
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.setting_up.setting import DEFAULT_WORLD, FIRST_ROBOT, MOST_ROBOTS, Setting, placed
+from nserver_emu.server.stage.stage import Allowed
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1

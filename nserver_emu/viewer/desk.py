@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from nclient.protocol.terms import Terms
-from nserver_emu.server.control import answer_line
+from nserver_emu.server.control.control import answer_line
 from nserver_emu.viewer.guard import Guard
 from nserver_emu.viewer.hand import Answer, Hands
 from nserver_emu.viewer.hub import Hub, Viewer
@@ -20,7 +20,7 @@ from nserver_emu.viewer.protocol import LOOKING, VERSION, BadMessage, Message, f
 from nserver_emu.viewer.traffic import Listening
 
 if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+    from nserver_emu.server.ports.daemon import Daemon
 
 
 STALE_S: Final = 60.0

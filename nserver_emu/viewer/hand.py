@@ -23,14 +23,14 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
 from nclient.recording.follower import TCP
-from nserver_emu.server.holds import MOTIONS
-from nserver_emu.server.session import Session
-from nserver_emu.server.talker import Talker
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.ports.talker import Talker
+from nserver_emu.server.stage.holds import MOTIONS
 from nserver_emu.viewer.guard import Guard
 from nserver_emu.viewer.protocol import DEAD_MAN_S
 
 if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+    from nserver_emu.server.ports.daemon import Daemon
 
 log = logging.getLogger(__name__)
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from nserver_emu.server.laser_vector import is_on
+from nserver_emu.server.stage.laser_vector import is_on
 
 if TYPE_CHECKING:
-    from nserver_emu.server.talker import Talker
+    from nserver_emu.server.ports.talker import Talker
 
 MOST_NAMED: Final = 20
 VIEWER: Final = "viewer"

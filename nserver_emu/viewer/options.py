@@ -16,7 +16,7 @@ from nclient.errors import ExtraMissing, NomadError
 from nserver_emu.viewer.entrance import tokens_of
 
 if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+    from nserver_emu.server.ports.daemon import Daemon
 
 DEFAULT_PORT: Final = 7080
 LOOPBACK: Final = "127.0.0.1"

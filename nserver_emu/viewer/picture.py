@@ -34,11 +34,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.server.graphics import Shape
-from nserver_emu.server.stage import Stage
-from nserver_emu.server.state_reply import Look
-from nserver_emu.server.switches import noise_choices, noise_of
-from nserver_emu.server.traces import Trace
+from nserver_emu.server.handling.switches import noise_choices, noise_of
+from nserver_emu.server.stage.graphics import Shape
+from nserver_emu.server.stage.stage import Stage
+from nserver_emu.server.stage.state_reply import Look
+from nserver_emu.server.stage.traces import Trace
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.polaroid import Cry
 from nserver_emu.simulation.poses import Pose

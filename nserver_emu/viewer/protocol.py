@@ -18,7 +18,7 @@ from the page, by `do`
     call         id, robot, call (C name), args (wire units): what a client of that robot could say
     drive        id, robot, args: a vm that ends by itself when the next does not come within DEAD_MAN_S
     stop         id, robot (left out: every robot): it stands, and nobody moves it until it is released, programs, other
-                 viewers and the page itself (server/holds.py)
+                 viewers and the page itself (server/stage/holds.py)
     release      id, robot (left out: every robot): it may be moved again, and is as soon as a program says so
     control      id, command, argument: time, faults, noise, world (control.py)
     click        robot, pose: x, y, steer, turret in tenths

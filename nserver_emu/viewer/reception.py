@@ -17,7 +17,7 @@ from typing import Final
 from aiohttp import web
 from aiohttp.http import HttpProcessingError
 
-from nserver_emu.server.door import Door, Doorkeeper
+from nserver_emu.server.admission.door import Door, Doorkeeper
 
 HTTP_LOG: Final = logging.getLogger("nserver_emu.viewer.http")
 """Where aiohttp says what went wrong with a request."""

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from nclient.errors import ConnectionLost
-from nserver_emu.server.access import LOOPBACK_NAME, is_loopback
+from nserver_emu.server.admission.access import LOOPBACK_NAME, is_loopback
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.entrance import (
     REFUSED,
@@ -46,7 +46,7 @@ from nserver_emu.viewer.reception import HTTP_LOG, Reception
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 if TYPE_CHECKING:
-    from nserver_emu.server.daemon import Daemon
+    from nserver_emu.server.ports.daemon import Daemon
 
 log = logging.getLogger(__name__)
 

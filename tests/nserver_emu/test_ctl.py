@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from nserver_emu import cli, ctl, ctl_answers
-from nserver_emu.server.control import COMMANDS
-from nserver_emu.server.control_socket import default_path
+from nserver_emu.server.control.control import COMMANDS
+from nserver_emu.server.control.control_socket import default_path
 from worlds.files import SHIPPED
 
 

@@ -25,7 +25,7 @@ from typing import IO, Any, Self
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([
-    "nserver_emu.cli", "nserver_emu.server.pseudo_terminal", "nserver_emu.viewer.web", "numpy.random",
+    "nserver_emu.cli", "nserver_emu.server.ports.pseudo_terminal", "nserver_emu.viewer.web", "numpy.random",
     "nclient.cli", "nclient.commands.bridge", "nclient.commands.doctor", "nclient.commands.play",
     "localization.calibration.cli", "localization.cli", "localization.missions.command", "localization.missions.go",
 ])  # fmt: skip

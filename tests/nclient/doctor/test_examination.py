@@ -17,7 +17,7 @@ from nclient.protocol.models import N150, N200, SCOUT, Model
 from nclient.protocol.replies import Reply
 from nclient.schemes import Wanted, opening_of
 from nclient.transports.memory import MemoryStream
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.in_process import InProcess
 from nserver_emu.simulation.setup import NOISY
 from nserver_emu.simulation.simulation import Simulation

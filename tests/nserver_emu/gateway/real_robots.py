@@ -22,10 +22,10 @@ from nclient.protocol.serial_frame import SerialFramer
 from nclient.protocol.terms import Terms, line_terms, tcp_terms
 from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.side import RealSide
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.line_session import LineSession
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Session
+from nserver_emu.server.conversation.line_session import LineSession
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.stage.pace import Pace
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation

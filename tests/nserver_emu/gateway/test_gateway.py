@@ -17,8 +17,8 @@ from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N200
 from nclient.protocol.replies import Reply
 from nserver_emu.gateway.side import TIMEOUT_S
-from nserver_emu.server.command_table import examples
-from nserver_emu.server.pace import Pace
+from nserver_emu.server.handling.command_table import examples
+from nserver_emu.server.stage.pace import Pace
 from nserver_emu.simulation.setup import NOISY
 from worlds.world import StartPose
 

@@ -23,7 +23,7 @@ from nserver_emu.gateway.gateway import Gateway
 from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
-from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.ports.daemon import Daemon
 
 WHOLE_S = 30
 

@@ -6,8 +6,8 @@ import pytest
 
 from nclient.protocol.commands import COMMANDS, Call
 from nserver_emu.gateway.ownership import Ownership, changes
-from nserver_emu.server.holds import moves
-from nserver_emu.server.session import Visit
+from nserver_emu.server.conversation.session import Visit
+from nserver_emu.server.stage.holds import moves
 
 VM = Call("vm", (100, 0, 0))
 

@@ -15,8 +15,8 @@ from nclient.protocol.terms import LINES, PIXELS, POINTS, line_terms, tcp_terms
 from nserver_emu.gateway.laser_shape import in_shape
 from nserver_emu.gateway.robot_state import Link, moving_axes, state_for, whole_state
 from nserver_emu.gateway.translate import Plan, plan, stays_here
-from nserver_emu.server.command_table import examples
-from nserver_emu.server.session import Visit
+from nserver_emu.server.conversation.session import Visit
+from nserver_emu.server.handling.command_table import examples
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
 from worlds.bodies import N200 as N200_BODY
 

@@ -14,8 +14,8 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 
 
 class Client:

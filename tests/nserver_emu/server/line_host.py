@@ -10,9 +10,9 @@ from nclient.protocol.models import Model, model_named
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFrame, SerialFramer
 from nclient.protocol.terms import line_terms
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.line_session import LineSession
-from nserver_emu.server.pace import Pace
+from nserver_emu.server.conversation.line_session import LineSession
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.stage.pace import Pace
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation

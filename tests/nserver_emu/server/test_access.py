@@ -9,7 +9,7 @@ import pytest
 from daemon_house import House, with_daemon
 
 from nserver_emu import cli
-from nserver_emu.server.access import Access, access_of, add_options, is_loopback, warning
+from nserver_emu.server.admission.access import Access, access_of, add_options, is_loopback, warning
 
 
 def parsed(*words: str) -> Access:
@@ -51,7 +51,7 @@ def test_who_is_not_let_in_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) ->
     async def visit(house: House) -> None:
         inside = await house.call()
         with monkeypatch.context() as patched:
-            patched.setattr("nserver_emu.server.access.is_loopback", lambda _host: False)
+            patched.setattr("nserver_emu.server.admission.access.is_loopback", lambda _host: False)
             house.daemon.door.access = parsed("--allow", "192.0.2.0/24")
             outsider = await house.knock()
             assert await outsider.reader.read() == b""

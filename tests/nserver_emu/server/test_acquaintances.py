@@ -7,9 +7,9 @@ import pytest
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
-from nserver_emu.server import first_bytes
-from nserver_emu.server.acquaintances import Acquaintances
-from nserver_emu.server.session import Acquaintance
+from nserver_emu.server.conversation import first_bytes
+from nserver_emu.server.conversation.acquaintances import Acquaintances
+from nserver_emu.server.conversation.session import Acquaintance
 
 HOME, ELSEWHERE = "127.0.0.1", "10.0.0.7"
 

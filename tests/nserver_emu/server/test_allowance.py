@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server.allowance import Allowance
+from nserver_emu.server.admission.allowance import Allowance
 
 
 def test_over_a_long_time_it_is_the_rate() -> None:

@@ -12,9 +12,9 @@ from wire_client import ORIGIN, meet
 from nclient.errors import WireError
 from nclient.protocol import language
 from nclient.protocol.commands import COMMANDS, Call
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.stage import Allowed
-from nserver_emu.server.state_reply import clock_ms
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.stage.stage import Allowed
+from nserver_emu.server.stage.state_reply import clock_ms
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.setup import NOISY
 from nserver_emu.simulation.simulation import Simulation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server.arm import GRIP_TRAVEL_IN, LIFT_TRAVEL_IN, Arm
+from nserver_emu.server.stage.arm import GRIP_TRAVEL_IN, LIFT_TRAVEL_IN, Arm
 from nserver_emu.simulation.axis import Command
 
 

@@ -13,9 +13,9 @@ import pytest
 from wire_client import simulation
 
 from nclient.arguments import Parser
-from nserver_emu.server import autosave, snapshot
-from nserver_emu.server.autosave import SaveFile, autosaved
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping import autosave, snapshot
+from nserver_emu.server.keeping.autosave import SaveFile, autosaved
 
 
 def saved_s(path: Path) -> float:

@@ -7,8 +7,8 @@ from math import radians
 import pytest
 from wire_client import meet
 
-from nserver_emu.server.axis_units import axis_tenths, axis_values
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.stage.axis_units import axis_tenths, axis_values
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world

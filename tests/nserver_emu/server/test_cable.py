@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.server.cable import MOST_GIVEN_BACK_S, MOST_ON_A_WIRE, PIECE, Arrival, PacedCable
+from nserver_emu.server.ports.cable import MOST_GIVEN_BACK_S, MOST_ON_A_WIRE, PIECE, Arrival, PacedCable
 
 BAUD = 38400
 BYTE_S = 10 / BAUD

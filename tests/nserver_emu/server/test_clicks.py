@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from wire_client import WireClient, meet, simulation
 
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import Emulator
 
 HERE, CLICKED = (0, 0, 0, 0), (120, -30, 900, 450)
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nserver_emu.server.collision import Arc, Hit, arc_hit, line_hit
+from nserver_emu.server.handling.collision import Arc, Hit, arc_hit, line_hit
 
 pytestmark = pytest.mark.long
 

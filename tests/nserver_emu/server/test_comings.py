@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from nserver_emu.server.comings import Comings
+from nserver_emu.server.ports.comings import Comings
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="inotify is Linux'")
 

@@ -11,8 +11,8 @@ from daemon_house import House, with_daemon
 
 from nclient.faults.kinds import Delay
 from nclient.faults.plan import Plan, Rule
-from nserver_emu.server.connection import Connection
-from nserver_emu.server.talker import Talker
+from nserver_emu.server.ports.connection import Connection
+from nserver_emu.server.ports.talker import Talker
 
 
 @pytest.mark.parametrize("faults", [False, True])

@@ -14,11 +14,11 @@ from wire_client import ORIGIN, simulation
 from nclient.faults.kinds import Drop
 from nclient.faults.plan import Direction, Plan, Rule
 from nclient.faults.plan_file import plan_text
-from nserver_emu.server import snapshot
-from nserver_emu.server.control import BY_NAME, answer_line
-from nserver_emu.server.fault_desk import FaultDesk
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.pace import Pace
+from nserver_emu.server.control.control import BY_NAME, answer_line
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping import snapshot
+from nserver_emu.server.ports.fault_desk import FaultDesk
+from nserver_emu.server.stage.pace import Pace
 from worlds.files import parse_world
 
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import ConnectionLost
-from nserver_emu.server import control_socket
-from nserver_emu.server.control_socket import ControlSocket, default_path
+from nserver_emu.server.control import control_socket
+from nserver_emu.server.control.control_socket import ControlSocket, default_path
 
 
 @pytest.fixture

@@ -20,13 +20,13 @@ from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import Refused, TcpFrame
-from nserver_emu.server.connection import Connection
-from nserver_emu.server.daemon import Daemon, stop_on_signals
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Session
-from nserver_emu.server.stage import Allowed
-from nserver_emu.server.talker import HEARD_A_TURN, REQUESTS_A_TURN
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.connection import Connection
+from nserver_emu.server.ports.daemon import Daemon, stop_on_signals
+from nserver_emu.server.ports.talker import HEARD_A_TURN, REQUESTS_A_TURN
+from nserver_emu.server.stage.pace import Pace
+from nserver_emu.server.stage.stage import Allowed
 from worlds.world import StartPose
 
 pytestmark = pytest.mark.long

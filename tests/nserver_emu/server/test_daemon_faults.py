@@ -13,8 +13,8 @@ from nclient.faults.plan import Direction, Plan, Rule, When
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from nserver_emu.server.descriptors import OWN, make_room
+from nserver_emu.server.admission.descriptors import OWN, make_room
 
 Pair = tuple[int, int]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from wire_client import WireClient, meet, simulation
 
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session, Visit
+from nserver_emu.server.conversation.session import Session, Visit
+from nserver_emu.server.handling.handlers import Emulator
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from nclient.errors import FaultPlanError
 from nclient.faults.kinds import Drop
 from nclient.faults.plan import Direction, Plan, Rule, When
-from nserver_emu.server.fault_desk import FaultDesk
+from nserver_emu.server.ports.fault_desk import FaultDesk
 
 LINES = ("nserver", "serial:1", "robotd:2")
 

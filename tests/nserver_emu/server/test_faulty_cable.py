@@ -9,8 +9,8 @@ from nclient.faults.kinds import Corrupt, Delay, Drop, Fault, HangUp, Nak
 from nclient.faults.language import LineLanguage, TcpLanguage
 from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
 from nclient.protocol.serial_frame import build_frame
-from nserver_emu.server.cable import MOST_ON_A_WIRE, Arrival, PacedCable
-from nserver_emu.server.faulty_cable import FaultyCable
+from nserver_emu.server.ports.cable import MOST_ON_A_WIRE, Arrival, PacedCable
+from nserver_emu.server.ports.faulty_cable import FaultyCable
 
 GS, VM = build_frame(7), build_frame(5, bytes(6))
 REQUEST = frozenset({Direction.REQUEST})

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server import graphics
-from nserver_emu.server.graphics import BLACK, COLOURS, Figure, Graphics, Layer, Shape
+from nserver_emu.server.stage import graphics
+from nserver_emu.server.stage.graphics import BLACK, COLOURS, Figure, Graphics, Layer, Shape
 
 LINE = (0, 0, 100, 200)
 POSE = (10, 20, 900, 450)

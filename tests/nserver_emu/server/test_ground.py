@@ -7,8 +7,8 @@ import math
 import pytest
 from wire_client import WireClient, meet, simulation
 
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.stage.stage import Allowed
 
 BOX = (400, -100, 600, -100, 600, 100, 400, 100)
 """A box ahead of the robot at the origin, in tenths: its near face is 40 in away."""

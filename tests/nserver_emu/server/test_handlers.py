@@ -11,8 +11,8 @@ from nclient.protocol import language
 from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.mask import EVERYTHING, Mask, Position
 from nclient.protocol.replies import Reply
-from nserver_emu.server.handlers import HANDLERS, Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import HANDLERS, Emulator
 from worlds.world import StartPose
 
 

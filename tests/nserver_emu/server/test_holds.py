@@ -8,10 +8,10 @@ import pytest
 from wire_client import meet, simulation
 
 from nclient.protocol.commands import BY_NAME, Call
-from nserver_emu.server.command_table import examples
-from nserver_emu.server.handlers import HANDLERS, Emulator
-from nserver_emu.server.holds import Holds, moves
-from nserver_emu.server.session import Visit, error_reply
+from nserver_emu.server.conversation.session import Visit, error_reply
+from nserver_emu.server.handling.command_table import examples
+from nserver_emu.server.handling.handlers import HANDLERS, Emulator
+from nserver_emu.server.stage.holds import Holds, moves
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.setup import IDEAL
 from nserver_emu.simulation.simulation import Simulation

@@ -7,10 +7,10 @@ import math
 import pytest
 from wire_client import WireClient, meet, simulation
 
-from nserver_emu.server import hosting
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.handling import hosting
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.stage.pace import Pace
+from nserver_emu.server.stage.stage import Allowed
 
 PAUSE, RESUME, SPEED, STEP = 1, 2, 3, 4
 

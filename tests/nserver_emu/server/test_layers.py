@@ -9,10 +9,10 @@ from math import cos, hypot, sin
 import pytest
 from wire_client import meet, simulation
 
-from nserver_emu.server.graphics import Layer
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.snapshot import dumps, loads
-from nserver_emu.server.traces import FORGOTTEN_AT_ONCE, MOST_POINTS, POINT_IN, Trace
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping.snapshot import dumps, loads
+from nserver_emu.server.stage.graphics import Layer
+from nserver_emu.server.stage.traces import FORGOTTEN_AT_ONCE, MOST_POINTS, POINT_IN, Trace
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.setup import MEASURED
 from nserver_emu.simulation.simulation import Simulation

@@ -18,12 +18,12 @@ from wire_client import simulation
 from nclient.protocol import language
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
-from nserver_emu.server.access import Access
-from nserver_emu.server.door import Door
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of, page
-from nserver_emu.server.stage import Allowed
-from nserver_emu.server.talker import REQUESTS_A_TURN
+from nserver_emu.server.admission.access import Access
+from nserver_emu.server.admission.door import Door
+from nserver_emu.server.admission.limits import TABLE, Limits, add_options, limits_of, page
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.talker import REQUESTS_A_TURN
+from nserver_emu.server.stage.stage import Allowed
 
 ROOT = Path(__file__).parents[3]
 GS = language.tcp_request(Call("gs"))

@@ -11,9 +11,9 @@ import pytest
 from line_host import emulated
 
 from nclient.errors import AddressError, ConnectionLost
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.line_options import add_options, at_port, open_lines, refuse
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.ports.line_options import add_options, at_port, open_lines, refuse
 from nserver_emu.simulation.models import MODELS
 from worlds.world import StartPose
 
@@ -105,7 +105,7 @@ def test_what_cannot_be_opened_says_why_and_leaves_nothing(tmp_path: Path) -> No
 
 
 def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "nserver_emu.server.pseudo_terminal", None)
+    monkeypatch.setitem(sys.modules, "nserver_emu.server.ports.pseudo_terminal", None)
     with pytest.raises(ConnectionLost, match="this system has no pseudo-terminals; use --robotd"):
         opened("--serial-link", str(tmp_path / "a"))
 

@@ -21,9 +21,9 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFrame, SerialFramer, build_frame, only_frame
 from nclient.protocol.terms import line_terms
 from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
-from nserver_emu.server.line_session import EXPIRY_S, LineSession
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.session import Visit
+from nserver_emu.server.conversation.line_session import EXPIRY_S, LineSession
+from nserver_emu.server.conversation.session import Visit
+from nserver_emu.server.stage.pace import Pace
 from nserver_emu.simulation.models import MODELS as SIMULATED
 from nserver_emu.simulation.setup import MEASURED
 from worlds.world import StartPose

@@ -25,12 +25,12 @@ from nclient.protocol.models import MODELS
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFrame, SerialFramer
 from nclient.protocol.terms import line_terms
-from nserver_emu.server.cable import PacedCable
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.lines import RobotdConnection, SerialLine, last_frame, own_line
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.pseudo_terminal import PseudoTerminal
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.cable import PacedCable
+from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.ports.lines import RobotdConnection, SerialLine, last_frame, own_line
+from nserver_emu.server.ports.pseudo_terminal import PseudoTerminal
+from nserver_emu.server.stage.pace import Pace
 
 GS = bytes.fromhex("010200070a5c")
 BAUD = 38400
@@ -209,7 +209,7 @@ def test_one_who_opens_the_link_beside_its_host_and_goes_stops_nobody(path: Path
 def test_without_notices_of_the_system_a_host_is_seen_to_come_all_the_same(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nserver_emu.server.comings.sys.platform", "darwin")
+    monkeypatch.setattr("nserver_emu.server.ports.comings.sys.platform", "darwin")
 
     async def visit(house: House) -> None:
         host, leave = house.at_link()

@@ -10,9 +10,9 @@ import pytest
 from wire_client import meet, simulation
 
 from nclient.errors import ControlError
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.obstacles import change_obstacle
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handling.obstacles import change_obstacle
+from nserver_emu.server.stage.stage import Allowed
 from worlds.world import Polygon, World
 
 TWELVE = tuple(

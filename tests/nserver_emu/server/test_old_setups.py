@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import SetupFileError
-from nserver_emu.server import old_setups
-from nserver_emu.server.old_setups import OldSetup, parse_setup, read_setups
+from nserver_emu.server.setting_up import old_setups
+from nserver_emu.server.setting_up.old_setups import OldSetup, parse_setup, read_setups
 
 ROBOT = r"""
 ; the robot of room 12

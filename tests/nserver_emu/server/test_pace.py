@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server.pace import Pace
+from nserver_emu.server.stage.pace import Pace
 
 
 @pytest.mark.parametrize(

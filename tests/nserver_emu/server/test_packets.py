@@ -8,10 +8,10 @@ from wire_client import ORIGIN, WireClient, meet, simulation
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session
-from nserver_emu.server.snapshot import dumps, loads
-from nserver_emu.server.transcript import KEPT, Transcript, Utterance
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping.snapshot import dumps, loads
+from nserver_emu.server.stage.transcript import KEPT, Transcript, Utterance
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.setup import IDEAL
 from nserver_emu.simulation.simulation import Simulation

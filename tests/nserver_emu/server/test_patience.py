@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.server.patience import Patience
+from nserver_emu.server.admission.patience import Patience
 
 
 def test_the_idle_end_and_who_is_heard_does_not() -> None:

@@ -7,8 +7,8 @@ from itertools import islice
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nserver_emu.server.places import MOST_RINGS, FreePlaces
-from nserver_emu.server.setting import MOST_ROBOTS
+from nserver_emu.server.setting_up.places import MOST_RINGS, FreePlaces
+from nserver_emu.server.setting_up.setting import MOST_ROBOTS
 from nserver_emu.simulation.models import N150, N200
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import Polygon, StartPose, World

@@ -7,13 +7,13 @@ from wire_client import WireClient, meet, simulation
 
 from nclient.protocol import language
 from nclient.protocol.commands import Call
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.conversation.session import Session, Visit
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.in_process import InProcess
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.promises import Promises
-from nserver_emu.server.session import Session, Visit
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.stage.pace import Pace
+from nserver_emu.server.stage.promises import Promises
+from nserver_emu.server.stage.stage import Allowed
 
 STEP = 4
 TURN = (0, 450, 0)

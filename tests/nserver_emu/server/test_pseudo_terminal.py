@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import ConnectionLost
-from nserver_emu.server.pseudo_terminal import PseudoTerminal
+from nserver_emu.server.ports.pseudo_terminal import PseudoTerminal
 
 
 @pytest.fixture

@@ -23,17 +23,17 @@ from nclient.recording.recorder import Recorder
 from nclient.recording.stream import RecordingStream
 from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
-from nserver_emu.server import snapshot
-from nserver_emu.server.control import answer_line
-from nserver_emu.server.daemon import LONGEST_CATCH_UP_S
-from nserver_emu.server.hosting import LONGEST_STEP_MS
+from nserver_emu.server.control.control import answer_line
+from nserver_emu.server.handling.hosting import LONGEST_STEP_MS
 from nserver_emu.server.in_process import open_address
-from nserver_emu.server.pace import FASTEST, Pace
-from nserver_emu.server.recording import Beginning, beginning_of, header
-from nserver_emu.server.replay import LONGEST_STEP_S, replay
-from nserver_emu.server.setting import Setting, pose_from_text
-from nserver_emu.server.stage import Allowed
-from nserver_emu.server.talker import REQUESTS_A_TURN
+from nserver_emu.server.keeping import snapshot
+from nserver_emu.server.keeping.recording import Beginning, beginning_of, header
+from nserver_emu.server.keeping.replay import LONGEST_STEP_S, replay
+from nserver_emu.server.ports.daemon import LONGEST_CATCH_UP_S
+from nserver_emu.server.ports.talker import REQUESTS_A_TURN
+from nserver_emu.server.setting_up.setting import Setting, pose_from_text
+from nserver_emu.server.stage.pace import FASTEST, Pace
+from nserver_emu.server.stage.stage import Allowed
 from worlds.files import load_world
 from worlds.writing import world_text
 

@@ -16,14 +16,14 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import SerialFrame, SerialFramer
 from nclient.protocol.terms import line_terms
 from nclient.recording.log import Recording, read_recording
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.lines import RobotdConnection, SerialLine, own_line
-from nserver_emu.server.pace import Pace
-from nserver_emu.server.pseudo_terminal import PseudoTerminal
-from nserver_emu.server.recording import Beginning, header
-from nserver_emu.server.replay import replay
-from nserver_emu.server.setting import Setting, pose_from_text
-from nserver_emu.server.stage import Allowed
+from nserver_emu.server.keeping.recording import Beginning, header
+from nserver_emu.server.keeping.replay import replay
+from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.ports.lines import RobotdConnection, SerialLine, own_line
+from nserver_emu.server.ports.pseudo_terminal import PseudoTerminal
+from nserver_emu.server.setting_up.setting import Setting, pose_from_text
+from nserver_emu.server.stage.pace import Pace
+from nserver_emu.server.stage.stage import Allowed
 
 TWO = Setting(world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, noisy=True, others=(("n200", None),))
 

@@ -9,10 +9,10 @@ from wire_client import meet, simulation
 
 from nclient.errors import SnapshotError
 from nserver_emu import cli
-from nserver_emu.server import snapshot
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.pace import Pace
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping import snapshot
+from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.stage.pace import Pace
 
 SAVED_PACE = Pace(factor=3.0, lockstep_s=0.25)
 
@@ -166,7 +166,7 @@ def test_a_run_that_is_kept_goes_on_with_what_is_in_the_file_whatever_the_option
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     gone = ["world_that_is_gone.toml", "--model-file", "gone_too.toml", "--robot", "mine", "--seed", "7", "--noisy"]
-    caplog.set_level("INFO", "nserver_emu.server.restore_options")
+    caplog.set_level("INFO", "nserver_emu.server.setting_up.restore_options")
     assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
     assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
     assert started[0].pace == SAVED_PACE

@@ -10,9 +10,9 @@ from wire_client import WireClient, meet, simulation
 from nclient.protocol.mask import EVERYTHING, Mask, Position
 from nclient.protocol.stamps import NO_STAMP
 from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.snapshot import dumps, loads
-from nserver_emu.server.state_reply import clock_ms, volts_raw
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping.snapshot import dumps, loads
+from nserver_emu.server.stage.state_reply import clock_ms, volts_raw
 from nserver_emu.simulation.models import N150, N200, SCOUT
 from nserver_emu.simulation.setup import IDEAL, MEASURED, RobotSetup
 from nserver_emu.simulation.simulation import Simulation

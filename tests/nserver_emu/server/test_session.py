@@ -12,7 +12,7 @@ from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nserver_emu.server.session import Acquaintance, Later, Session, Visit
+from nserver_emu.server.conversation.session import Acquaintance, Later, Session, Visit
 
 CONNECT = language.tcp_request(Call("connect_robot", (1, 7)))
 GS = language.tcp_request(Call("gs"))

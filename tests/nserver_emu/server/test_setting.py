@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import AddressError, StartError
-from nserver_emu.server.setting import Setting, pose_from_text
+from nserver_emu.server.setting_up.setting import Setting, pose_from_text
 from worlds.world import StartPose
 
 

@@ -17,11 +17,11 @@ from nclient.errors import SnapshotError
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.mask import EVERYTHING
-from nserver_emu.server import snapshot
-from nserver_emu.server.graphics import Figure
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.setting import Setting
-from nserver_emu.server.traces import MOST_POINTS
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping import snapshot
+from nserver_emu.server.setting_up.setting import Setting
+from nserver_emu.server.stage.graphics import Figure
+from nserver_emu.server.stage.traces import MOST_POINTS
 from worlds.world import StartPose
 
 pytestmark = pytest.mark.long
@@ -235,7 +235,7 @@ def test_what_is_no_snapshot_is_refused(text: str, match: str) -> None:
         ({"is": "os:system", "of": {}}, "no snapshot may hold"),
         ({"is": "class", "of": "subprocess:Popen"}, "no snapshot may hold"),
         ({"is": "nserver_emu.simulation.simulation:World", "of": {}}, "no snapshot may hold"),
-        ({"is": "nserver_emu.server.daemon:Daemon", "of": {}}, "no snapshot may hold"),
+        ({"is": "nserver_emu.server.ports.daemon:Daemon", "of": {}}, "no snapshot may hold"),
         ({"is": "nserver_emu.simulation.simulation:Simulation", "of": {"step": 1}}, "no attribute 'step'"),
         ({"is": "nserver_emu.simulation.simulation:Simulation", "of": {"__class__": 1}}, "no attribute '__class__'"),
         ({"is": "dict", "of": []}, "is damaged: KeyError"),

@@ -9,7 +9,7 @@ import pytest
 from wire_client import WireClient, meet
 
 from nclient.protocol.mask import EVERYTHING, Mask, Position
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.simulation.infrared import InfraredRing
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.polaroid import Cry

@@ -10,10 +10,8 @@ import pytest
 from wire_client import WireClient, meet, simulation
 
 from nclient.errors import ControlError, WorldFileError
-from nserver_emu.server import snapshot
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.setting import Setting
-from nserver_emu.server.switches import (
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handling.switches import (
     MOST_SHOWN,
     noise_of,
     noise_words,
@@ -21,6 +19,8 @@ from nserver_emu.server.switches import (
     show_world,
     switch_noise,
 )
+from nserver_emu.server.keeping import snapshot
+from nserver_emu.server.setting_up.setting import Setting
 from nserver_emu.simulation.setup import IDEAL, SETUPS
 from worlds.files import load_world
 from worlds.world import Path as WayPoints

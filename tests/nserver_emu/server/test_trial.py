@@ -10,10 +10,10 @@ import pytest
 from wire_client import simulation
 
 from nclient.errors import SnapshotError
-from nserver_emu.server import snapshot, trial
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.in_process import open_address
-from nserver_emu.server.trial import Budget, try_out
+from nserver_emu.server.keeping import snapshot, trial
+from nserver_emu.server.keeping.trial import Budget, try_out
 
 
 def saved() -> dict[str, Any]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from wire_client import meet, simulation
 
-from nserver_emu.server.graphics import Figure, Layer
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.window import REFRESHERS
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handling.window import REFRESHERS
+from nserver_emu.server.stage.graphics import Figure, Layer
 
 ALL = set(Layer)
 LAYERS = {

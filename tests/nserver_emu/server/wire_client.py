@@ -10,8 +10,8 @@ from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.simulation.models import N150 as SIMULATED_N150
 from nserver_emu.simulation.setup import IDEAL, NOISY
 from nserver_emu.simulation.simulation import Simulation

@@ -8,8 +8,8 @@ from math import remainder, tau
 
 import pytest
 
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.snapshot import dumps, loads
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.keeping.snapshot import dumps, loads
 from nserver_emu.simulation.axis import Axis
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
 from nserver_emu.simulation.poses import Pose

@@ -14,9 +14,9 @@ from viewed_daemon import HOST, served
 from wire_client import simulation
 
 from nserver_emu import cli
-from nserver_emu.server.access import is_loopback
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.admission.access import is_loopback
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer import entrance
 from nserver_emu.viewer.entrance import TokenFileError, Tokens, address, new_tokens, tokens_of
 from nserver_emu.viewer.web import served as page_served

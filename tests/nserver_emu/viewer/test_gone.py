@@ -13,7 +13,7 @@ import pytest
 from viewed_daemon import HOST, Served, served
 from wire_client import simulation
 
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.viewer import desk, outlet, web
 
 SHORT_S = 0.4

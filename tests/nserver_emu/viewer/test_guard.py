@@ -10,7 +10,7 @@ import pytest
 from viewed_daemon import served
 from wire_client import simulation
 
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.viewer import desk, picture
 from nserver_emu.viewer.guard import Guard
 from nserver_emu.viewer.hand import Hand

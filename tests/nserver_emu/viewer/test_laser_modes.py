@@ -8,7 +8,7 @@ from typing import Any
 from viewed_daemon import Page, served
 
 from nclient import connect
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.laser_modes import MOST_NAMED, is_shown, laser_modes

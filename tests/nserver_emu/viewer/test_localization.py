@@ -12,8 +12,8 @@ from wire_client import simulation
 
 from localization.observation import Refusal
 from localization.watch import Trust
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.desk import STALE_S, Desk
 from nserver_emu.viewer.hub import Hub
 from nserver_emu.viewer.localization import MOST_PLACES, MOST_REASON, REFUSALS, TRUSTS, published

@@ -11,8 +11,8 @@ from wire_client import simulation
 
 from nclient.protocol import language
 from nclient.protocol.commands import Call
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.numbers import STUCK_S, health, metrics, numbers
 
 LINE = re.compile(r"# HELP [a-z_]+ \S.*|# TYPE [a-z_]+ (gauge|counter)|[a-z_]+ -?\d+(\.\d+)?(e[+-]?\d+)?")

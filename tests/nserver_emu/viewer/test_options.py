@@ -11,8 +11,8 @@ import pytest
 from wire_client import simulation
 
 from nserver_emu import cli
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.options import DEFAULT_PORT, Place, ViewerMissing, add_options, viewed
 
 

@@ -13,7 +13,7 @@ from aiohttp.test_utils import make_mocked_request
 from viewed_daemon import served
 from wire_client import simulation
 
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.viewer.outlet import MEDIUM, SHORT, STALLED_S, Outlet, frame
 from nserver_emu.viewer.web import _transport
 

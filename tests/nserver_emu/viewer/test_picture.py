@@ -12,9 +12,9 @@ from wire_client import meet, simulation
 
 from nclient.protocol import language
 from nclient.protocol.commands import Call
-from nserver_emu.server.graphics import MOST_GONE, Figure
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.switches import switch_noise
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handling.switches import switch_noise
+from nserver_emu.server.stage.graphics import MOST_GONE, Figure
 from nserver_emu.simulation.models import N200, SCOUT, RobotModel
 from nserver_emu.simulation.setup import NOISY
 from nserver_emu.simulation.simulation import Simulation

@@ -10,8 +10,8 @@ import pytest
 from viewed_daemon import HOST, Served, served
 from wire_client import simulation
 
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.limits import FOR_A_PAGE, Limits
+from nserver_emu.server.admission.limits import FOR_A_PAGE, Limits
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.viewer.reception import HTTP_LOG
 
 HALF = b"GET / HTTP/1.1\r\n"

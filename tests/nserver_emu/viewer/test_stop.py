@@ -11,7 +11,7 @@ from wire_client import simulation
 
 from nclient.protocol import language
 from nclient.protocol.commands import Call
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.setup import IDEAL
 from worlds.world import StartPose

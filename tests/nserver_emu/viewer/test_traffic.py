@@ -14,8 +14,8 @@ from nclient.protocol.models import N150, N200, Model
 from nclient.protocol.terms import Terms, line_terms
 from nclient.recording.follower import HELLO_FIRST, TCP, Decoded
 from nclient.recording.recorder import OFF, Tape
-from nserver_emu.server.handlers import Emulator
-from nserver_emu.server.session import Session
+from nserver_emu.server.conversation.session import Session
+from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.viewer.traffic import MOST_HEX, MOST_ROWS, Listening, parts
 
 

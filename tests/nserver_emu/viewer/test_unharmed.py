@@ -9,7 +9,7 @@ import pytest
 from viewed_daemon import served
 from wire_client import simulation
 
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
 
 UNCLEAN = Path(__file__).parents[3] / "docs" / "unclean_line.toml"
 RULE = '[[rule]]\nname = "a"\nevery = 1\n'

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import aiohttp
 
-from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.handlers import Emulator
+from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.web import Viewing
 
 HOST = "127.0.0.1"

@@ -1,0 +1,77 @@
+"""Options beside --restore: what a snapshot decides cannot be said again, and the pace can.
+
+    --restore FILE                  FILE is there, or it is an error; it decides world, robots, seed and setup
+    --save FILE --restore FILE      a run that is kept: the first time there is no FILE, and it begins as the options
+                                    say; from then on FILE decides, and they are passed over
+
+Rules: wrong usage names the options and ends with 2, before anything starts. Said at all, an option of the pace has
+the whole pace begin as the options say; else it goes on as the snapshot has it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import os
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from nclient.errors import NomadError
+from nserver_emu.server.setting_up.old_setups import read_setups
+from nserver_emu.server.setting_up.setting import DEFAULT_WORLD
+
+log = logging.getLogger(__name__)
+
+DECIDED: Final = ("robot", "robots", "model_file", "start", "seed", "setup", "noisy")
+"""Options, by their names in the namespace, that a snapshot has decided."""
+
+PACE: Final = ("speed", "paused", "lockstep")
+
+_NOT_SAID: Final = "\0not said"
+
+
+def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str]) -> None:
+    """Wrong usage where a snapshot is restored and something is said that it decides. Does not come back then."""
+    if options.restore is None or _is_kept(options):
+        return
+    against = [f"--{name.replace('_', '-')}" for name in said(parser, words, DECIDED)]
+    if len(options.files) > len(options.setups):
+        against.append(f"the world {options.world}")
+    with contextlib.suppress(NomadError):  # whoever reads them for good says what is wrong with them
+        if read_setups(options.setups).robot:
+            against.append("the robot of a setup file")
+    if against:
+        parser.error(f"argument --restore: the snapshot has a world, robots, a seed and a setup of its own: leave out "
+                     f"{', '.join(against)}")
+
+
+def settle(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Of a run that is kept: whether it begins, or goes on and what says how to begin counts no more."""
+    if options.restore is None or not _is_kept(options):
+        return
+    if not os.path.lexists(options.restore):
+        log.warning("%s: not there yet: the simulation begins, and is saved there", options.restore)
+        options.restore = None
+        return
+    for name in DECIDED:
+        setattr(options, name, parser.get_default(name))
+    options.world = DEFAULT_WORLD
+    log.info("goes on from %s, with the world, the robots, the seed and the setup that are in it", options.restore)
+
+
+def _is_kept(options: argparse.Namespace) -> bool:
+    """Whether what is restored is also where it is saved."""
+    return options.save is not None and options.save.absolute() == options.restore.absolute()
+
+
+def keeps_pace(parser: argparse.ArgumentParser, words: Sequence[str]) -> bool:
+    """Whether a restored simulation goes on at the pace that it had."""
+    return not said(parser, words, PACE)
+
+
+def said(parser: argparse.ArgumentParser, words: Sequence[str], names: Iterable[str]) -> list[str]:
+    """Those of these options that stand in a command line which the parser takes."""
+    unsaid = {name: None if parser.get_default(name) is None else _NOT_SAID for name in names}
+    read = vars(parser.parse_args(list(words), argparse.Namespace(**unsaid)))
+    return [name for name in unsaid if read[name] != unsaid[name]]
