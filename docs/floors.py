@@ -1,4 +1,4 @@
-"""The floors of architecture.md, from the first import contract of pyproject.toml.
+"""The floors of architecture.md, from the import contracts of pyproject.toml: the first, and those of one room's rooms.
 
     python docs/floors.py      writes the block anew
 """
@@ -15,10 +15,16 @@ BLOCK = re.compile(r"```text\n.*?```", re.DOTALL)
 
 
 def floors() -> str:
-    """One line a floor, the highest first; strangers of one floor are separated by |."""
+    """One line a floor, the highest first; strangers of one floor are separated by |. Below it the rooms of a room."""
     project = tomllib.loads((DOCS.parent / "pyproject.toml").read_text(encoding="utf-8"))
-    layers: list[str] = project["tool"]["importlinter"]["contracts"][0]["layers"]
-    return "".join(f"{len(layers) - number:3}  {layer}\n" for number, layer in enumerate(layers))
+    house, *others = project["tool"]["importlinter"]["contracts"]
+    within = {room: contract["layers"] for contract in others for room in contract.get("containers", ())}
+    lines = []
+    for number, layer in enumerate(house["layers"]):
+        lines.append(f"{len(house['layers']) - number:3}  {layer}\n")
+        if layer in within:
+            lines.append(f"         {' > '.join(within[layer])}\n")
+    return "".join(lines)
 
 
 def page() -> str:
