@@ -9,7 +9,7 @@ import pytest
 from nclient.protocol.commands import BY_NAME, COMMANDS, Command
 from nserver_emu.server.handling.command_table import MODEL_NAMES, Support, markdown, rows, support
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "commands.md"
+DOCUMENT = Path(__file__).parents[4] / "docs" / "commands.md"
 WRITTEN = {line.split("`")[1]: line for line in DOCUMENT.read_text().splitlines() if line.startswith("| `")}
 ARM = ("arm_zr", "arm_ws", "arm_mv")
 

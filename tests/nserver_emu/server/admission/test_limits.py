@@ -25,7 +25,7 @@ from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.ports.talker import REQUESTS_A_TURN
 from nserver_emu.server.stage.stage import Allowed
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 GS = language.tcp_request(Call("gs"))
 BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
 
