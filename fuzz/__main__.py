@@ -57,27 +57,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _CLEAN
     if options.again:
         return _again(readers, options.again)
-    chosen = [readers[name] for name in options.readers or readers]
+    return _run([readers[name] for name in options.readers or readers], options)
+
+
+def _run(chosen: list[Reader], options: argparse.Namespace) -> int:
+    """All of these readers; the exit code."""
     with contextlib.ExitStack() as held:
         held.callback(_files_gone)
-        work = options.work
-        if work is None:
-            work = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="nomad-fuzz-")))
+        work = options.work or Path(held.enter_context(tempfile.TemporaryDirectory(prefix="nomad-fuzz-")))
         work.mkdir(parents=True, exist_ok=True)
         seconds = None if options.seconds is None else options.seconds / len(chosen)
         try:
-            goals = Goals(work, None if seconds else options.runs, seconds, options.blind)
-            bad = _all(chosen, goals, options.jobs)
+            bad = _all(chosen, Goals(work, None if seconds else options.runs, seconds, options.blind), options.jobs)
         except KeyboardInterrupt:
             print("stopped; " + (f"--work {options.work} goes on from here" if options.work else "nothing is kept"),
                   file=sys.stderr)  # fmt: skip
             return _INTERRUPTED
         if options.keep:
-            from fuzz.corpus import keep
-
-            for reader in chosen:
-                print(f"{reader.name:16}  {keep(reader, work):4} inputs kept")
+            _keep(chosen, work)
     return _FOUND if bad else _CLEAN
+
+
+def _keep(chosen: Iterable[Reader], work: Path) -> None:
+    from fuzz.corpus import keep
+
+    for reader in chosen:
+        print(f"{reader.name:16}  {keep(reader, work):4} inputs kept")
 
 
 def _files_gone() -> None:

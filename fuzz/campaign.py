@@ -192,10 +192,7 @@ class Campaign:
 
     def _look(self, now_s: float, done: bool) -> None:
         seconds = now_s - self._begun_s
-        share = seconds / self._seconds if self._seconds else 0.0
-        if self._runs:
-            share = (self.progress.executions - self._before[0]) / max(1, self._most - self._before[0])
-        if not self._warm and (share >= _WARM_SHARE or done):
+        if not self._warm and (done or self._share(seconds) >= _WARM_SHARE):
             self._warm = True
             self.progress.rss_kb, self.progress.blocks = ((count,) * 2 for count in self._at_rest())
         over = done or self._ended or (self._seconds is not None and seconds >= self._seconds)
@@ -206,6 +203,12 @@ class Campaign:
             self._tell(seconds, over)
         if over:
             os._exit(0)
+
+    def _share(self, seconds: float) -> float:
+        """Of the run, by inputs or by time, that is behind."""
+        if self._runs:
+            return (self.progress.executions - self._before[0]) / max(1, self._most - self._before[0])
+        return seconds / self._seconds if self._seconds else 0.0
 
     def _tell(self, seconds: float, over: bool) -> None:
         progress = self.progress
