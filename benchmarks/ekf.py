@@ -21,19 +21,20 @@ from typing import Final, NamedTuple, TypedDict
 import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
-from localization import ekf, ring_code
-from localization.belief import Belief, Floats, independent
-from localization.cone import ConeModel
+from localization.estimation import ekf
+from localization.estimation.belief import Belief, Floats, independent
+from localization.estimation.motion import transition
+from localization.estimation.observation import Observation
 from localization.experiments.pool import drive
 from localization.experiments.settings import FIGURES, Course, course_of
 from localization.experiments.trial import run
 from localization.filters.particles import MonteCarlo
+from localization.filters.surroundings import Surroundings
 from localization.filters.table import make
-from localization.gating import observe
-from localization.measurement import WIRE_SONAR, SonarModel, meet, rays, sight
-from localization.motion import transition
-from localization.observation import Observation
-from localization.surroundings import Surroundings
+from localization.sonar import ring_code
+from localization.sonar.cone import ConeModel
+from localization.sonar.gating import observe
+from localization.sonar.measurement import WIRE_SONAR, SonarModel, meet, rays, sight
 from worlds.bodies import N150
 from worlds.files import load_world
 

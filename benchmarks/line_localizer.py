@@ -21,11 +21,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from localization.belief import independent
-from localization.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
-from localization.outset import START_STD
-from localization.run import Moment, Run, Sighting
-from localization.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.command_line.outset import START_STD
+from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.estimation.belief import independent
+from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.runs.run import Moment, Run, Sighting
 from nclient import Robot, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world

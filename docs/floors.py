@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import re
+import textwrap
 import tomllib
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "architecture.md"
 BLOCK = re.compile(r"```text\n.*?```", re.DOTALL)
+_WIDTH = 100
 
 
 def floors() -> str:
@@ -22,8 +24,9 @@ def floors() -> str:
     lines = []
     for number, layer in enumerate(house["layers"]):
         lines.append(f"{len(house['layers']) - number:3}  {layer}\n")
-        if layer in within:
-            lines.append(f"         {' > '.join(within[layer])}\n")
+        for room in layer.split(" | "):
+            rooms = textwrap.wrap(" > ".join(within.get(room, ())), _WIDTH)
+            lines += [f"         {line}\n" for line in rooms]
     return "".join(lines)
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 from fuzz.mutating import bytes_changed, either, tree_changed
 from fuzz.place import file_of
 from fuzz.reader import Reader
-from localization import kept_file
+from localization.keeping import kept_file
 from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
 from nclient.protocol.commands import Call
 from nclient.protocol.language import line_request, tcp_request

@@ -13,7 +13,7 @@ from typing import Any
 
 from fuzz.mutating import bytes_changed, either, tree_changed
 from fuzz.reader import Reader
-from localization.publishing import waypoints_in
+from localization.command_line.publishing import waypoints_in
 from nclient.errors import ControlError
 from nserver_emu.ctl_answers import said_in, shown
 from nserver_emu.server.control.control import COMMANDS, answer_line

@@ -14,20 +14,19 @@ import sys
 import time
 from pathlib import Path
 
-from localization import resuming
-from localization.body_taken import body_of
-from localization.filters.table import DEFAULT_METHOD, finder
-from localization.map_taken import add_map, world_of
-from localization.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
-from localization.obstruction import Obstruction
-from localization.outset import add_options, outset
-from localization.publishing import Publisher, message
-from localization.readers import UNKNOWN, check_writable, opened, point, positive, seconds, start
-from localization.run import Moment, Run
-from localization.steadying import SteadyPose
-from localization.witness import Witness
+from localization.command_line import resuming
+from localization.command_line.outset import add_options, outset
+from localization.command_line.publishing import Publisher, message
+from localization.command_line.readers import UNKNOWN, check_writable, opened, point, positive, seconds, start
+from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
+from localization.driving.obstruction import Obstruction
+from localization.driving.steadying import SteadyPose
+from localization.filters.table import DEFAULT_METHOD, FINDER, finder
+from localization.runs.run import Moment, Run
+from localization.runs.witness import Witness
+from localization.taken.body import body_of
+from localization.taken.walls import add_map, world_of
 from nclient import NomadError, Robot, WorldFileError
-from nclient.errors import EstimateFileError
 from nclient.exit_codes import ExitCode
 from nclient.leaving import Left
 from worlds.bodies import BODIES
@@ -51,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, DEFAULT_METHOD,
                 "the filter: extended, iterated or unscented Kalman filter, particles, one that finds itself again; a "
                 "smoother drives as ekf", "; way-points set there are gone to instead")
+    parser.set_defaults(method=None)
     parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
                         help="a way-point is reached within this (default %(default)s in)")
     parser.add_argument("--smooth", type=seconds, default=0.0, metavar="S",
@@ -68,15 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
     world = world_of(options)
-    if options.start == UNKNOWN and (options.resume or options.method not in (DEFAULT_METHOD, "finder")):
-        raise EstimateFileError("--start unknown is for a robot that nothing is known of, and for --method finder "
-                                "alone: leave --resume and other methods out")
+    options.method = _method(options)
     check_writable(options.save)
     points = _goals(options, world)
-    if options.picture:
-        from localization.drawing import require_matplotlib
+    if options.picture is not None:
+        from localization.runs.drawing import check_picture
 
-        require_matplotlib()
+        check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
     robot, simulated = opened(options.address)
     done = Run(points)
@@ -87,32 +85,54 @@ def run(options: argparse.Namespace) -> int:
         except (KeyboardInterrupt, Left):
             with contextlib.suppress(NomadError):
                 robot.stop()
-            _tell_interrupted(options, world, done)
+            if done.moments:
+                _tell(options, world, done)
             raise
         finally:
             if publisher:
                 publisher.close()
-    _tell(options, world, done)
-    return ExitCode.DONE if done.reached == len(done.waypoints) else ExitCode.NOT_REACHED
+    written = _tell(options, world, done)
+    if done.reached < len(done.waypoints):
+        return ExitCode.NOT_REACHED
+    return ExitCode.DONE if written else ExitCode.FAILED
 
 
-def _tell(options: argparse.Namespace, world: World, done: Run) -> None:
-    """What a run leaves: --save, --picture, the verdict."""
+def _method(options: argparse.Namespace) -> str:
+    """The one asked for, or the default; of a robot that nothing is known of another."""
+    if options.start == UNKNOWN:
+        if options.resume:
+            options.refuse(f"--start {UNKNOWN} begins with nothing, and --resume goes on: leave one of them out")
+        if options.method not in (None, FINDER):
+            options.refuse(f"--start {UNKNOWN} is found out by --method {FINDER} alone: leave --method "
+                           f"{options.method} out")
+        return FINDER
+    method: str = options.method or DEFAULT_METHOD
+    return method
+
+
+def _tell(options: argparse.Namespace, world: World, done: Run) -> bool:
+    """What a run leaves: --save, --picture, the verdict. False where one could not be written, which is told on stderr:
+    what has ended the run stays what it was."""
+    written = True
+    for write in (_save, _draw):
+        try:
+            write(options, world, done)
+        except NomadError as error:
+            written = False
+            print(f"nomad: {error}", file=sys.stderr)
+    print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
+    return written
+
+
+def _save(options: argparse.Namespace, world: World, done: Run) -> None:
     resuming.save(options, world, done)
-    if options.picture:
-        from localization.drawing import draw_run
+
+
+def _draw(options: argparse.Namespace, world: World, done: Run) -> None:
+    if options.picture is not None:
+        from localization.runs.drawing import draw_run
 
         draw_run(options.picture, world, done, BODIES[options.body])
-    print(json.dumps(done.summary()) if options.json else done.verdict())
-
-
-def _tell_interrupted(options: argparse.Namespace, world: World, done: Run) -> None:
-    """The same of a run that Ctrl-C or a signal ends: what cannot be written is told, the ending stays what it was."""
-    try:
-        if done.moments:
-            _tell(options, world, done)
-    except NomadError as error:
-        print(f"nomad: {error}", file=sys.stderr)
 
 
 def _drive(
@@ -135,7 +155,9 @@ def _drive(
             print(done.line(), flush=True)
         aim = None if done.moments[-1].lost else navigator.goal
         done.stopped = obstruction.reason(clock_s, state, progress.estimate.pose, aim)
-        if done.stopped or done.duration_s > options.time_limit:
+        if not done.stopped and done.duration_s > options.time_limit:
+            done.stopped = f"its time is over: {options.time_limit:g} s (--time-limit)"
+        if done.stopped:
             break
 
 

@@ -64,7 +64,8 @@ ROTATION_CONSTANT = WHEEL_IN_PER_DEG
 """Inches that a Scout's wheel travels for each degree of turn."""
 
 SERVER_MACHINE_NAME = ""
-"""Host of the server, this machine when empty; host:port; or an address, nserver://lab:7654/1 or sim:thesis_room."""
+"""Host of the server, or host:port; or an address, nserver://lab:7654/1 or sim:thesis_room, whose robot is the one that
+connect_robot asks for. When empty NOMAD_ROBOT's address, as for C programs; this machine where that is not set."""
 SERV_TCP_PORT = 7019
 """Port of the server, where its name brings none."""
 ANSWER_TIMEOUT_S: float | None = None

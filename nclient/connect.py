@@ -82,11 +82,17 @@ def address_or_default(address: str | None) -> str:
 
 
 def open_machine(name: str, port: int, wanted: Wanted) -> Backend:
-    """What C programs name: a host, "" for this machine, host:port, which wins over `port`; or an address, as
-    `open_backend` takes it."""
-    if _is_address(name):
-        return open_backend(name, wanted)
-    return open_nserver(_find(name, port, wanted.timeout_s), wanted)
+    """What C programs name: a host, or host:port, which wins over `port`; or an address, as `open_backend` takes it.
+
+    "" is NOMAD_ROBOT's address, as for a C program of today; where that says nothing, this machine.
+    """
+    address = _address_of(name)
+    if address is None:
+        return open_nserver(_find(name, port, wanted.timeout_s), wanted)
+    try:
+        return open_backend(address, wanted)
+    except AddressError as error:
+        raise error if name else AddressError(f"{VARIABLE}: {error}") from None
 
 
 def open_line(model_number: int, device: str, conn: int, wanted: Wanted) -> Backend:
@@ -105,7 +111,8 @@ def open_line(model_number: int, device: str, conn: int, wanted: Wanted) -> Back
 def is_listening(name: str, port: int) -> bool:
     """Whether there is somebody to connect to, with names as `open_machine` takes them."""
     try:
-        stream = opening_of(name, Wanted()).bare_stream() if _is_address(name) else _find(name, port, None)
+        address = _address_of(name)
+        stream = _find(name, port, None) if address is None else opening_of(address, Wanted()).bare_stream()
     except (AddressError, ConnectionLost):
         return False
     stream.close()
@@ -122,6 +129,13 @@ def _find(name: str, port: int, timeout_s: float | None) -> TcpStream:
         with contextlib.suppress(ConnectionLost):
             return open_tcp(host, port, timeout_s)
     return open_tcp(last, port, timeout_s)
+
+
+def _address_of(name: str) -> str | None:
+    """The address that a C program's machine is; None for a host, or where neither it nor NOMAD_ROBOT names any."""
+    if not name:
+        return os.environ.get(VARIABLE) or None
+    return name if _is_address(name) else None
 
 
 def _is_address(name: str) -> bool:

@@ -8,12 +8,14 @@ reader's.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 Failure = Callable[[str], Exception]
 """Of a message, the error that the reader documents."""
+_MOST_BITS: Final = 4096
+"""Written with 0x it may be longer than what Python shows as decimal (4,300 digits): no error could tell of it."""
 
 
 def read_data(path: Path, most_bytes: int, error: Failure) -> bytes:
@@ -45,8 +47,23 @@ def read_text(path: Path, most_bytes: int, error: Failure) -> str:
 def toml_of(text: str, file: str, error: Failure) -> dict[str, Any]:
     """What a text in TOML holds; `file` is what errors call it. Raises `error`."""
     try:
-        return tomllib.loads(text)
+        values = tomllib.loads(text)
     except RecursionError:
         raise error(f"{file}: is no TOML: nested too deeply") from None
     except ValueError as failure:
         raise error(f"{file}: is no TOML: {failure}") from failure
+    if any(number.bit_length() > _MOST_BITS for number in _whole_numbers(values)):
+        raise error(f"{file}: holds a whole number of more than {_MOST_BITS} bits")
+    return values
+
+
+def _whole_numbers(values: dict[str, Any]) -> Iterator[int]:
+    left: list[Any] = [values]
+    while left:
+        value = left.pop()
+        if isinstance(value, int):
+            yield value
+        elif isinstance(value, dict):
+            left += value.values()
+        elif isinstance(value, list):
+            left += value

@@ -66,6 +66,10 @@ with connect("sim:thesis_room") as robot:        # nserver://localhost:7019/1, s
     print(state.x_in, state.y_in)
 ```
 
+`SERVER_MACHINE_NAME` is a host in C, and in `nclient.capi` an [address](addresses.md) besides. Where it is empty,
+`NOMAD_ROBOT` is the address in both, and this machine where that is not set either. A number in the address and that of
+`connect_robot` have to be the same, or the address has none (`nserver://lab`).
+
 What changes on the way from C to `Robot`:
 
 - 1/10 inch and 1/10 degree become `_in` and `_deg`, or `_m` and `_rad` where the name says so: `translation_m=0.6`.

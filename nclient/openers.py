@@ -66,10 +66,22 @@ def nserver_talk(stream: ByteStream, opening: Opening) -> Backend:
 
 
 def _robot_id(opening: Opening) -> int:
-    if opening.wanted.robot_id is not None:
-        return opening.wanted.robot_id
+    """The program's number or the address's. Raises AddressError where there are both and they differ: neither wins,
+    or a robot would move that nobody meant."""
+    asked, named = opening.wanted.robot_id, _named_id(opening)
+    if asked is not None and named is not None and asked != named:
+        raise AddressError(
+            f"{opening.address.text!r} names robot {named}, the program asks for robot {asked}: let both say the same, "
+            "or leave the number out of the address"
+        )
+    return asked if asked is not None else named or 1
+
+
+def _named_id(opening: Opening) -> int | None:
     parts = opening.address.parts(opening.scheme.form)
-    number = parts.path.strip("/") or "1"
+    number = parts.path.strip("/")
+    if not number and not parts.fragment:
+        return None
     if not (number.isascii() and number.isdecimal()) or not 1 <= int(number) <= _MAX_ID or parts.fragment:
         raise AddressError(
             f"{opening.address.text!r}: what follows the host is the robot's number, 1 or more, not {parts.path!r}"

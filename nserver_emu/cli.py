@@ -193,6 +193,8 @@ def _saved_on_signal(emulator: Emulator, path: Path | None) -> SaveFile | None:
     if path is None:
         return None
     file = SaveFile(emulator, path)
+    if path.is_dir():
+        raise SnapshotError(f"{path}: is a folder: name a file in it")
     if not path.absolute().parent.is_dir():
         log.warning("%s: there is no folder %s, and nothing can be saved until there is", path, path.parent)
 

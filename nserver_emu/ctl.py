@@ -32,6 +32,9 @@ HELP: Final = "help"
 WORDS: Final = "WORDS"
 """An argument of one word or more."""
 PATIENCE_S: Final = 30.0
+QUICK_S: Final = 5.0
+"""For what is asked in a hurry."""
+_QUICK: Final = frozenset({"stop", "status"})
 _CHUNK: Final = 65536
 _GROUPS: Final = frozenset(row.name.partition(" ")[0] for row in COMMANDS if " " in row.name)
 
@@ -59,15 +62,20 @@ def main(argv: Sequence[str]) -> int:
 
 def ask(path: Path, name: str, argument: object = None) -> dict[str, Any]:
     """What a daemon says to a command. Raises ConnectionLost where none answers, ControlError where it refuses."""
+    patience_s = QUICK_S if name in _QUICK else PATIENCE_S
     request = json.dumps({"command": name, "argument": argument}).encode() + b"\n"
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-            line.settimeout(PATIENCE_S)
+            line.settimeout(patience_s)
             line.connect(str(path))
             line.sendall(request)
             answer = _answer(line, path)
     except ConnectionLost:
         raise
+    except TimeoutError:
+        raise ConnectionLost(
+            f"the daemon at {path} did not answer in {patience_s:g} s: it hangs, or its process is stopped"
+        ) from None
     except OSError as error:
         raise ConnectionLost(
             f"no daemon answers at {path} ({error.strerror or error}); start it with nserver --control, "

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -24,12 +25,12 @@ from nserver_emu.server.keeping import autosave
 from nserver_emu.server.ports import line_options
 from nserver_emu.server.ports.daemon import LOOPBACK
 from nserver_emu.server.setting_up import restore_options
-from nserver_emu.server.setting_up.setting import DEFAULT_WORLD, MOST_ROBOTS, READY_MODELS
+from nserver_emu.server.setting_up.setting import MOST_ROBOTS, READY_MODELS
 from nserver_emu.server.stage.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
-from nserver_emu.simulation.setup import SETUPS
+from nserver_emu.simulation.setup import NOISY, SETUPS
 from nserver_emu.simulation.setup_toml import SUFFIX
 from nserver_emu.viewer import options as viewer_options
-from worlds.files import world_names
+from worlds.files import DEFAULT_WORLD, world_names
 
 Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
@@ -115,6 +116,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     options: argparse.Namespace = parser.parse_args(words)
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
+    _refuse_what_contradicts(parser, options, words)
     line_options.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
@@ -130,6 +132,14 @@ def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Na
         if options.model_file is None and name.lower() not in READY_MODELS:
             hint = did_you_mean(name.lower(), READY_MODELS)
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
+
+
+def _refuse_what_contradicts(parser: argparse.ArgumentParser, options: argparse.Namespace, words: list[str]) -> None:
+    """Wrong usage, where one option would be dropped without a word."""
+    if options.noisy and options.setup not in (None, NOISY.name):
+        parser.error(f"argument --noisy: it is --setup {NOISY.name}, and --setup says {options.setup}: leave one out")
+    if options.lockstep and restore_options.said(parser, words, ["speed"]):
+        parser.error("argument --speed: in lockstep time passes with each request: leave --speed or --lockstep out")
 
 
 def as_long_option(word: str) -> str:
@@ -166,10 +176,8 @@ def _speed(text: str) -> float | None:
 
 
 def _lockstep(text: str) -> float:
-    step_s = float(text)
-    if not 0.0 < step_s <= LONGEST_LOCKSTEP_S:
-        raise argparse.ArgumentTypeError(f"a step is more than 0 and at most {LONGEST_LOCKSTEP_S:.0f} s")
-    return step_s
+    wanted = f"a step is more than 0 and at most {LONGEST_LOCKSTEP_S:.0f} s"
+    return _number(text, float, (sys.float_info.min, LONGEST_LOCKSTEP_S), wanted)
 
 
 def _robot_count(text: str) -> int:

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from worlds.geometry import BoolArray, FloatArray, lengths, nearest_points
-from worlds.world import World
+from worlds.world import AT_ORIGIN, World
 
 TOUCHING_IN: Final = 1e-6
 """Ends within this of a wall are on it."""
@@ -165,7 +165,9 @@ def _starts(world: World, radius_in: float) -> Iterator[Finding]:
     for number, start in enumerate(world.starts):
         clearance = world.clearance(start.x_in, start.y_in)
         if clearance < radius_in:
-            words = f"start {number} has {clearance:.3g} in of room, the robot's radius is {radius_in:g} in"
+            name = f"start {number}" if world.starts is not AT_ORIGIN else "no [[start]] is given, and (0, 0)"
+            room = f"has {clearance:.3g} in of room" if clearance > 0 else "lies outside of all rooms or in a wall"
+            words = f"{name} {room}; the robot's radius is {radius_in:g} in"
             yield Finding("start", (start.x_in, start.y_in), words)
 
 

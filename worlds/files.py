@@ -21,13 +21,16 @@ import numpy as np
 
 from nclient.errors import WorldFileError
 from nclient.suggesting import did_you_mean
-from worlds.geometry import FloatArray, area, crossing, lengths, polygon_segments, polyline_segments
+from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
+from worlds.outlines import require_outline
 from worlds.tables import SHORTEST_IN, Table
 from worlds.texts import read_text, toml_of
-from worlds.world import Path, Point, Polygon, StartPose, World
+from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
 """The folder of the worlds that come with this package."""
+DEFAULT_WORLD: Final = "thesis_room"
+"""Where a simulation is that names none."""
 
 
 @functools.cache
@@ -72,8 +75,8 @@ def parse_world(text: str, file: str, name: str) -> World:
         rooms=tuple(_polygon(table) for table in top.tables("room")),
         inner_walls=np.concatenate([np.empty((0, 4)), *(_wall(table) for table in top.tables("wall"))]),
         obstacles=tuple(_polygon(table) for table in top.tables("obstacle")),
-        starts=starts or (StartPose(0.0, 0.0),),
-        paths=_paths(top, starts or (StartPose(0.0, 0.0),)),
+        starts=starts or AT_ORIGIN,
+        paths=_paths(top, starts or AT_ORIGIN),
     )
     for k, start in enumerate(starts):
         _require_free(top, f"start[{k}]", world, (start.x_in, start.y_in))
@@ -117,14 +120,8 @@ def _read(path: FilePath) -> str:
 def _polygon(table: Table) -> Polygon:
     table.allow(("name",), lengths=("corners",))
     corners = table.points_in("corners", least=3)
-    edges = polygon_segments(corners)
-    _refuse_repeats(table, "corners", edges)
-    key = table.key_of("corners")
-    if crossed := crossing(edges):
-        one, other = crossed
-        table.fail(key, f"expected the corners in their order around, found edges {one} and {other} that cross")
-    if abs(area(corners)) < SHORTEST_IN * float(lengths(edges).max()):
-        table.fail(key, "expected an outline around some area, found corners on one line")
+    _refuse_repeats(table, "corners", polygon_segments(corners))
+    require_outline(table, table.key_of("corners"), corners)
     return Polygon(corners, table.text("name", ""))
 
 

@@ -55,13 +55,13 @@ class Table:
             self.fail(key, f"expected a text, found {found(value)}")
         return value
 
-    def index(self, key: str, count: int) -> int | None:
-        """A whole number from 0 below `count`, or None where the key is not given."""
+    def index(self, key: str, count: int, least: int = 0) -> int | None:
+        """A whole number from `least` below `count`, or None where the key is not given."""
         if key not in self.values:
             return None
         value = self.values[key]
-        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < count:
-            self.fail(key, f"expected a whole number from 0 to {count - 1}, found {found(value)}")
+        if not isinstance(value, int) or isinstance(value, bool) or not least <= value < count:
+            self.fail(key, f"expected a whole number from {least} to {count - 1}, found {found(value)}")
         return value
 
     def flag(self, key: str) -> bool:

@@ -54,6 +54,10 @@ class StartPose:
     turret_rad: float = 0.0
 
 
+AT_ORIGIN: Final = (StartPose(0.0, 0.0),)
+"""The starts of a world that names none."""
+
+
 @dataclass(frozen=True, slots=True)
 class Path:
     """The way-points of a figure. The first of `points_in` is where the robot stands at the beginning."""
@@ -82,7 +86,7 @@ class World:
     rooms: tuple[Polygon, ...] = ()
     inner_walls: FloatArray = field(default_factory=_no_walls, repr=False)
     obstacles: tuple[Polygon, ...] = ()
-    starts: tuple[StartPose, ...] = (StartPose(0.0, 0.0),)
+    starts: tuple[StartPose, ...] = AT_ORIGIN
     paths: Mapping[str, Path] = field(default_factory=dict)
     fixed_walls: FloatArray = field(init=False, repr=False)
     walls: FloatArray = field(init=False, repr=False)

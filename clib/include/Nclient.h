@@ -143,7 +143,7 @@ extern int Laser[2 * NUM_LASER + 1];
 
 /* Where to connect to. */
 
-extern char SERVER_MACHINE_NAME[80]; /* host of the server, or host:port; this machine where empty */
+extern char SERVER_MACHINE_NAME[80]; /* host of the server, or host:port; else as NOMAD_ROBOT says; else this machine */
 extern int SERV_TCP_PORT;            /* its port, 7019 where the program says nothing */
 
 /* Where libndirect finds a robot that connect_robot(1) names by its number alone. */

@@ -6,7 +6,8 @@
 extern "C" {
 #endif
 
-/* Why the last call that failed did, as it was said on stderr; "" where none has failed. */
+/* Why the last call that failed did, as it is said on stderr (there, that no robot is connected is said once until one
+ * is); "" where none has failed. */
 extern const char *nomad_last_error(void);
 
 /* Whether errors are said on stderr: 1, as at the start, or 0. */

@@ -8,6 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+enum { LAST_ROBOT = 0x7FFFFFFF };
+
 static int model_named(const char *name)
 {
     static const char *const NAMES[] = {"n200", "n150", "scout"}; /* by their numbers */
@@ -37,6 +39,23 @@ static int take_options(struct address *address, char *options)
     return 1;
 }
 
+/* What follows the host of an Nserver: /2, or nothing. */
+static int take_robot(struct address *address, const char *path)
+{
+    const char *number = path + strspn(path, "/");
+    size_t digits = strspn(number, "0123456789");
+    long long robot = strtoll(number, NULL, 10);
+
+    if (*number == '\0')
+        return 1;
+    if (digits == 0 || number[digits + strspn(number + digits, "/")] != '\0' || robot < 1 || robot > LAST_ROBOT) {
+        nomad_complain("NOMAD_ROBOT: what follows the host is the robot's number, 1 or more, not /%s", path);
+        return 0;
+    }
+    address->robot = (long)robot;
+    return 1;
+}
+
 int nomad_address(struct address *address)
 {
     const char *given = getenv("NOMAD_ROBOT"), *place;
@@ -58,7 +77,9 @@ int nomad_address(struct address *address)
         *options++ = '\0';
     slash = strchr(text, '/');
     if (slash && strcmp(address->scheme, "serial") != 0)
-        *slash = '\0';
+        *slash++ = '\0';
+    if (slash && strcmp(address->scheme, "nserver") == 0 && !take_robot(address, slash))
+        return -1;
     if (strlen(text) >= sizeof address->place) {
         nomad_complain("NOMAD_ROBOT: %.100s is longer than the name of a machine can be", text);
         return -1;

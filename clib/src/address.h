@@ -2,7 +2,8 @@
  *
  *     nserver://host[:port][/id]       serial:///dev/ttyUSB0?model=n150&baud=38400     robotd://host[:port]?model=n200
  *
- * It tells a program that names no machine where its robot is. The number of the robot is the program's own.
+ * It tells a program that names no machine where its robot is. The number of the robot is the program's own: where the
+ * address says one, it has to be the same.
  */
 #ifndef NOMAD_ADDRESS_H
 #define NOMAD_ADDRESS_H
@@ -10,6 +11,7 @@
 struct address {
     char scheme[16];
     char place[80]; /* host, with its port where given; or a device */
+    long robot;     /* of a nserver://; 0: not said */
     int model;      /* -1: not said */
     int baud;       /* 0: not said */
 };

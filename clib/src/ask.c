@@ -7,9 +7,30 @@
 
 int nomad_timeout_ms = 0;
 
+static int missing_was_said;
+
 int nomad_patience(int usual_ms)
 {
     return nomad_timeout_ms > 0 ? nomad_timeout_ms : usual_ms;
+}
+
+/* Said once, until a connection is made: an old loop asks on without looking, hundreds of thousands of times a second. */
+static void complain_of_nobody(const struct request *request)
+{
+    nomad_keep("%s: no robot is connected; connect_robot comes first", request->command->name);
+    if (missing_was_said)
+        return;
+    nomad_remark("Nclient: %s", nomad_last_error());
+    missing_was_said = nomad_verbose;
+}
+
+int nomad_meet(enum command_id how, long robot_id, va_list *more, int known)
+{
+    int connected = nomad_connect(how, robot_id, more, known);
+
+    if (connected)
+        missing_was_said = 0;
+    return connected;
 }
 
 const struct reply *nomad_ask(const struct request *request)
@@ -17,7 +38,7 @@ const struct reply *nomad_ask(const struct request *request)
     static struct reply reply;
 
     if (!nomad_is_connected()) {
-        nomad_complain("%s: no robot is connected; connect_robot comes first", request->command->name);
+        complain_of_nobody(request);
         return NULL;
     }
     switch (nomad_answer(request, &reply)) {

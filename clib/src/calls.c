@@ -13,7 +13,7 @@ int nomad_connect_robot(long robot_id, ...)
     int connected;
 
     va_start(more, robot_id);
-    connected = nomad_connect(CMD_CONNECT_ROBOT, robot_id, &more, 1);
+    connected = nomad_meet(CMD_CONNECT_ROBOT, robot_id, &more, 1);
     va_end(more);
     return connected;
 }
@@ -25,12 +25,12 @@ int connect_robot(long robot_id, ...)
     int connected;
 
     va_start(more, robot_id);
-    connected = nomad_connect(CMD_CONNECT_ROBOT, robot_id, &more, 0);
+    connected = nomad_meet(CMD_CONNECT_ROBOT, robot_id, &more, 0);
     va_end(more);
     return connected;
 }
 
-int create_robot(long robot_id) { return nomad_connect(CMD_CREATE_ROBOT, robot_id, NULL, 1); }
+int create_robot(long robot_id) { return nomad_meet(CMD_CREATE_ROBOT, robot_id, NULL, 1); }
 int disconnect_robot(long robot_id) { return nomad_disconnect(robot_id); }
 int server_is_running(void) { return nomad_is_running(); }
 int quit_server(void) { return SAY_ALONE(QUIT_SERVER); }

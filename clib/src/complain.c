@@ -25,6 +25,15 @@ void nomad_complain(const char *format, ...)
     nomad_remark("Nclient: %s", last);
 }
 
+void nomad_keep(const char *format, ...)
+{
+    va_list arguments;
+
+    va_start(arguments, format);
+    vsnprintf(last, sizeof last, format, arguments);
+    va_end(arguments);
+}
+
 void nomad_remark(const char *format, ...)
 {
     va_list arguments;

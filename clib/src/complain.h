@@ -7,6 +7,12 @@ __attribute__((format(printf, 1, 2)))
 #endif
 void nomad_complain(const char *format, ...);
 
+/* For nomad_last_error alone: what need not be said again. */
+#if defined(__GNUC__)
+__attribute__((format(printf, 1, 2)))
+#endif
+void nomad_keep(const char *format, ...);
+
 /* To stderr alone: what a robot says that is no error. */
 #if defined(__GNUC__)
 __attribute__((format(printf, 1, 2)))

@@ -20,7 +20,10 @@ int nomad_is_running(void);
 
 enum answer nomad_answer(const struct request *request, struct reply *reply);
 
-/* What calls.c and its like use: the reply to a request, NULL where it failed. Of a NAK it has nothing in it. */
+/* What calls.c and its like use. To connect; once that is done, the lack of a connection is worth a word again. */
+int nomad_meet(enum command_id how, long robot_id, va_list *more, int known);
+
+/* The reply to a request, NULL where it failed. Of a NAK it has nothing in it. */
 const struct reply *nomad_ask(const struct request *request);
 const struct reply *nomad_ask_numbers(enum command_id id, const long *numbers, int count);
 

@@ -1,10 +1,15 @@
-/* Opening a serial port: 8 bits, no parity, one stop bit, no flow control, nothing translated. */
+/* Opening a serial port: 8 bits, no parity, one stop bit, no flow control, nothing translated.
+ *
+ * Rules: one program at a time (flock, as the Python side and other serial programs do); a port that another program
+ * has is left as it is.
+ */
 #include "complain.h"
 #include "stream.h"
 
 #include <errno.h>
 #include <fcntl.h>
 #include <string.h>
+#include <sys/file.h>
 #include <termios.h>
 
 static const struct {
@@ -42,6 +47,15 @@ static int set_up(int fd, speed_t speed)
            && tcflush(fd, TCIOFLUSH) == 0;
 }
 
+static void complain_of(const char *device, int error)
+{
+    if (error == EWOULDBLOCK || error == EBUSY)
+        nomad_complain("%s is in use by another program; one program at a time can talk to a robot", device);
+    else
+        nomad_complain("%s cannot be opened as a serial port (%s)%s", device, strerror(error),
+                       error == EACCES ? "; are you in the group dialout?" : "");
+}
+
 int nomad_open_serial(const char *device, int baud)
 {
     speed_t speed;
@@ -52,9 +66,9 @@ int nomad_open_serial(const char *device, int baud)
         return -1;
     }
     fd = open(device, O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
-    if (fd < 0 || !set_up(fd, speed)) {
-        nomad_complain("%s cannot be opened as a serial port (%s)%s", device, strerror(errno),
-                       errno == EACCES ? "; are you in the group dialout?" : "");
+    /* the lock first: setting up would change the speed, and empty the line, of a program that drives */
+    if (fd < 0 || flock(fd, LOCK_EX | LOCK_NB) != 0 || !set_up(fd, speed)) {
+        complain_of(device, errno);
         nomad_close(&fd);
     }
     return fd;

@@ -133,7 +133,18 @@ enum answer nomad_answer(const struct request *request, struct reply *reply)
 
 /* Connecting */
 
-static int open_named(int aloud)
+/* Neither wins: one of the two would move a robot that nobody meant. */
+static int is_another(const struct address *address, const long *robot_id)
+{
+    if (!robot_id || !address->robot || address->robot == *robot_id)
+        return 0;
+    nomad_complain("NOMAD_ROBOT names robot %ld, the program asks for robot %ld: let both say the same, or leave the "
+                   "number out of the address", address->robot, *robot_id);
+    return 1;
+}
+
+/* `robot_id`: whom the program asks for; NULL where it only looks. */
+static int open_named(const long *robot_id, int aloud)
 {
     struct address address;
     int named = SERVER_MACHINE_NAME[0] ? 0 : nomad_address(&address), patience_ms = nomad_patience(USUAL_MS), found;
@@ -148,6 +159,8 @@ static int open_named(int aloud)
                        "link it with -lndirect for a robot's own line", address.scheme);
         return -1;
     }
+    if (named && is_another(&address, robot_id))
+        return -1;
     if (named)
         return nomad_open_tcp(address.place, SERV_TCP_PORT, patience_ms, aloud);
     found = nomad_open_tcp("localhost", SERV_TCP_PORT, patience_ms, 0);
@@ -175,7 +188,7 @@ int nomad_connect(enum command_id how, long robot_id, va_list *more, int known)
     (void)known;
     if (nomad_is_connected())
         nomad_disconnect(robot_id);
-    fd = open_named(1);
+    fd = open_named(&robot_id, 1);
     if (fd < 0)
         return FALSE;
     terms.laser_mode = DEFAULT_LASER_MODE;
@@ -209,7 +222,7 @@ int nomad_is_connected(void)
 
 int nomad_is_running(void)
 {
-    int found = open_named(0), running = found >= 0;
+    int found = open_named(NULL, 0), running = found >= 0;
 
     nomad_close(&found);
     return running;

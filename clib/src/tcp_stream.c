@@ -14,23 +14,38 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-/* "lab:7654" and "[::1]:7654" bring their port; a bare IPv6 address has colons of its own. */
-static int split(const char *given, char *host, size_t size, int port)
+enum { LAST_PORT = 65535 };
+
+/* Where the port begins in "lab:7654" and "[::1]:7654"; NULL where none is brought: a bare IPv6 address has colons of
+ * its own. */
+static const char *port_in(const char *given)
 {
     const char *colon = strrchr(given, ':');
-    size_t length = strlen(given);
 
-    if (colon && colon[1] != '\0' && strspn(colon + 1, "0123456789") == strlen(colon + 1)
-        && (strchr(given, ':') == colon || colon[-1] == ']')) {
-        port = atoi(colon + 1);
-        length = (size_t)(colon - given);
-    }
+    return colon && colon[1] != '\0' && (strchr(given, ':') == colon || colon[-1] == ']') ? colon + 1 : NULL;
+}
+
+/* 0, and a complaint if `aloud`, for what is none: the system would take 72555 for 7019. */
+static int port_of(const char *given, const char *digits, int aloud)
+{
+    long port = digits[strspn(digits, "0123456789")] == '\0' ? strtol(digits, NULL, 10) : 0;
+
+    if (port >= 1 && port <= LAST_PORT)
+        return (int)port;
+    if (aloud)
+        nomad_complain("%s: a port is 1 to %d, not %s", given, LAST_PORT, digits);
+    return 0;
+}
+
+static void copy_host(char *host, size_t size, const char *given, const char *port)
+{
+    size_t length = port ? (size_t)(port - given - 1) : strlen(given);
+
     if (length > 1 && given[0] == '[' && given[length - 1] == ']') {
         given++;
         length -= 2;
     }
     snprintf(host, size, "%.*s", (int)length, given);
-    return port;
 }
 
 /* 0, or the errno that says why not. */
@@ -78,11 +93,16 @@ static int opened(const struct addrinfo *at, milliseconds deadline, int *error)
 int nomad_open_tcp(const char *given, int port, milliseconds patience, int aloud)
 {
     struct addrinfo wanted, *found = NULL;
+    const char *brought = port_in(given);
     char host[256], service[16];
     int fd = -1, error = 0, unknown;
 
-    port = split(given, host, sizeof host, port);
     snprintf(service, sizeof service, "%d", port);
+    port = port_of(given, brought ? brought : service, aloud);
+    if (port == 0)
+        return -1;
+    snprintf(service, sizeof service, "%d", port);
+    copy_host(host, sizeof host, given, brought);
     memset(&wanted, 0, sizeof wanted);
     wanted.ai_socktype = SOCK_STREAM;
     unknown = getaddrinfo(host, service, &wanted, &found);

@@ -1,6 +1,6 @@
 """`nomad calibrate`: drive a square both ways round, find out what wheels and sonars get wrong, write a model file.
 
-Rules: reads options, prints, waits on the real clock; what drives and what estimates is square's and estimator's.
+Rules: reads options, prints, waits on the real clock; square drives, filters.calibrating estimates.
 """
 
 from __future__ import annotations
@@ -16,23 +16,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.belief import independent
-from localization.body_taken import body_of
-from localization.calibration.estimator import CalibratingFilter
-from localization.calibration.fit import Fit
 from localization.calibration.found import calibration_in, table
 from localization.calibration.guided import run as guided
 from localization.calibration.precision import missing, noise_in
 from localization.calibration.rounds import Rounds
-from localization.calibration.square import Driver, Go, NoSquareError, Square, Task, is_clear, largest_square, tasks
-from localization.cone import ConeModel
-from localization.map_taken import add_map, world_of
-from localization.measurement import WIRE_SONAR
-from localization.planning.course import waypoints
-from localization.planning.roadmap import Roadmap
-from localization.readers import check_writable, noise, numbers, opened, pose, positive, stds
-from localization.sonars_taken import taken
-from localization.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.calibration.square import (
+    Driver,
+    Go,
+    NoSquareError,
+    Square,
+    Task,
+    is_clear,
+    largest_square,
+    tasks,
+    way_to,
+)
+from localization.command_line.readers import check_writable, noise, numbers, opened, pose, positive, stds
+from localization.driving.obstruction import Obstruction
+from localization.estimation.belief import independent
+from localization.filters.calibrating import CalibratingFilter
+from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.live.fit import Fit
+from localization.sonar.cone import ConeModel
+from localization.sonar.measurement import WIRE_SONAR
+from localization.taken.body import body_of
+from localization.taken.sonars import taken
+from localization.taken.walls import add_map, world_of
 from nclient import Robot
 from nclient.errors import OutputFileError
 from nclient.exit_codes import ExitCode
@@ -89,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it. 0 when all went well, 3 when the time ran out, 4 where readings do not fit: then nothing is written."""
+    """Do it. 0 when all went well, 3 when it was given up, 4 where readings do not fit: then nothing is written."""
     world = world_of(options)
     check_writable(options.out)
     robot, simulated = opened(options.address)
@@ -100,9 +109,8 @@ def run(options: argparse.Namespace) -> int:
     with robot:
         options.body = body_of(options.body, robot.model.name, options.address)
         made = _drive(robot, world, options, fit)
-    if made is None:
-        print(f"given up after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit")
-        print(fit.line())
+    if isinstance(made, str):
+        print(f"given up {made}\n{fit.line()}", file=sys.stderr if options.json else sys.stdout)
         return ExitCode.NOT_REACHED
     found, laps = made
     if not options.json:
@@ -130,8 +138,8 @@ def _write(path: Path, text: str) -> None:
 
 def _drive(
     robot: Robot, world: World, options: argparse.Namespace, fit: Fit
-) -> tuple[Calibration, int] | None:
-    """What was found, and in how many laps each way; None where time ran out."""
+) -> tuple[Calibration, int] | str:
+    """What was found, and in how many laps each way; why not, where it was given up."""
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
     body = BODIES[options.body]
@@ -143,12 +151,16 @@ def _drive(
     rounds = Rounds(again, 1 if options.laps is not None else MOST_LAPS,
                     lambda: not (fit.good and missing(calibration_in(method.belief))))  # fmt: skip
     driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), rounds.more)
-    told_s = began_s = state.clock_s or 0.0
+    obstruction, told_s = Obstruction(options.speed), state.clock_s or 0.0
+    began_s = told_s
     for progress in guided(robot, known, method, driver, time.sleep):
         clock_s = progress.estimate.clock_s
         fit.add(progress.estimate.echoes)
         if clock_s - began_s > options.time_limit:
-            return None
+            return f"after {options.time_limit:g} s: fewer --laps or --spins, or a longer --time-limit"
+        obstructed = obstruction.reason(clock_s, progress.state, progress.estimate.pose, driver.goal)
+        if obstructed:
+            return f"{clock_s - began_s:.0f} s on, {obstructed}; is --start right, and the map?"
         if not options.json and clock_s >= told_s + TOLD_EVERY_S:
             told_s = clock_s
             print(_line(clock_s - began_s, driver, calibration_in(method.belief)), flush=True)
@@ -177,8 +189,7 @@ def _tasks(
     here = (start[0], start[1])
     corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
     assert isinstance(corner, Go)
-    way = Roadmap(world.walls, radius_in).path(here, (corner.x_in, corner.y_in))
-    return _First([*(Go(*point) for point in waypoints(way)), *rest], corner)
+    return _First([*way_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
 
 
 def _verdict(found: Calibration, fit: Fit, laps: int) -> str:
@@ -186,7 +197,7 @@ def _verdict(found: Calibration, fit: Fit, laps: int) -> str:
     short = missing(found)
     if not short or not fit.good:
         return fit.line()
-    told = f"after {laps} laps each way {', '.join(short)} could be known better: more --laps, or a larger room"
+    told = f"after {laps} laps each way: {', '.join(short)} could be known better: more --laps, or a larger room"
     return f"{told}\n{fit.line()}"
 
 

@@ -7,10 +7,10 @@ from math import degrees
 
 import numpy as np
 
-from localization.belief import Belief
-from localization.calibration.estimator import OFFSET, OWN, RING_TURN, SIZE
 from localization.calibration.precision import numbers
-from localization.systematic import Constant
+from localization.estimation.belief import Belief
+from localization.estimation.systematic import Constant
+from localization.filters.calibrating import OFFSET, OWN, RING_TURN, SIZE
 from worlds.calibration import Calibration, Spread
 
 

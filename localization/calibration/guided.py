@@ -10,11 +10,11 @@ from collections.abc import Callable, Generator
 from typing import NamedTuple
 
 from localization.calibration.square import Driver
-from localization.echoes import FiringSchedule
+from localization.driving.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command, standing_after
 from localization.filters.method import Filter
-from localization.localizer import Estimate, Localizer
-from localization.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command, standing_after
-from localization.surroundings import Surroundings
+from localization.filters.surroundings import Surroundings
+from localization.live.echoes import FiringSchedule
+from localization.live.localizer import Estimate, Localizer
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState

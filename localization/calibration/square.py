@@ -1,6 +1,7 @@
 """The guided run: UMBmark's square both ways round, and turns on the spot at its corners.
 
     place       the largest square along the axes of the map whose sides keep clear of all walls, near the robot
+    way to it   the shortest, with room for a robot that errs
     tasks       Go(x, y): turn towards it on the spot, then roll; Spin(angle): turn on the spot
     driver      from a pose to the velocities of the task at hand
 
@@ -11,21 +12,26 @@ Ways are long and turns many, both ways round: errors of scale add up, those tha
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from math import cos, hypot, pi, tau
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import HEADING, Floats, wrap_angle
-from localization.control import bearing_error, distance_to
-from localization.navigation import Command
+from localization.driving.control import bearing_error, distance_to
+from localization.driving.navigation import Command
+from localization.estimation.belief import HEADING, Floats, wrap_angle
 from localization.planning.clearance import clearances
+from localization.planning.course import waypoints
+from localization.planning.roadmap import NoWayError, Roadmap
 from nclient.errors import NomadError
 from worlds.geometry import nearest_points
 from worlds.world import World
 
 MARGIN_IN: Final = 6.0
 """How far the sides keep from walls beyond the robot's radius: it errs, that is why it is here."""
+WAY_MARGINS_IN: Final = (MARGIN_IN, 4.0, 2.0, 1.0)
+"""Likewise on the way to the square; the last is the least."""
 LARGEST_IN: Final = 160.0
 SMALLEST_IN: Final = 12.0
 _GRID_IN: Final = 4.0
@@ -120,6 +126,20 @@ def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> l
     return found
 
 
+def way_to(goal: tuple[float, float], start: tuple[float, float], world: World, radius_in: float) -> list[Go]:
+    """The shortest way from where the robot stands, with as much room of WAY_MARGINS_IN as there is. Raises
+    NoWayError."""
+    *wide, least_in = WAY_MARGINS_IN
+    for margin_in in wide:
+        with suppress(NoWayError):
+            return _way(goal, start, world, radius_in + margin_in)
+    return _way(goal, start, world, radius_in + least_in)
+
+
+def _way(goal: tuple[float, float], start: tuple[float, float], world: World, room_in: float) -> list[Go]:
+    return [Go(*point) for point in waypoints(Roadmap(world.walls, room_in).path(start, goal))]
+
+
 class Driver:
     """From task to task. `more`: asked for tasks when all are done, until there are none."""
 
@@ -138,6 +158,12 @@ class Driver:
     def count(self) -> int:
         """How many tasks are known of by now."""
         return len(self._tasks)
+
+    @property
+    def goal(self) -> Floats | None:
+        """The place (2,) that it drives to; None while it turns on the spot, or is done."""
+        task = self._tasks[self.done] if self.done < len(self._tasks) else None
+        return np.array(task) if isinstance(task, Go) else None
 
     def command(self, pose: Floats) -> Command | None:
         """What to do at this pose (3,); None when all is done."""

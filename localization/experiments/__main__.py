@@ -15,20 +15,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from localization.drawing import require_matplotlib
 from localization.experiments import figures
 from localization.experiments.live import command as live
 from localization.experiments.lost import command as lost
-from localization.experiments.options import NO_PICTURES, add_shared
+from localization.experiments.options import NO_PICTURES, add_shared, make_folder
 from localization.experiments.plan import command as plan
 from localization.experiments.pool import drive, drive_on_cluster
 from localization.experiments.progress import progress
 from localization.experiments.report import table
 from localization.experiments.results import summarize
 from localization.experiments.settings import FIGURES, Figure, course_of
+from localization.runs.drawing import require_matplotlib
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
+ALONE: Final = ("live", "lost", "plan", "all")
+"""What is said in the place of figures."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -83,6 +85,8 @@ def _figure(text: str) -> str:
     if text in _parts():
         run = _parts()[text]
         raise argparse.ArgumentTypeError(f"figure {text} shows the errors of {run} and is drawn with it: say {run}")
+    if text in ALONE:
+        raise argparse.ArgumentTypeError(f"{text} is no figure: say it first, and no figure beside it")
     if text not in FIGURES:
         raise argparse.ArgumentTypeError(f"no figure {text!r}; there are {', '.join(FIGURES)}")
     return text
@@ -92,6 +96,7 @@ def _drive_figures(arguments: Sequence[str]) -> None:
     options = _parser().parse_args(arguments)
     if options.pictures:
         require_matplotlib()
+    make_folder(options.out)
     for name in options.figures:
         _drive_figure(FIGURES[name], options)
 
@@ -107,7 +112,6 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
         report(total)
     summary = summarize(figure, outcome.results)
     text = json.dumps(summary)
-    options.out.mkdir(parents=True, exist_ok=True)
     numbers = options.out / f"figure_{figure.name}.json"
     numbers.write_text(text + "\n", encoding="utf-8")
     written = [numbers]

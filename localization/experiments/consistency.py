@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization import chi_square
-from localization.belief import Floats
+from localization.estimation import chi_square
+from localization.estimation.belief import Floats
 
 
 def nees(error: Floats, cov: Floats) -> Floats:

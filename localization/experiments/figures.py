@@ -1,6 +1,6 @@
 """The figures of the thesis: a run in its world, and its errors step by step.
 
-Rules: draws what it is given with the brushes of localization.drawing and computes nothing.
+Rules: draws what it is given with the brushes of localization.runs.drawing and computes nothing.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from localization.belief import Floats, difference
-from localization.drawing import (
+from localization.estimation.belief import Floats, difference
+from localization.experiments.results import Track, typical
+from localization.experiments.settings import Course, Figure
+from localization.runs.drawing import (
     ESTIMATE,
     FAINT,
     TRUTH,
@@ -23,8 +25,6 @@ from localization.drawing import (
     draw_walls,
     save,
 )
-from localization.experiments.results import Track, typical
-from localization.experiments.settings import Course, Figure
 from worlds.bodies import N150
 
 if TYPE_CHECKING:

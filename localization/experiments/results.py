@@ -14,7 +14,7 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization.belief import Floats, difference
+from localization.estimation.belief import Floats, difference
 from localization.experiments.consistency import mean_band, nees
 from localization.experiments.settings import Figure
 from localization.experiments.trial import Runs

@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from localization.belief import Floats
-from localization.control import Gains
-from localization.measurement import IDEAL_SONAR, Beams, SonarModel, WallMap, ring, wall_map
-from localization.motion import OdometryNoise
-from localization.surroundings import THESIS_ODOMETRY
+from localization.driving.control import Gains
+from localization.estimation.belief import Floats
+from localization.estimation.motion import OdometryNoise
+from localization.filters.surroundings import THESIS_ODOMETRY
+from localization.sonar.measurement import IDEAL_SONAR, Beams, SonarModel, WallMap, ring, wall_map
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -14,15 +14,15 @@ from itertools import islice
 import numpy as np
 import numpy.typing as npt
 
-from localization import ekf
-from localization.belief import Belief, Floats, add, independent
-from localization.control import next_step, reached
+from localization.driving.control import next_step, reached
+from localization.estimation import ekf
+from localization.estimation.belief import Belief, Floats, add, independent
+from localization.estimation.motion import move, step_variance, transition
 from localization.experiments import streams
 from localization.experiments.consistency import bound_step, information
 from localization.experiments.settings import Course
-from localization.gating import observe
-from localization.measurement import meet, range_jacobian, rays, sight
-from localization.motion import move, step_variance, transition
+from localization.sonar.gating import observe
+from localization.sonar.measurement import meet, range_jacobian, rays, sight
 
 Indices = npt.NDArray[np.intp]
 

@@ -7,22 +7,20 @@ the belief to the instant at which the sonar fired. States may be longer than a 
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy.typing as npt
 
-from localization.belief import Belief
-from localization.cone import ConeModel
+from localization.estimation.belief import Belief
+from localization.estimation.mixture import absorb
+from localization.estimation.observation import Refusal
+from localization.estimation.updates import Rule, linear
 from localization.filters.method import Judgement
 from localization.filters.sense import SPAN_IN, Sense, sense_of
-from localization.gating import STRICT, Gate
-from localization.measurement import SonarModel, SonarRing
-from localization.mixture import absorb
-from localization.observation import Refusal
-from localization.updates import Rule, linear
-
-MOSTLY_BAD: Final = 0.5
-"""A reading that is bad with more than this probability is told as refused by the gate."""
+from localization.filters.watch import MOSTLY_BAD
+from localization.sonar.cone import ConeModel
+from localization.sonar.gating import STRICT, Gate
+from localization.sonar.measurement import SonarModel, SonarRing
 
 
 class Heard(NamedTuple):

@@ -10,21 +10,18 @@ says DEGRADED where what is heard does not fit; LOST is said by a filter alone t
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
 
-from localization.belief import Belief, Floats
+from localization.estimation.belief import Belief, Floats
+from localization.estimation.motion import OdometryNoise
+from localization.estimation.observation import Refusal
+from localization.estimation.repeats import Repeats
+from localization.estimation.systematic import predict
 from localization.filters.hearing import Hearing
-from localization.filters.method import Judgement
-from localization.motion import OdometryNoise
-from localization.observation import Refusal
-from localization.repeats import Repeats
-from localization.systematic import predict
-from localization.watch import Verdict, Watch
+from localization.filters.method import TELLING, Judgement
+from localization.filters.watch import Verdict, Watch
 
 Predict = Callable[[Belief, Floats, OdometryNoise], Belief]
 """The belief after a step (2,) that the encoders tell."""
-TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
-"""What becomes of readings that tell whether the belief is right; others are left out whatever they say."""
 
 
 class KalmanFilter:

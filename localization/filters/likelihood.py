@@ -10,21 +10,29 @@ many from one place. What it is widened by counts as an error that stays (repeat
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from localization.belief import Floats
-from localization.cone import ConeModel, Ear, cone_chances
-from localization.measurement import SonarModel, SonarRing, pick, rays, ring, wall_map
-from localization.range_noise import RangeNoise
-from localization.reflectors import reflectors
-from localization.repeats import share_of_first
+from localization.estimation.belief import Floats
+from localization.estimation.repeats import share_of_first
+from localization.sonar.cone import ConeModel, Ear, cone_chances
+from localization.sonar.measurement import SonarModel, SonarRing, pick, rays, ring, wall_map
+from localization.sonar.range_noise import RangeNoise
+from localization.sonar.reflectors import reflectors
 from worlds.raycast import cast_rays
 
 SPAN_IN: Final = 249.0
 """Bad readings of a ray lie anywhere from 6 to 255 inches."""
+
+
+class Weighed(NamedTuple):
+    """Likelihoods of a reading at n poses, per inch: of whatever it may be (n,), and of them the part of bad readings
+    (n,)."""
+
+    whole: Floats
+    bad: Floats
 
 
 class Likelihood(Protocol):
@@ -38,8 +46,8 @@ class Likelihood(Protocol):
         """What the `times`-th of such readings from one place adds, as a share of the first (repeats)."""
         ...
 
-    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
-        """The likelihoods (n,) of a reading at poses (n, 3), per inch."""
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
+        """Of a reading at poses (n, 3)."""
         ...
 
 
@@ -69,7 +77,7 @@ class RayLikelihood:
     def news(self, reading_in: float, times: int) -> float:
         return _news(self._sonar, self._widen, reading_in, times)
 
-    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
         beam = pick(ring(self._body, turret_offset_rad), sonar)
         aimed = rays(poses[:, None, :], beam)
         from_axis = cast_rays(aimed.axes_in, aimed.directions, self._walls.segments)[0][:, 0]
@@ -77,8 +85,8 @@ class RayLikelihood:
         expected = np.where(seen, from_axis, 0.0) - beam.standoff_in
         variance = self._sonar.variance(expected) + self._widen
         hit = np.exp(-0.5 * (reading_in - expected) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
-        likelihood: Floats = (1.0 - self._bad_share) * np.where(seen, hit, 0.0) + self._bad_share / SPAN_IN
-        return likelihood
+        bad = np.full(len(poses), self._bad_share / SPAN_IN)
+        return Weighed((1.0 - self._bad_share) * np.where(seen, hit, 0.0) + bad, bad)
 
 
 class ConeLikelihood:
@@ -102,14 +110,12 @@ class ConeLikelihood:
     def news(self, reading_in: float, times: int) -> float:
         return _news(self._model, self._widen, reading_in, times)
 
-    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
         model = self._model
         ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
         ranges, probability = cone_chances(poses, self._heading_std, ear, self._around, model)
         variance = model.variance(ranges) + self._widen
         hits = np.exp(-0.5 * (reading_in - ranges) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
         good = 1.0 - model.bad_share
-        heard = probability.sum(axis=-1)
-        likelihood: Floats = good * (probability * hits).sum(axis=-1)
-        likelihood += model.bad_density * (1.0 - good * heard)
-        return likelihood
+        bad = model.bad_density * (1.0 - good * probability.sum(axis=-1))
+        return Weighed(good * (probability * hits).sum(axis=-1) + bad, bad)

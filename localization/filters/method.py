@@ -9,11 +9,11 @@ a seed. No robot, no clock, no map file. Echoes come in order of time, each with
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Final, NamedTuple, Protocol, runtime_checkable
 
-from localization.belief import Belief, Floats
-from localization.observation import Refusal
-from localization.watch import Verdict
+from localization.estimation.belief import Belief, Floats
+from localization.estimation.observation import Refusal
+from localization.filters.watch import Verdict
 
 
 class Judgement(NamedTuple):
@@ -26,6 +26,10 @@ class Judgement(NamedTuple):
     bad_share: float
 
 
+TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
+"""What becomes of readings that tell whether the belief is right; others are left out whatever they say."""
+
+
 class Filter(Protocol):
     """A belief about a robot, kept up to date."""
 
@@ -36,7 +40,7 @@ class Filter(Protocol):
 
     @property
     def verdict(self) -> Verdict:
-        """How far it can be believed; a method that does not look on says that all is well."""
+        """How far it can be believed."""
         ...
 
     def move(self, step: Floats) -> None:

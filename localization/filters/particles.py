@@ -3,6 +3,7 @@
     move    every particle takes the step with its own noise         (sampled from motion's random walk)
     hear    weights are multiplied with the reading's likelihood      (likelihood), to the power of what it adds to
             those that came from the same place                       (repeats)
+    watch   the share of a reading's likelihood, over all of them, that is of bad readings: whether it is explained
     then    where the effective number 1 / sum w^2 falls below `resample_threshold` of them: low-variance resampling
 
 Probabilistic Robotics (Thrun, Burgard, Fox 2005), tables 4.4 and 8.2, its parameters by the names that users of other
@@ -17,14 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from localization.belief import HEADING, Belief, Floats, difference, wrap_angle
+from localization.estimation.belief import HEADING, Belief, Floats, difference, wrap_angle
+from localization.estimation.motion import OdometryNoise, step_variance
+from localization.estimation.observation import Refusal
+from localization.estimation.repeats import Repeats
+from localization.estimation.systematic import POSE, move_states
 from localization.filters.likelihood import Likelihood
 from localization.filters.method import Judgement
-from localization.motion import OdometryNoise, step_variance
-from localization.observation import Refusal
-from localization.repeats import Repeats
-from localization.systematic import POSE, move_states
-from localization.watch import ALL_WELL, Verdict
+from localization.filters.watch import MOSTLY_BAD, Verdict, Watch
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ class ParticleFilter:
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._chance = likelihood, odometry, chance
         self._parameters = parameters or MonteCarlo(len(states))
-        self._repeats = Repeats()
+        self._watch, self._repeats = Watch(), Repeats()
 
     @property
     def belief(self) -> Belief:
@@ -63,7 +64,7 @@ class ParticleFilter:
 
     @property
     def verdict(self) -> Verdict:
-        return ALL_WELL
+        return self._watch.verdict(self.belief)
 
     @property
     def effective(self) -> float:
@@ -92,12 +93,15 @@ class ParticleFilter:
             return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
         times = self._repeats.before(sonar, turret_offset_rad) + 1
         self._repeats.take(sonar, turret_offset_rad)
-        likelihood = self._likelihood.of(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
+        likelihood, bad = self._likelihood.of(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
+        bad_share = float(self.weights @ bad / (self.weights @ likelihood))
         self.weights = self.weights * likelihood ** self._likelihood.news(reading_in, times)
         self.weights /= self.weights.sum()
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        return Judgement(Refusal.NONE, 0.0, 0.0, 0.0)
+        judgement = Judgement(Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE, 0.0, 0.0, bad_share)
+        self._watch.look(judgement)
+        return judgement
 
     def _resample(self) -> None:
         chosen = low_variance(self.weights, float(self._chance.random()))

@@ -16,16 +16,16 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from localization.belief import HEADING, Belief, Floats
-from localization.candidates import Candidates
-from localization.cone import ConeModel, Ear, expected
-from localization.gating import STRICT, Gate
-from localization.measurement import Beams, SonarModel, SonarRing, range_jacobian, rays, sight, wall_map
-from localization.observation import Refusal
-from localization.reflectors import reflectors
-from localization.single_beam import sound
-from localization.single_cone import Listener
-from localization.systematic import POSE
+from localization.estimation.belief import HEADING, Belief, Floats
+from localization.estimation.candidates import Candidates
+from localization.estimation.observation import Refusal
+from localization.estimation.systematic import POSE
+from localization.sonar.cone import ConeModel, Ear, expected
+from localization.sonar.gating import STRICT, Gate
+from localization.sonar.measurement import Beams, SonarModel, SonarRing, range_jacobian, rays, sight, wall_map
+from localization.sonar.reflectors import reflectors
+from localization.sonar.single_beam import sound
+from localization.sonar.single_cone import Listener
 
 BAD_RAYS, SPAN_IN = 0.05, 249.0
 """What is taken for bad of exact rays' readings, anywhere from 6 to 255 in: for likelihoods alone, the gate decides."""

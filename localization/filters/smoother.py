@@ -19,11 +19,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import Belief, Floats, add, difference
+from localization.estimation.belief import Belief, Floats, add, difference
+from localization.estimation.motion import OdometryNoise
+from localization.estimation.systematic import step_jacobians
 from localization.filters.hearing import Hearing
 from localization.filters.kalman import KalmanFilter
-from localization.motion import OdometryNoise
-from localization.systematic import step_jacobians
 
 LAG: Final = 32
 """Two rings of sixteen: some two seconds."""

@@ -9,21 +9,21 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization import sigma_points, updates
-from localization.atlas import Atlas, draw_atlas
-from localization.belief import Belief
-from localization.calibration.estimator import CalibratingFilter
-from localization.cone import ConeModel
-from localization.filters.finder import Finder
+from localization.estimation import sigma_points, updates
+from localization.estimation.belief import Belief
+from localization.estimation.systematic import LARGEST, POSE, with_constants
+from localization.filters.calibrating import CalibratingFilter
+from localization.filters.finding.atlas import Atlas, draw_atlas
+from localization.filters.finding.finder import Finder
 from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.kalman import KalmanFilter
 from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.method import Filter
 from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
 from localization.filters.smoother import FixedLagSmoother
-from localization.measurement import SonarModel
-from localization.surroundings import Surroundings
-from localization.systematic import LARGEST, POSE, with_constants
+from localization.filters.surroundings import Surroundings
+from localization.sonar.cone import ConeModel
+from localization.sonar.measurement import SonarModel
 
 Maker = Callable[[Surroundings, Belief, int], Filter]
 """Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
@@ -61,6 +61,8 @@ def _finder(known: Surroundings, belief: Belief, _seed: int) -> Filter:
     return finder(known, belief)
 
 
+FINDER: Final = "finder"
+"""The one that may begin without a belief."""
 METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
     {
         "ekf": _extended,
@@ -68,7 +70,7 @@ METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
         "ukf": _unscented,
         "smoother": _smoother,
         "mcl": _particles,
-        "finder": _finder,
+        FINDER: _finder,
         "offsets": _offsets,
     }
 )

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from localization.belief import Floats
-from localization.cone import ConeModel
+from localization.command_line.readers import check_writable, noise, positive
+from localization.estimation.belief import Floats
+from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
 from localization.maps.weakness import Weakness, weakness
-from localization.measurement import WIRE_SONAR
-from localization.readers import noise, positive
-from localization.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.sonar.cone import ConeModel
+from localization.sonar.measurement import WIRE_SONAR
 from nclient.errors import WorldFileError
 from nclient.exit_codes import ExitCode
 from nclient.unwritable import unwritable
@@ -87,6 +87,7 @@ def _line(finding: Finding) -> str:
 
 
 def _simplify(world: World, options: argparse.Namespace) -> int:
+    check_writable(options.out)
     simpler = simplified(world, options.tolerance)
     far_in = apart_in(world.walls, simpler.walls)
     said = f"nomad map simplify {world.name} --tolerance {options.tolerance:g}: {far_in:.3g} in apart at most"
@@ -103,10 +104,10 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
 
 
 def _show(world: World, options: argparse.Namespace) -> int:
-    if options.out:
-        from localization.drawing import require_matplotlib
+    if options.out is not None:
+        from localization.runs.drawing import check_picture
 
-        require_matplotlib()
+        check_picture(options.out)
     body = BODIES[options.body]
     reached = space(world, body.radius_in, options.cell)
     columns, rows = np.nonzero(reached.reached)
@@ -117,7 +118,7 @@ def _show(world: World, options: argparse.Namespace) -> int:
     sonar = WIRE_SONAR if options.sonars == "rays" else ConeModel()
     bound = weakness(Surroundings(world.walls, body, options.odometry_noise, sonar), places, options.speed)
     numbers = _numbers(bound, reached, options.weak)
-    if options.out:
+    if options.out is not None:
         from localization.maps.drawing import draw_map
 
         draw_map(options.out, world, reached, bound.worst_in, findings(world, body.radius_in))

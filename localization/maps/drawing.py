@@ -1,6 +1,6 @@
 """The picture of a map: what is reached, how well a filter can know its place there, and what is wrong with the walls.
 
-Rules: draws what it is given (see localization.drawing).
+Rules: draws what it is given (see localization.runs.drawing).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from localization.belief import Floats
-from localization.drawing import ESTIMATE, GOAL, blank, draw_walls, save
+from localization.estimation.belief import Floats
+from localization.runs.drawing import ESTIMATE, GOAL, blank, draw_walls, save
 from worlds.checking import Finding, Space
 from worlds.world import World
 

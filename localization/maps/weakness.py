@@ -22,13 +22,23 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.belief import HEADING, Floats
-from localization.cone import ConeModel, Ear, cone_returns
-from localization.gating import STRICT
-from localization.measurement import SonarModel, SonarRing, WallMap, meet, range_jacobian, rays, ring, sight, wall_map
-from localization.motion import OdometryNoise, step_jacobian, step_variance
-from localization.reflectors import Reflectors, reflectors
-from localization.surroundings import Surroundings
+from localization.estimation.belief import HEADING, Floats
+from localization.estimation.motion import OdometryNoise, step_jacobian, step_variance
+from localization.filters.surroundings import Surroundings
+from localization.sonar.cone import ConeModel, Ear, cone_returns
+from localization.sonar.gating import STRICT
+from localization.sonar.measurement import (
+    SonarModel,
+    SonarRing,
+    WallMap,
+    meet,
+    range_jacobian,
+    rays,
+    ring,
+    sight,
+    wall_map,
+)
+from localization.sonar.reflectors import Reflectors, reflectors
 from worlds.bodies import SONARS
 
 HEADINGS: Final = 4

@@ -40,6 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit code."""
     orders = load_mission(options.file)
+    if not options.map:
+        orders.check_map()
     if options.check:
         print(f"{options.file}: a mission{f', {orders.settings.title}' if orders.settings.title else ''}")
         return 0

@@ -1,4 +1,4 @@
-"""Why a step of a mission ended before it was done, or all of it.
+"""Why a step of a mission ended before it was done, or all of it, and how that is told.
 
     StepFailed (NomadError)         a step; it may be tried again, and a program may catch it and do something else
     MissionOver (BaseException)     the mission; nothing more is driven: its time is over, it left the fence, is lost
@@ -9,7 +9,10 @@ KeyboardInterrupt it passes by `except Exception`, and what catches it all the s
 
 from __future__ import annotations
 
+from typing import Final
+
 from nclient.errors import NomadError
+from nclient.leaving import Left
 
 
 class StepFailed(NomadError):
@@ -26,3 +29,16 @@ class MissionOver(BaseException):
     def __init__(self, ending: str, reason: str) -> None:
         self.ending = ending
         super().__init__(reason)
+
+
+INTERRUPTED: Final = "interrupted"
+
+
+def ending_of(error: BaseException) -> tuple[str, str]:
+    """How a step or a mission ends that raised this, in a word and in words; what interrupts is Ctrl-C, or a signal."""
+    if isinstance(error, StepFailed | MissionOver):
+        return error.ending, str(error)
+    if isinstance(error, KeyboardInterrupt | Left):
+        return INTERRUPTED, error.signal_name if isinstance(error, Left) else "Ctrl-C"
+    kind = "" if isinstance(error, NomadError) else type(error).__name__
+    return "error", ": ".join(part for part in (kind, str(error)) if part)

@@ -1,4 +1,4 @@
-"""Missions from files: TOML lists of steps, and programs in Python. The only file here that touches the disk.
+"""Missions from files: TOML lists of steps, and programs in Python.
 
     title = "Rounds"              all of this may be left out (settings)
     map = "several_walls"
@@ -13,38 +13,30 @@
     a program has a function `mission(robot)`, and `settings = Settings(...)` where it wants other ones
 
 Rules: whatever is wrong is a MissionFileError: file, line or key, what was expected. TOML is read whole before anything
-moves; a program is compiled and its module run, and what its function raises is told with its line.
+moves; a program is compiled and its module run (programs.py). The only file here that reads missions from the disk; the
+walls that they name are worlds.files', the report that is written is command.py's.
 """
 
 from __future__ import annotations
 
 import re
-import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import takewhile
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from localization.missions.mission import Mission
-from localization.missions.settings import OnLost, Settings
-from localization.missions.verbs import LONGEST_S, step_of
-from nclient.errors import MissionFileError, NomadError, WorldFileError
+from localization.missions.orders import Orders
+from localization.missions.programs import parse_program
+from localization.missions.settings import Settings, settings_in
+from localization.missions.verbs import step_of
+from nclient.errors import MissionFileError, WorldFileError
 from nclient.file_text import read_text, toml_of
-from nclient.suggesting import did_you_mean
 from worlds.tables import Table
 
 MOST_BYTES: Final = 1 << 20
 _TOP: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
-
-
-@dataclass(frozen=True, slots=True)
-class Orders:
-    """A mission that was read: what it is bound to, and what it does."""
-
-    settings: Settings
-    run: Callable[[Mission], object]
 
 
 def load_mission(path: str | PathLike[str]) -> Orders:
@@ -65,7 +57,7 @@ def parse_list(text: str, file: str) -> Orders:
         acts = [step_of(table) for table in top.tables("step")]
         if not acts:
             top.fail("step", "expected at least one [[step]], found none")
-        settings = _settings(top)
+        settings = Settings(**settings_in(top))
     except (WorldFileError, MissionFileError) as error:
         raise MissionFileError(_with_line(str(error), file, text)) from None
 
@@ -73,51 +65,7 @@ def parse_list(text: str, file: str) -> Orders:
         for act in acts:
             act(robot)
 
-    return Orders(settings, run)
-
-
-def parse_program(text: str, file: str) -> Orders:
-    """The mission that a program in Python says. Raises MissionFileError."""
-    names: dict[str, Any] = {"__name__": "mission", "__file__": file}
-    try:
-        exec(compile(text, file, "exec"), names)
-    except SyntaxError as error:
-        raise MissionFileError(f"{file}: line {error.lineno}: is no Python: {error.msg}") from error
-    except Exception as error:
-        raise MissionFileError(_told(error, file)) from error
-    act, settings = names.get("mission"), names.get("settings", Settings())
-    if not callable(act):
-        raise MissionFileError(f"{file}: expected a function mission(robot), found none; its verbs: docs/missions.md")
-    if not isinstance(settings, Settings):
-        raise MissionFileError(f"{file}: settings: expected Settings(...), found {type(settings).__name__}")
-
-    def run(robot: Mission) -> None:
-        try:
-            act(robot)
-        except NomadError:
-            raise
-        except Exception as error:
-            raise MissionFileError(_told(error, file)) from error
-
-    return Orders(settings, run)
-
-
-def _settings(top: Table) -> Settings:
-    values, usual = top.values, Settings()
-    policies = [policy.value for policy in OnLost]
-    on_lost = top.text("on_lost", usual.on_lost.value)
-    if on_lost not in policies:
-        near = did_you_mean(on_lost, policies)
-        top.fail("on_lost", f"expected one of {', '.join(policies)}, found {on_lost!r}{near}")
-    fenced = any(key.startswith("fence_") for key in values)
-    return Settings(
-        title=top.text("title", usual.title),
-        map=top.text("map", usual.map),
-        time_limit_s=top.number("time_limit_s", 0.1, LONGEST_S) if "time_limit_s" in values else usual.time_limit_s,
-        fence_in=top.points_in("fence", least=3) if fenced else (),
-        on_lost=OnLost(on_lost),
-        lost_s=top.number("lost_s", 0.1, LONGEST_S) if "lost_s" in values else usual.lost_s,
-    )
+    return Orders(settings, run, _with_line(f"{file}: map", file, text))
 
 
 def _with_line(message: str, file: str, text: str) -> str:
@@ -136,10 +84,3 @@ def _line_of(key: str | None, step: int | None, lines: Sequence[str]) -> int | N
     section = takewhile(lambda at: at == first or not lines[at].lstrip().startswith("[["), range(first, len(lines)))
     stands = (at for at in section if key and re.match(rf"\s*\"?{key}\"?\s*=", lines[at]))
     return next(stands, head)
-
-
-def _told(error: Exception, file: str) -> str:
-    """An error of a program with the last line of the file that it came through."""
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    where = f"line {lines[-1]}: " if lines else ""
-    return f"{file}: {where}{type(error).__name__}: {error}"

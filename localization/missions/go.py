@@ -10,14 +10,16 @@ Rules: reads options and prints; it is a mission of one step. The robot stands a
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from math import degrees, inf
 
+from localization.command_line.readers import numbers
+from localization.driving.navigation import STOP_RADIUS_IN
+from localization.missions.arguments import LEAST_S, LEAST_WITHIN_IN, LONGEST_S, MOST_WITHIN_IN
 from localization.missions.command import carry_out
 from localization.missions.helm import Sight
 from localization.missions.setting_out import add_options, set_out
 from localization.missions.settings import OnLost, Settings
-from localization.navigation import STOP_RADIUS_IN
-from localization.readers import numbers, positive
 
 TELL_S = 1.0
 
@@ -27,9 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
                         help="the robot (default: NOMAD_ROBOT, or a local nserver)")
     parser.add_argument("--to", type=_place, required=True, metavar="X,Y[,HEADING]", help="inches and degrees")
-    parser.add_argument("--within", type=positive, default=STOP_RADIUS_IN, metavar="IN",
-                        help="it counts as reached within this (default %(default)s in)")
-    parser.add_argument("--time-limit", type=positive, default=300.0, metavar="S",
+    parser.add_argument("--within", type=_between(LEAST_WITHIN_IN, MOST_WITHIN_IN), default=STOP_RADIUS_IN,
+                        metavar="IN", help="it counts as reached within this (default %(default)s in)")
+    parser.add_argument("--time-limit", type=_between(LEAST_S, LONGEST_S), default=300.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--on-lost", choices=[policy.value for policy in OnLost], default=OnLost.STOP.value,
                         help="what to do where the robot no longer knows where it is (default %(default)s)")
@@ -62,6 +64,18 @@ class _Teller:
         print(f"{self._told_s:7.1f} s  ({x:6.1f}, {y:6.1f}) in {degrees(heading):5.0f} deg"
               f"  ± {max(std[0], std[1]):.2f} in {degrees(std[2]):.1f} deg  {sight.estimate.verdict.trust.value}",
               flush=True)  # fmt: skip
+
+
+def _between(low: float, high: float) -> Callable[[str], float]:
+    """Reads a number within the bounds of a mission."""
+
+    def read(text: str) -> float:
+        (number,) = numbers(text, 1)
+        if not low <= number <= high:
+            raise argparse.ArgumentTypeError(f"a number from {low:g} to {high:g}, not {text}")
+        return number
+
+    return read
 
 
 def _place(text: str) -> tuple[float, ...]:

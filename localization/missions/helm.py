@@ -15,17 +15,17 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from localization.belief import Belief, Floats
+from localization.driving.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
+from localization.driving.pace import Pace
+from localization.estimation.belief import Belief, Floats
+from localization.filters.surroundings import Surroundings
 from localization.filters.table import DEFAULT_METHOD
-from localization.localizer import Estimate
-from localization.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
-from localization.pace import Pace
+from localization.live.localizer import Estimate
 from localization.planning.following import STAND, Velocities
 from localization.planning.hearing import spared, take_in
 from localization.planning.limits import LIMITS
 from localization.planning.planner import Planner
 from localization.planning.unmapped import Unmapped
-from localization.surroundings import Surroundings
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.robot_state import RobotState

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from itertools import cycle
 from typing import Final
 
-from localization.groping import DRIVE_IN_S, Groping
+from localization.driving.groping import DRIVE_IN_S, Groping
+from localization.driving.navigation import PERIOD_S
+from localization.filters.watch import Trust
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm
 from localization.missions.settings import OnLost, Settings
-from localization.navigation import PERIOD_S
 from localization.planning.following import STAND, Velocities
-from localization.watch import Trust
 
 BACK_S: Final = 1.5
 

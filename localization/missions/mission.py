@@ -7,7 +7,8 @@
 
 Every verb returns when it is done and raises StepFailed when it cannot be; `limit_s` seconds of the robot's clock and
 `retries` go with each. Rules: no clock and no file; a period of the helm is the only way that time passes, so all ends:
-by itself, by its limit or the mission's, by the fence, or by LOST. What ended a mission (MissionOver, Ctrl-C) is kept,
+by itself, by its limit or the mission's, by the fence, or by LOST. What a verb is given is checked before anything else
+(arguments.py). What ended a mission (MissionOver, Ctrl-C) is kept,
 and every verb but note raises it again: a program that swallowed it drives no farther.
 """
 
@@ -21,17 +22,19 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import Floats
-from localization.missions.failures import MissionOver, StepFailed
+from localization.estimation.belief import Floats
+from localization.filters.watch import Trust
+from localization.missions.arguments import check, points
+from localization.missions.failures import INTERRUPTED, MissionOver, StepFailed, ending_of
 from localization.missions.helm import Helm, Sight
 from localization.missions.lost import find_again
 from localization.missions.report import DONE, Report, Step
 from localization.missions.settings import Point, Settings
+from localization.missions.turning import Turning
 from localization.planning.course import Stretch, straight, turn_between
 from localization.planning.following import TURNED_RAD, Follower, turn
 from localization.planning.pilot import Ending, Patience, Pilot
-from localization.watch import Trust
-from nclient.errors import NomadError
+from nclient.errors import MissionFileError
 from worlds.geometry import inside, polygon_segments
 
 HALT_S: Final = 2.0
@@ -75,7 +78,8 @@ class Mission:
         self._helm = helm
         self.report = Report(self.settings.title)
         self.ended: BaseException | None = None
-        """What ended it before it was done: MissionOver, or what is no Exception, such as Ctrl-C."""
+        """What ended it before it was done: MissionOver, or what is no Exception, such as Ctrl-C; a program's own
+        sys.exit is a mistake of the program (programs.py)."""
         self._began_s, self._step_ends_s = helm.clock_s, inf
         self._fence = polygon_segments(self.settings.fence_in) if self.settings.fence_in else None
         if self._fence is not None:
@@ -100,6 +104,8 @@ class Mission:
     def go_to(self, x_in: float, y_in: float, heading_deg: float | None = None, *, limit_s: float = inf,
               retries: int = 0, within_in: float = 1.0) -> Seen:  # fmt: skip
         """Go there by the shortest way, and turn to the heading."""
+        check("go_to", x_in=x_in, y_in=y_in, heading_deg=heading_deg, within_in=within_in, limit_s=limit_s,
+              retries=retries)  # fmt: skip
         words = f"({x_in:g}, {y_in:g})" + ("" if heading_deg is None else f" {heading_deg:g} deg")
         heading = None if heading_deg is None else radians(heading_deg)
         self._do("go_to", words, lambda: self._drive([(x_in, y_in)], heading, within_in), limit_s, retries)
@@ -108,38 +114,49 @@ class Mission:
     def follow(self, points_in: Sequence[Point], *, limit_s: float = inf, retries: int = 0,
                within_in: float = 1.0) -> Seen:  # fmt: skip
         """Go along points by straight ways, passing by all but the last, where it stops."""
-        self._do("follow", _listed(points_in), lambda: self._drive(points_in, None, within_in), limit_s, retries)
+        goals = points("follow", points_in)
+        check("follow", within_in=within_in, limit_s=limit_s, retries=retries)
+        self._do("follow", _listed(goals), lambda: self._drive(goals, None, within_in), limit_s, retries)
         return self.seen
 
     def turn(self, heading_deg: float | None = None, *, by_deg: float | None = None, limit_s: float = inf,
              retries: int = 0) -> Seen:  # fmt: skip
-        """Turn in place to a heading, the short way, or by so much to the left."""
+        """Turn in place to a heading, the short way, or by so much to the left, also more than once around."""
+        check("turn", heading_deg=heading_deg, by_deg=by_deg, limit_s=limit_s, retries=retries)
         if (heading_deg is None) == (by_deg is None):
-            raise TypeError("turn to a heading_deg, or by_deg: one of them")
-        words = f"to {heading_deg:g} deg" if by_deg is None else f"by {by_deg:g} deg"
-        self._do("turn", words, lambda: self._turn(heading_deg, by_deg), limit_s, retries)
+            raise MissionFileError("turn: expected heading_deg or by_deg, one of them")
+        if by_deg is not None:
+            words, left_rad = f"by {by_deg:g} deg", Turning(self._heading_rad, radians(by_deg)).left_rad
+        else:
+            words, left_rad = f"to {heading_deg:g} deg", partial(turn_between, second_rad=radians(heading_deg or 0.0))
+        self._do("turn", words, lambda: self._turn(left_rad), limit_s, retries)
         return self.seen
 
     def look(self, seconds: float = RING_S) -> Seen:
         """Stand and listen for a while; what is seen then."""
+        check("look", seconds=seconds)
         self._do("look", f"{seconds:g} s", lambda: self._stand(seconds), inf, 0)
         return self.seen
 
     def wait_for(self, condition: Condition, limit_s: float, words: str = "a condition") -> Seen:
         """Stand until the condition holds; StepFailed where it does not within the limit."""
+        check("wait_for", condition=condition, limit_s=limit_s, words=words)
         self._do("wait_for", words, lambda: self._wait_for(condition, limit_s, words), inf, 0)
         return self.seen
 
     def patrol(self, points_in: Sequence[Point], rounds: int = 1, *, limit_s: float = inf, retries: int = 0) -> Seen:
         """Go to each of the points in turn, the shortest ways, and round again."""
+        goals = points("patrol", points_in)
+        check("patrol", rounds=rounds, limit_s=limit_s, retries=retries)
         for number in range(rounds):
-            for point in points_in:
+            for point in goals:
                 words = f"({point[0]:g}, {point[1]:g}), round {number + 1} of {rounds}"
                 self._do("patrol", words, partial(self._drive, [point], None, 1.0), limit_s, retries)
         return self.seen
 
     def dock(self, x_in: float, y_in: float, heading_deg: float, *, limit_s: float = inf, retries: int = 0) -> Seen:
         """Go to a place before it, turn to it, and drive in slowly and straight: until there, or until it touches."""
+        check("dock", x_in=x_in, y_in=y_in, heading_deg=heading_deg, limit_s=limit_s, retries=retries)
         words = f"({x_in:g}, {y_in:g}) {heading_deg:g} deg"
         self._do("dock", words, lambda: self._dock((x_in, y_in), radians(heading_deg)), limit_s, retries)
         return self.seen
@@ -147,7 +164,7 @@ class Mission:
     def note(self, words: str) -> None:
         """Write something into the report."""
         now_s = self._helm.clock_s - self._began_s
-        self.report.steps.append(Step("note", words, now_s, now_s, DONE))
+        self.report.steps.append(Step("note", str(words), now_s, now_s, DONE))
 
     # how they are done
 
@@ -158,7 +175,7 @@ class Mission:
         if self._step is not None:
             raise StepFailed("error", f"{verb} inside of {self._step.verb}: one step at a time")
         with self._reported(verb, words) as step:
-            while not self._tried(step, act, limit_s, last=step.tries == retries):
+            while not self._tried(step, act, limit_s, last=step.tries >= retries):
                 self._helm.period()
 
     def _tried(self, step: Step, act: Callable[[], None], limit_s: float, last: bool) -> bool:
@@ -182,10 +199,9 @@ class Mission:
             yield step
             step.ending = DONE
         except BaseException as error:
-            if not isinstance(error, Exception):
+            step.ending, step.reason = ending_of(error)
+            if not isinstance(error, Exception) and (step.ending == INTERRUPTED or not isinstance(error, SystemExit)):
                 self.ended = error
-            step.ending = error.ending if isinstance(error, StepFailed | MissionOver) else "error"
-            step.reason = str(error) if isinstance(error, NomadError | MissionOver) else type(error).__name__
             raise
         finally:
             step.ended_s = self._helm.clock_s - self._began_s
@@ -223,13 +239,16 @@ class Mission:
                 self._step.touches += len(pilot.log.touches)
                 self._step.notes += [(at - self._began_s, words) for at, words in pilot.log.notes]
 
-    def _turn(self, heading_deg: float | None, by_deg: float | None) -> None:
-        heading = float(self._helm.sight.estimate.pose[2])
-        goal = radians(heading_deg) if heading_deg is not None else heading + radians(by_deg or 0.0)
+    @property
+    def _heading_rad(self) -> float:
+        return float(self._helm.sight.estimate.pose[2])
+
+    def _turn(self, left_rad: Callable[[float], float]) -> None:
+        """Until nothing is left to turn, of what `left_rad` says of a heading."""
         while True:
             if self._helm.sight.estimate.verdict.trust is Trust.LOST:
                 self._find_again(self._helm.sight.estimate.verdict.reason)
-            left = turn_between(float(self._helm.sight.estimate.pose[2]), goal)
+            left = left_rad(self._heading_rad)
             if abs(left) <= TURNED_RAD:
                 self._halt()
                 return

@@ -9,14 +9,15 @@ from dataclasses import dataclass, field
 from math import degrees
 from typing import Any
 
-from localization.belief import wrapped
-from localization.run import Pose
+from localization.estimation.belief import wrapped
+from localization.missions.failures import INTERRUPTED
+from localization.runs.run import Pose
 
 
 @dataclass
 class Step:
-    """One step. `ending`: "done", or why not in a word (planning.pilot's endings, timeout, fence, condition, error);
-    `reason` in words; `planned_in`, the length of its first plan; `notes`: (seconds, words)."""
+    """One step. `ending`: "done", or why not in a word (planning.pilot's endings, timeout, fence, condition,
+    interrupted, error); `reason` in words; `planned_in`, the length of its first plan; `notes`: (seconds, words)."""
 
     verb: str
     words: str
@@ -38,7 +39,8 @@ class Step:
 
     def line(self) -> str:
         """In one line."""
-        text = f"{self.began_s:7.1f} s  {'done  ' if self.done else 'FAILED'}  {self.verb} {self.words}".rstrip()
+        ended = "done  " if self.done else INTERRUPTED if self.ending == INTERRUPTED else "FAILED"
+        text = f"{self.began_s:7.1f} s  {ended}  {self.verb} {self.words}".rstrip()
         more = [f"{self.ended_s - self.began_s:.1f} s", f"{self.way_in:.0f} in"]
         more += [f"{self.tries} tries"] * (self.tries > 1) + [f"{self.touches} touches"] * (self.touches > 0)
         more += [f"planned {self.plans} times"] * (self.plans > 1)

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from localization.missions.failures import MissionOver, StepFailed
+from localization.missions.failures import MissionOver, StepFailed, ending_of
 from localization.missions.mission import Mission
 from localization.missions.report import DONE
-from nclient.leaving import Left
 
 
 def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
@@ -27,15 +26,9 @@ def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
             raise mission.ended
         report.ending, report.reason = DONE, ""
     except (StepFailed, MissionOver) as failure:
-        report.ending, report.reason = failure.ending, str(failure)
-    except KeyboardInterrupt:
-        report.ending, report.reason = "interrupted", "Ctrl-C"
-        raise
-    except Left as left:
-        report.ending, report.reason = "interrupted", left.signal_name
-        raise
+        report.ending, report.reason = ending_of(failure)
     except BaseException as error:
-        report.ending, report.reason = "error", str(error) or type(error).__name__
+        report.ending, report.reason = ending_of(error)
         raise
     finally:
         if isinstance(mission.ended, MissionOver):

@@ -13,20 +13,20 @@ import time
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from localization import resuming
-from localization.body_taken import body_of
-from localization.localizer import Echo
-from localization.map_taken import add_map, world_of
+from localization.command_line import resuming
+from localization.command_line.outset import add_options as add_outset
+from localization.command_line.outset import outset
+from localization.command_line.publishing import Publisher
+from localization.command_line.readers import check_writable, opened, pose
+from localization.live.localizer import Echo
 from localization.missions.helm import Helm
 from localization.missions.report import Report
 from localization.missions.settings import Point
 from localization.missions.showing import Showing
-from localization.outset import add_options as add_outset
-from localization.outset import outset
-from localization.publishing import Publisher
-from localization.readers import check_writable, opened, pose
-from localization.sonars_taken import Taken, hint
-from localization.witness import Witness
+from localization.runs.witness import Witness
+from localization.taken.body import body_of
+from localization.taken.sonars import Taken, hint
+from localization.taken.walls import add_map, world_of
 from nclient import NomadError, Robot
 from worlds.bodies import BODIES
 from worlds.world import World

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from localization.command_line.publishing import Publisher, message
 from localization.missions.helm import Sight
 from localization.missions.settings import Point
-from localization.publishing import Publisher, message
-from localization.run import Moment
-from localization.witness import Witness
+from localization.runs.run import Moment
+from localization.runs.witness import Witness
 
 
 class Showing:

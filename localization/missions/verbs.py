@@ -15,6 +15,8 @@ from math import degrees, inf
 from types import MappingProxyType
 from typing import Final
 
+from localization.missions import arguments
+from localization.missions.arguments import LEAST_S, LONGEST_S
 from localization.missions.mission import Condition, Mission
 from localization.missions.settings import Point
 from nclient.errors import MissionFileError
@@ -22,8 +24,6 @@ from nclient.suggesting import did_you_mean
 from worlds.tables import FARTHEST_IN, Table
 
 Act = Callable[[Mission], object]
-LONGEST_S: Final = 86_400.0
-MOST_RETRIES, MOST_ROUNDS = 100, 10_000
 _LIMITS: Final = ("do", "time_limit_s", "retries")
 
 CONDITIONS: Final[Mapping[str, Callable[[float], Condition]]] = MappingProxyType(
@@ -40,6 +40,8 @@ deviation, so many things found that the map does not have. `touching = true` be
 
 def step_of(table: Table) -> Act:
     """What one [[step]] does. Raises MissionFileError."""
+    if "do" not in table.values:
+        table.fail("do", f"is wanted; there are {', '.join(VERBS)}")
     verb = table.text("do", "")
     if verb not in VERBS:
         table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{did_you_mean(verb, VERBS)}")
@@ -48,22 +50,21 @@ def step_of(table: Table) -> Act:
 
 def _go_to(table: Table) -> Act:
     table.allow((*_LIMITS, "heading_deg", "within_in"), ("to",))
-    (x, y), heading, within = _point(table), _heading(table), _within(table)
+    (x, y), heading, within = _point(table), _heading(table), arguments.within_in(table)
     limit_s, retries = _limits(table)
     return lambda robot: robot.go_to(x, y, heading, limit_s=limit_s, retries=retries, within_in=within)
 
 
 def _follow(table: Table) -> Act:
     table.allow((*_LIMITS, "within_in"), ("points",))
-    points, within = table.points_in("points", least=1), _within(table)
+    points, within = table.points_in("points", least=1), arguments.within_in(table)
     limit_s, retries = _limits(table)
     return lambda robot: robot.follow(points, limit_s=limit_s, retries=retries, within_in=within)
 
 
 def _patrol(table: Table) -> Act:
     table.allow((*_LIMITS, "rounds"), ("points",))
-    points = table.points_in("points", least=1)
-    rounds = _whole(table, "rounds", 1, MOST_ROUNDS)
+    points, rounds = table.points_in("points", least=1), arguments.rounds(table)
     limit_s, retries = _limits(table)
     return lambda robot: robot.patrol(points, rounds, limit_s=limit_s, retries=retries)
 
@@ -72,7 +73,7 @@ def _turn(table: Table) -> Act:
     table.allow((*_LIMITS, "heading_deg", "by_deg"))
     if ("heading_deg" in table.values) == ("by_deg" in table.values):
         table.fail("", "expected heading_deg or by_deg, one of them")
-    heading, by = _heading(table), _angle(table, "by_deg")
+    heading, by = _heading(table), arguments.by_deg(table) if "by_deg" in table.values else None
     limit_s, retries = _limits(table)
     return lambda robot: robot.turn(heading, by_deg=by, limit_s=limit_s, retries=retries)
 
@@ -142,24 +143,11 @@ def _point(table: Table) -> Point:
 
 
 def _heading(table: Table) -> float | None:
-    return _angle(table, "heading_deg")
-
-
-def _angle(table: Table, key: str) -> float | None:
-    """An angle in degrees, None where it is not given."""
-    return degrees(table.angle_rad(key.removesuffix("_deg"))) if key in table.values else None
-
-
-def _within(table: Table) -> float:
-    return table.number("within_in", 0.1, 100.0) if "within_in" in table.values else 1.0
+    """A heading in degrees, None where it is not given."""
+    return degrees(table.angle_rad("heading")) if "heading_deg" in table.values else None
 
 
 def _limits(table: Table) -> tuple[float, int]:
     """Seconds that a step may take, and how often it is tried again."""
-    limit_s = table.number("time_limit_s", 0.1, LONGEST_S) if "time_limit_s" in table.values else inf
-    return limit_s, _whole(table, "retries", 0, MOST_RETRIES)
-
-
-def _whole(table: Table, key: str, default: int, most: int) -> int:
-    value = table.index(key, most + 1)
-    return default if value is None else value
+    limit_s = table.number("time_limit_s", LEAST_S, LONGEST_S) if "time_limit_s" in table.values else inf
+    return limit_s, arguments.retries(table)

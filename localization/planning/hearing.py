@@ -16,10 +16,10 @@ from typing import Final
 
 import numpy as np
 
-from localization.localizer import Estimate
+from localization.filters.watch import Trust
+from localization.live.localizer import Estimate
+from localization.live.told import Told, retold
 from localization.planning.unmapped import NEAREST_IN, Unmapped
-from localization.told import Told, retold
-from localization.watch import Trust
 from nclient.robot_state import RobotState
 
 MOST_SPARED: Final = 6

@@ -18,8 +18,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import Floats
-from localization.localizer import Estimate
+from localization.estimation.belief import Floats
+from localization.filters.watch import Trust
+from localization.live.localizer import Estimate
 from localization.planning.caution import allowed_share
 from localization.planning.circles import room
 from localization.planning.course import turn_between
@@ -28,7 +29,6 @@ from localization.planning.limits import AxisLimits
 from localization.planning.planner import MARGINS_IN, Plan, Planner
 from localization.planning.roadmap import NoWayError, Point
 from localization.planning.unmapped import Unmapped
-from localization.watch import Trust
 from nclient.robot_state import RobotState
 
 

@@ -43,6 +43,9 @@ _TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connection
 """A server that turns a newcomer away says nothing: it only closes."""
 
 
+_NO_NSERVER: Final = ". Is it an Nserver that answers there? Its port is 7019; a robot's own line is robotd://HOST:PORT"
+
+
 class NserverBackend:
     """A conversation with an Nserver about one robot; connects at once (`create`: to a robot that it then makes).
 
@@ -142,7 +145,8 @@ class NserverBackend:
             ) from None
         except WireError as error:
             self._finish(f"{call.name} was answered by what makes no sense")
-            raise ConnectionLost(f"{call.name}: {error}; the connection was closed") from error
+            hint = _NO_NSERVER if call.name in _CONNECTS else ""
+            raise ConnectionLost(f"{call.name}: {error}; the connection was closed{hint}") from error
         except ConnectionLost as error:
             self._finish(str(error))
             hint = _TURNED_AWAY if call.name in _CONNECTS else ""

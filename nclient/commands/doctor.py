@@ -15,6 +15,7 @@ import json
 import time
 
 from nclient.commands.durations import seconds
+from nclient.connect import address_or_default
 from nclient.doctor.examination import EXCHANGES, INTERVAL_S, Examination
 from nclient.doctor.finding import Finding, Grade, worst
 from nclient.doctor.report import report
@@ -24,7 +25,9 @@ from nclient.schemes import Wanted, opening_of
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """An address, how much is asked, and in what form it is told."""
-    parser.add_argument("address", help="such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room")
+    parser.add_argument("address", nargs="?", metavar="ADDRESS",
+                        help="such as nserver://localhost:7019/1, serial:///dev/ttyUSB0 or sim:thesis_room (default: "
+                             "NOMAD_ROBOT, or a local nserver's robot 1)")
     parser.add_argument("--exchanges", type=_count, default=EXCHANGES, metavar="N",
                         help=f"how often gs is asked (default {EXCHANGES})")
     parser.add_argument("--interval", type=seconds, default=INTERVAL_S, metavar="S",
@@ -34,12 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Examine and tell; the exit code."""
-    opening = opening_of(options.address, Wanted())
+    address = address_or_default(options.address)
+    opening = opening_of(address, Wanted())
     chart = Examination(opening.talk, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
     findings = report(chart)
     grade = worst(findings)
     if options.json:
-        print(json.dumps({"address": options.address, "model": chart.model, "worst": grade.name,
+        print(json.dumps({"address": address, "model": chart.model, "worst": grade.name,
                           "findings": [_as_object(finding) for finding in findings]}))
     else:
         for finding in findings:

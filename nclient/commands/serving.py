@@ -30,10 +30,10 @@ def add_door(parser: argparse.ArgumentParser) -> None:
 
 @contextlib.contextmanager
 def open_door(options: argparse.Namespace, name: str) -> Iterator[Door]:
-    """The door that the options ask for, announced; SIGTERM closes it as Ctrl-C does."""
+    """The door that the options ask for, announced; SIGTERM and SIGHUP close it as Ctrl-C does."""
     door: Door = TcpDoor(options.bind, options.listen) if options.link is None else TerminalDoor(options.link)
     try:
-        with _ended_by_sigterm():
+        with _ended_by_signals():
             print(f"listening {name} {door.name}", flush=True)
             yield door
     finally:
@@ -41,13 +41,15 @@ def open_door(options: argparse.Namespace, name: str) -> Iterator[Door]:
 
 
 @contextlib.contextmanager
-def _ended_by_sigterm() -> Iterator[None]:
-    """SIGTERM is as Ctrl-C; a command runs on the main thread, which gets the signals."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+def _ended_by_signals() -> Iterator[None]:
+    """They are as Ctrl-C; a command runs on the main thread, which gets the signals."""
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    before = {name: signal.signal(getattr(signal, name), signal.default_int_handler) for name in names}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
 
 
 def visitors(door: Door, once: bool, talk: Callable[[ByteStream], None]) -> None:

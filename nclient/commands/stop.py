@@ -23,6 +23,7 @@ from nclient.backends.direct import QUICK_S
 from nclient.backends.first_stop import say_stop
 from nclient.commands.durations import seconds
 from nclient.commands.serving import tell
+from nclient.connect import address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.exit_codes import ExitCode
 from nclient.openers import line_talk_without_hello
@@ -44,14 +45,18 @@ _LOOKS = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """An address, and how long to try."""
-    parser.add_argument("address", help="such as nserver://localhost:7019/1 or serial:///dev/ttyUSB0")
+    parser.add_argument("address", nargs="?", metavar="ADDRESS",
+                        help="such as nserver://localhost:7019/1 or serial:///dev/ttyUSB0 (default: NOMAD_ROBOT, or a "
+                             "local nserver's robot 1)")
     parser.add_argument("--patience", type=seconds, default=PATIENCE_S, metavar="S",
                         help=f"seconds to go on trying (default {PATIENCE_S:g})")
 
 
 def run(options: argparse.Namespace) -> int:
     """Stop it; the exit code."""
-    opening = opening_of(options.address, Wanted())
+    opening = opening_of(address_or_default(options.address), Wanted())
+    if options.address is None:
+        tell(f"stopping {opening.address.text}")
     opens = opening.talk if opening.scheme.line == TCP else _on_line(opening)
     return Stopping(opens, time.monotonic, time.sleep).run(options.patience)
 

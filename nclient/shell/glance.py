@@ -109,7 +109,7 @@ def _bumpers(state: RobotState) -> str:
 def _laser(state: RobotState) -> str:
     points = state.laser_points_in
     if not points:
-        return "no readings"
+        return "no readings" if state.model.has_laser else "none on this model"
     shown = "  ".join(f"({', '.join(f'{value:.1f}' for value in point)})" for point in points[:4])
     return f"{len(points)} readings, in: {shown}{' ..' if len(points) > 4 else ''}"
 

@@ -71,9 +71,12 @@ class Session:
                 call_of(order, self.terms, self._smask, self._pid)
 
     def run(self, text: str) -> Iterator[str]:
-        """Do what a line says; what to show, as it comes. Raises NomadError at the first order that cannot be done."""
+        """Do what a line says, to its end or to `quit`; what to show, as it comes. Raises NomadError at the first order
+        that cannot be done."""
         self.check(text)
         for order in parse(text):
+            if self.finished:
+                return
             if isinstance(order, Element):
                 yield from self._element(order)
             elif order.name in self._own:

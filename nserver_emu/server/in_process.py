@@ -22,8 +22,9 @@ from nclient.suggesting import did_you_mean
 from nserver_emu.server.conversation.line_session import LineSession
 from nserver_emu.server.conversation.session import REFUSED, Conversation, Session
 from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.setting_up.setting import DEFAULT_WORLD, FIRST_ROBOT, MOST_ROBOTS, Setting, placed
+from nserver_emu.server.setting_up.setting import FIRST_ROBOT, MOST_ROBOTS, Setting, placed
 from nserver_emu.server.stage.stage import Allowed
+from worlds.files import DEFAULT_WORLD
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1

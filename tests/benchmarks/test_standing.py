@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import standing
 
-from localization import chi_square
+from localization.estimation import chi_square
 from localization.experiments.live.scenario import SCENARIOS
 
 SEEDS = 6

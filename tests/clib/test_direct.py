@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import socket
 import subprocess
+import termios
 import threading
 import tty
 from collections.abc import Iterator
@@ -17,12 +19,14 @@ from answering import on_socket
 from building import PROGRAMS, SANITIZED, Workshop, held
 from robot_line import NAK, Late, ScriptedLine
 
+from nclient.errors import ConnectionLost
 from nclient.protocol.commands import Call
 from nclient.protocol.hello import Hello, build_hello
 from nclient.protocol.mask import EVERYTHING
 from nclient.protocol.models import N200, SCOUT, Model
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_frame import build_frame
+from nclient.transports.serial_port import SerialStream
 
 
 @pytest.fixture(scope="module")
@@ -208,12 +212,46 @@ def test_a_n200_over_tcp_says_its_mask(direct: str) -> None:
     (("1", "/dev/no-such-line", "38400"), "No such file or directory"),
     (("1", "/dev/null", "12345"), "12345 is no speed"),
     (("1", "127.0.0.1", "1"), "nobody answers at 127.0.0.1:1"),
+    (("1", "127.0.0.1", "65537"), "127.0.0.1: a port is 1 to 65535, not 65537"),
     (("1", "/" + "x" * 90, "38400"), "at most 79 characters"),
 ])  # fmt: skip
 def test_a_line_that_is_not_there(direct: str, words: tuple[str, ...], reason: str) -> None:
     connected, asked, _ = held([direct, *words], "connect_robot 1\ngs\n")
     assert (connected["return"], asked["return"]) == (0, 0)
     assert reason in connected["error"]
+
+
+def test_one_program_at_a_time(direct: str) -> None:
+    robot = ScriptedLine()
+    with on_line(robot) as device:
+        words = [direct, "1", device, "9600"]
+        other = os.open(device, os.O_RDWR | os.O_NOCTTY)
+        fcntl.flock(other, fcntl.LOCK_EX)
+        before = termios.tcgetattr(other)
+        refused, asked, _ = held(words, "connect_robot 1\ngs\n")
+        assert termios.tcgetattr(other) == before
+        os.close(other)
+        assert (refused["return"], asked["return"], robot.calls) == (0, 0, [])
+        assert refused["error"] == f"{device} is in use by another program; one program at a time can talk to a robot"
+        connected, asked, _ = held(words, "connect_robot 1\ngs\n")
+        assert (connected["return"], asked["return"]) == (1, 1)
+
+
+def test_a_line_that_a_c_program_has_is_refused_to_the_next(direct: str) -> None:
+    with on_line(ScriptedLine()) as device:
+        first = subprocess.Popen([direct, "1", device, "38400"], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        with first:
+            assert first.stdin is not None
+            assert first.stdout is not None
+            first.stdin.write(b"connect_robot 1\n")
+            first.stdin.flush()
+            first.stdout.readline()
+            second, _ = held([direct, "1", device, "38400"], "connect_robot 1\n")
+            assert (second["return"], "is in use by another program" in second["error"]) == (0, True)
+            with pytest.raises(ConnectionLost, match=rf"is in use by .*\(process {first.pid}\)"):
+                SerialStream(device)
+            first.communicate(timeout=10)
+        assert held([direct, "1", device, "38400"], "connect_robot 1\n")[0]["return"] == 1
 
 
 def test_a_line_can_be_named_outside(direct: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,11 +6,12 @@ import contextlib
 import socket
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import pytest
 from answering import ScriptedServer, by_script, error, on_socket, simple
-from building import PROGRAMS, SANITIZED, Workshop, held
+from building import NARROW_SANITIZED, PROGRAMS, SANITIZED, Kind, Workshop, held
 from recorded import TCP
 
 from nclient.protocol.commands import Call
@@ -91,6 +92,29 @@ def test_a_server_that_has_gone(client: str) -> None:
     assert after["error"] == "st: no robot is connected; connect_robot comes first"
 
 
+NOBODY = "no robot is connected; connect_robot comes first"
+
+
+def test_a_loop_that_asks_on_is_told_once_that_nobody_is_connected(client: str) -> None:
+    server = ScriptedServer()
+    with on_socket(by_script(server, 3)) as port:
+        script = "vm 1 2 3\n", "connect_robot 1\n", "disconnect_robot 1\n", "gs\n" * 100, "st\n"
+        before, _, left, *loop, after, said = held([client, str(port)], "".join(script))
+    assert before["error"] == f"vm: {NOBODY}"
+    assert left["return"] == 1
+    assert {asked["error"] for asked in loop} == {f"gs: {NOBODY}"}
+    assert {asked["return"] for asked in loop} == {0}
+    assert after["error"] == f"st: {NOBODY}"
+    assert said["stderr"] == f"Nclient: vm: {NOBODY}\nNclient: gs: {NOBODY}\n"
+
+
+def test_a_server_that_has_gone_is_told_of_in_two_lines(client: str) -> None:
+    with on_socket(by_script(ScriptedServer(), 2)) as port:
+        *_, said = held([client, str(port)], "connect_robot 1\n" + "gs\n" * 50)
+    gone = "gs: the server has gone; the connection is closed"
+    assert said["stderr"] == f"Nclient: {gone}\nNclient: gs: {NOBODY}\n"
+
+
 @pytest.mark.parametrize("reply", ["005b0000", "00500001000000ff", "0050ffff", "00520000"])
 def test_an_answer_that_does_not_fit_closes_the_connection(client: str, reply: str) -> None:
     wrong, after = with_server(client, ScriptedServer({"gs": bytes.fromhex(reply)}), 1, "gs", "st")
@@ -150,6 +174,29 @@ def test_where_the_server_is_can_be_said_outside(client: str, monkeypatch: pytes
         assert found["return"] == 7019
 
 
+@pytest.mark.parametrize("call", ["connect_robot", "create_robot"])
+def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(
+    client: str, call: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as nobody:
+        monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{nobody.getsockname()[1]}/2")
+        refused, running, _ = held([client], f"{call} 1\nserver_is_running\n")
+        nobody.settimeout(10)
+        nobody.accept()[0].close()  # who only looked
+        nobody.settimeout(0)
+        with pytest.raises(BlockingIOError):
+            nobody.accept()
+    assert (refused["return"], running["return"]) == (0, 1)
+    assert refused["error"] == ("NOMAD_ROBOT names robot 2, the program asks for robot 1: let both say the same, or "
+                                "leave the number out of the address")  # fmt: skip
+    for path in ("/2", "/2/", "/", ""):
+        server = ScriptedServer()
+        with on_socket(by_script(server, 2)) as port:
+            monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}{path}")
+            assert held([client], f"{call} 2\n")[0]["return"] == 7019
+        assert server.calls[0].args[0] == 2
+
+
 @pytest.mark.parametrize(("address", "reason"), [
     ("lab:7019", "no address such as nserver://host:7019/1"),
     ("serial:///dev/ttyUSB0", "link it with -lndirect"),
@@ -157,6 +204,10 @@ def test_where_the_server_is_can_be_said_outside(client: str, monkeypatch: pytes
     ("nserver://127.0.0.1:1/1?model=n300", "model=n300 is no option"),
     ("nserver://[::1]:1/1", "nobody answers at ::1:1"),
     ("nserver://" + "x" * 120, "longer than the name of a machine"),
+    ("nserver://127.0.0.1:1/one", "the robot's number, 1 or more, not /one"),
+    ("nserver://127.0.0.1:1/0", "the robot's number, 1 or more, not /0"),
+    ("nserver://127.0.0.1:1/1/2", "the robot's number, 1 or more, not /1/2"),
+    ("nserver://127.0.0.1:1/99999999999", "the robot's number, 1 or more, not /99999999999"),
     ("nserver://no.such.host.invalid/1", "there is no host no.such.host.invalid"),
 ])  # fmt: skip
 def test_an_address_that_leads_nowhere(client: str, monkeypatch: pytest.MonkeyPatch, address: str, reason: str) -> None:
@@ -164,6 +215,48 @@ def test_an_address_that_leads_nowhere(client: str, monkeypatch: pytest.MonkeyPa
     found, _ = held([client], "connect_robot 1\n")
     assert found["return"] == 0
     assert reason in found["error"]
+
+
+@pytest.mark.usefixtures("can_build")
+@pytest.mark.parametrize("width", [SANITIZED, NARROW_SANITIZED], ids=lambda kind: kind.name)
+def test_a_port_that_is_none_is_not_taken_for_another(
+    workshop: Workshop, width: Kind, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    source = tmp_path / "machine.c"
+    source.write_text("""\
+#include "Nclient.h"
+#include <stdlib.h>
+#include <string.h>
+int main(int count, char **words)
+{
+    if (count > 1)
+        strcpy(SERVER_MACHINE_NAME, words[1]);
+    if (count > 2)
+        SERV_TCP_PORT = atoi(words[2]);
+    return server_is_running() || connect_robot(1) ? 0 : 9;
+}
+""")
+    program = str(workshop.program(source, width))
+
+    def refused(*words: str) -> str:
+        done = subprocess.run([program, *words], capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 9
+        return done.stderr
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        wrapped = port + 65536
+        why = f"a port is 1 to 65535, not {wrapped}\n"
+        assert refused(f"127.0.0.1:{wrapped}") == f"Nclient: 127.0.0.1:{wrapped}: {why}"
+        assert refused("127.0.0.1", str(wrapped)) == f"Nclient: 127.0.0.1: {why}"
+        assert refused("", str(wrapped)).endswith(why)
+        monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{wrapped}/1")
+        assert refused() == f"Nclient: 127.0.0.1:{wrapped}: {why}"
+        for none in ("70x9", "0", "-1", f"+{port}", "99999999999999999999"):
+            assert refused(f"127.0.0.1:{none}").endswith(f"a port is 1 to 65535, not {none}\n")
+            assert refused(f"[::1]:{none}").endswith(f"a port is 1 to 65535, not {none}\n")
+        assert refused("127.0.0.1", "0").endswith("not 0\n")
+        assert refused("127.0.0.1", "-58517").endswith("not -58517\n")
 
 
 def test_whether_a_server_runs(client: str) -> None:

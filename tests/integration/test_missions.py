@@ -109,4 +109,4 @@ def test_interrupted_it_stops_the_robot_and_still_reports(server: dict[str, str]
             time.sleep(0.05)
     assert "interrupted" in told
     written = json.loads(report.read_text())
-    assert (written["ending"], written["steps"][0]["ending"]) == ("interrupted", "error")
+    assert (written["ending"], written["steps"][0]["ending"]) == ("interrupted", "interrupted")

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.files import parse_list, parse_program
+from localization.missions.files import parse_list
+from localization.missions.programs import parse_program
 from localization.missions.verbs import CONDITIONS, VERBS
 
 ROOT = Path(__file__).parents[2]

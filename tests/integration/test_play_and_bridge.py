@@ -60,7 +60,9 @@ class Program:
 
 
 @contextlib.contextmanager
-def program(*words: str, ends: int = 0, by_signal: bool = True) -> Iterator[tuple[str, Program]]:
+def program(
+    *words: str, ends: int = 0, by_signal: bool = True, ending: signal.Signals = signal.SIGTERM
+) -> Iterator[tuple[str, Program]]:
     """A program that says where it listens: that place, and what it says; its exit code is checked."""
     with Forked(*words, stderr=True) as process:
         told = Program(process)
@@ -70,7 +72,7 @@ def program(*words: str, ends: int = 0, by_signal: bool = True) -> Iterator[tupl
             yield first[2], told
         finally:
             if by_signal:
-                process.send_signal(signal.SIGTERM)
+                process.send_signal(ending)
             try:
                 code = process.wait(10)
             except subprocess.TimeoutExpired:
@@ -95,6 +97,12 @@ def test_a_recording_is_played_to_one_visitor_after_the_other(tmp_path: Path) ->
         with pytest.raises(ConnectionLost):
             robot.move(translation_in=1)
         assert "recorded was `vm 60 0 0`, the program asks `pr 10 0 0`" in process.err()
+
+
+def test_a_terminal_that_is_gone_ends_it_as_asked(tmp_path: Path) -> None:
+    drive(connect(f"sim:thesis_room?record={tmp_path / 'run.log'}"))
+    with program("nomad", "play", str(tmp_path / "run.log"), "--listen", "0", ending=signal.SIGHUP) as (place, _):
+        assert place.startswith("127.0.0.1:")
 
 
 def serial_recording(path: Path, answer_after_s: float) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from localization import cli as localization_cli
-from localization.run import Run
+from localization.runs.run import Run
 from nclient import ReplyTimeout, Robot, cli
 from nclient.leaving import Left
 from worlds.calibration import Calibration, Spread, calibration_text
@@ -97,7 +97,6 @@ def test_a_measured_ring_is_heard_as_cones_and_the_encoders_scale_is_found(
 @pytest.mark.parametrize(
     "words",
     [
-        ["--waypoints", "0,0"],
         ["--map", "thesis_room"],
         ["--map", "thesis_room", "--waypoints", "0;0"],
         ["--map", "thesis_room", "--waypoints", "0,inf"],
@@ -193,7 +192,7 @@ def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pyt
     out = capsys.readouterr().out
     assert "LOST: searching: nothing was told of the place" in out
     assert "LOST: 4 places look alike, the likeliest with " in out
-    assert out.splitlines()[-1].startswith("0 of 1 way-points reached")
+    assert out.splitlines()[-2].startswith("0 of 1 way-points reached")
     assert localize(*asked, "--json") == 3
     result = json.loads(capsys.readouterr().out)
     assert result["trust"] == "LOST"
@@ -202,10 +201,54 @@ def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pyt
     assert result["rmse_position_in"] is None
 
 
-@pytest.mark.parametrize("words", [["--method", "mcl"], ["--resume", "there.json"]])
-def test_an_unknown_start_is_for_the_finder_alone(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert localize(NOISY, *TO_GOAL, "--start", "unknown", *words) == 1
-    assert "leave --resume and other methods out" in capsys.readouterr().err
+@pytest.mark.parametrize(("words", "remedy"), [
+    (["--method", "mcl"], "by --method finder alone: leave --method mcl out"),
+    (["--method", "ekf"], "by --method finder alone: leave --method ekf out"),
+    (["--resume", "there.json"], "--resume goes on: leave one of them out"),
+])  # fmt: skip
+def test_an_unknown_start_is_for_the_finder_alone(
+    words: list[str], remedy: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        localize(NOISY, *TO_GOAL, "--start", "unknown", *words)
+    assert remedy in capsys.readouterr().err
+
+
+def test_a_lost_estimate_is_not_saved_and_all_else_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The way-point was not reached: that is what it ends with."""
+    words = ["--start", "unknown", "--waypoints", "20,20", "--time-limit", "5", "--json"]
+    assert localize("sim:thesis_room", *words, "--save", str(tmp_path / "x.json")) == 3
+    said = capsys.readouterr()
+    assert json.loads(said.out)["trust"] == "LOST"
+    assert "x.json: not written, the estimate is lost" in said.err
+
+
+def test_it_says_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "60,40", "--time-limit", "1") == 3
+    assert capsys.readouterr().out.endswith("stopped: its time is over: 1 s (--time-limit)\n")
+
+
+@pytest.mark.parametrize("name", ["", ".", "run.xyz", "run"])
+def test_a_picture_that_is_no_png_is_told_before_the_drive(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    assert localize(NOISY, *TO_GOAL, "--picture", name) == 1
+    assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--start", "unknwon"], "3 numbers with commas between them, inches, inches and degrees, or unknown, not 'unkn"),
+    (["--waypoints", "0cm,0"], "2 numbers with commas between them, inches, such as 20,40, not '0cm,0'"),
+    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: a number, not '5in'"),
+    (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: a number, not '5%'"),
+])  # fmt: skip
+def test_options_that_cannot_be_read_say_what_is_wanted(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        localize(NOISY, *words)
+    assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: Left("SIGTERM")])
@@ -235,9 +278,12 @@ def test_a_file_that_cannot_be_written_is_told_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
-    for file in (tmp_path, tmp_path / "no" / "file"):
+    (tmp_path / "file").touch()
+    for file, why in ((tmp_path, "cannot be written there"), (tmp_path / "file" / "x", "cannot be written: ")):
         assert localize(NOISY, *TO_GOAL, "--save", str(file)) == 1
-        assert f"{file}: cannot be written there" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert str(file) in said
+        assert why in said
 
 
 def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
@@ -266,7 +312,7 @@ def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not tell its setup."""
-    monkeypatch.setattr("localization.sonars_taken.rays_told_by", lambda _: None)
+    monkeypatch.setattr("localization.taken.sonars.rays_told_by", lambda _: None)
     assert localize(NOISY, *TO_GOAL) == 0
     told = capsys.readouterr().out
     assert told.startswith("sonars are taken for exact rays, this being a simulation (of setup measured: --sonars c")

@@ -25,7 +25,6 @@ def commands(page: str) -> list[list[str]]:
 @pytest.mark.parametrize("page", ["calibration.md", "maps.md"])
 def test_every_command_of_the_page_works(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "out").mkdir()
     given = commands(page)
     assert len(given) >= 2
     for words in given:

@@ -27,6 +27,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The mirror as it is when a program starts; its settings put back afterwards."""
     for name in ("SERVER_MACHINE_NAME", "SERV_TCP_PORT", "ANSWER_TIMEOUT_S"):
         monkeypatch.setattr(capi, name, getattr(capi, name))
+    monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     monkeypatch.setattr(capi, "_backend", None)
     monkeypatch.setattr(capi, "_error", None)
     monkeypatch.setattr(capi, "_held", type(capi._held)())
@@ -319,6 +320,27 @@ def test_no_server() -> None:
 
 
 # connecting, masks, stamps
+
+
+def test_where_no_machine_is_named_the_environment_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = ScriptedServer()
+    with on_socket(by_script(server, 3)) as port:
+        monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}/2?tm_s=0")
+        capi.SERV_TCP_PORT = 1
+        assert capi.connect_robot(1) == capi.FALSE
+        assert str(capi.last_error()).startswith(f"NOMAD_ROBOT: 'nserver://127.0.0.1:{port}/2?tm_s=0' names robot 2, ")
+        assert capi.connect_robot(2) == 7019
+        assert capi.disconnect_robot(2)
+    assert server.calls[0].args[0] == 2
+
+
+@pytest.mark.parametrize("connects", [capi.connect_robot, capi.create_robot])
+def test_an_address_that_names_another_robot_moves_none(connects: Callable[[int], int]) -> None:
+    capi.SERVER_MACHINE_NAME = "nserver://localhost:1/2"
+    assert connects(1) == capi.FALSE
+    assert "names robot 2, the program asks for robot 1" in str(capi.last_error())
+    assert connects(2) == capi.FALSE
+    assert "nobody answers at localhost:1" in str(capi.last_error())
 
 
 def test_connecting_again_leaves_the_first_and_takes_the_mask_back(server: ScriptedServer) -> None:

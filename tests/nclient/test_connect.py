@@ -101,6 +101,7 @@ def test_options_of_an_nserver(dialled: list[tuple[str, int]]) -> None:
         ("nserver://lab/1/2", "the robot's number"),
         ("nserver://lab/99999999999", "the robot's number"),
         ("nserver://lab/1#2", "the robot's number"),
+        ("nserver://lab/#2", "the robot's number"),
         ("nserver://lab/1?timeout=3", "no option 'timeout'; did you mean timeout_s?"),
         ("nserver://lab/1?colour=3", "no option 'colour' There are timeout_s, model"),
         ("nserver://lab/1?timeout_s=soon", "timeout_s is a number of seconds above 0, not 'soon'"),
@@ -196,6 +197,7 @@ def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.M
             raise ConnectionLost(f"{host}:{port} within {timeout_s}")
         return MemoryStream(ScriptedServer())
 
+    monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     monkeypatch.setattr("nclient.openers.TcpStream", dial)
     monkeypatch.setattr(connecting, "names_of_this_machine", lambda: ("localhost", "own_name"))
     assert open_machine("", 7019, Wanted()).port == 7019
@@ -204,6 +206,22 @@ def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.M
     with pytest.raises(ConnectionLost, match="lab"):
         open_machine("lab", 7019, Wanted())
     assert not is_listening("lab", 7019)
+
+
+def test_where_no_machine_is_named_the_environment_names_it(
+    dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234")
+    open_machine("", 7654, Wanted(robot_id=2))
+    assert is_listening("", 7654)
+    open_machine("other", 7654, Wanted(robot_id=2))
+    monkeypatch.setenv("NOMAD_ROBOT", "lab:1234")
+    assert not is_listening("", 7654)
+    with pytest.raises(AddressError, match="NOMAD_ROBOT: 'lab:1234' is no address"):
+        open_machine("", 7654, Wanted(robot_id=2))
+    monkeypatch.setenv("NOMAD_ROBOT", "")
+    open_machine("", 7654, Wanted(robot_id=2))
+    assert dialled == [("lab", 1234)] * 2 + [("other", 7654), ("localhost", 7654)]
 
 
 def test_an_address_in_this_process_is_a_machine_too() -> None:
@@ -220,8 +238,9 @@ def test_an_address_in_this_process_is_a_machine_too() -> None:
         ("10.0.0.7:7000", "10.0.0.7", 7000),
         ("[::1]:7000", "::1", 7000),
         ("::1", "::1", 7019),
-        ("nserver://lab:7654/3", "lab", 7654),
+        ("nserver://lab:7654/2", "lab", 7654),
         ("nserver://lab", "lab", 7019),
+        ("nserver://lab/", "lab", 7019),
     ],
 )
 def test_a_machines_name_may_bring_its_port_or_be_an_address(
@@ -231,6 +250,15 @@ def test_a_machines_name_may_bring_its_port_or_be_an_address(
     assert is_listening(name, 7019)
     assert dialled == [(host, port)] * 2
     assert servers[0].calls[0].args[0] == 2
+
+
+def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(dialled: list[tuple[str, int]]) -> None:
+    with pytest.raises(AddressError, match=r"'nserver://lab/2' names robot 2, the program asks for robot 1: .*leave"):
+        open_machine("nserver://lab/2", 7019, Wanted(robot_id=1))
+    with pytest.raises(AddressError, match="the robot's number, 1 or more, not '/one'"):
+        open_machine("nserver://lab/one", 7019, Wanted(robot_id=1))
+    assert dialled == []
+    assert is_listening("nserver://lab/2", 7019)
 
 
 def test_a_machines_address_that_is_none_is_refused_and_nobody_listens_there() -> None:

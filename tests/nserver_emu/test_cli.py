@@ -67,6 +67,33 @@ def test_a_port_in_use_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert "is another nserver running" in capsys.readouterr().err
 
 
+def test_an_address_that_is_not_of_this_machine_is_not_blamed_on_the_port(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--port", "0", "--bind", "192.0.2.1"]) == 1
+    told = capsys.readouterr().err
+    assert "cannot listen on 192.0.2.1:0" in told
+    assert told.endswith("--bind wants an address of this machine, and ports below 1024 are the system's\n")
+
+
+def test_a_folder_to_save_to_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--port", "0", "--save", str(tmp_path)]) == 1
+    assert f"{tmp_path}: is a folder: name a file in it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--setup", "ideal", "--noisy"], "argument --noisy: it is --setup noisy, and --setup says ideal: leave one out"),
+    (["-noisy", "--setup", "mine.toml"], "and --setup says mine.toml"),
+    (["--lockstep", "0.1", "--speed", "3"], "argument --speed: in lockstep time passes with each request"),
+    (["--lockstep", "abc"], "argument --lockstep: a step is more than 0 and at most 10 s, not 'abc'"),
+    (["--lockstep", "0"], "argument --lockstep: a step is more than 0 and at most 10 s, not 0"),
+])  # fmt: skip
+def test_what_would_be_dropped_without_a_word_is_wrong_usage(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(words)
+    assert told in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: signal.Signals) -> None:
     command = [sys.executable, "-m", "nserver_emu", "--port", "0", "--speed", "max", "-v"]

@@ -164,6 +164,19 @@ def test_where_nobody_answers_the_remedy_is_told(
     assert "hung up" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("command", "patience"), [("stop", "QUICK_S"), ("counts", "PATIENCE_S")])
+def test_a_daemon_that_hangs_is_told_from_one_that_is_not_there(
+    command: str, patience: str, path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ctl, patience, 0.05)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as silent:
+        silent.bind(str(path))
+        silent.listen()
+        words = ["faults", command] if command == "counts" else [command]
+        assert cli.main(["ctl", "--control", str(path), *words]) == 1
+    assert f"the daemon at {path} did not answer in 0.05 s: it hangs" in capsys.readouterr().err
+
+
 def test_what_answers_and_is_no_daemon_is_told(
     path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from worlds.checking import Limits, findings, space
-from worlds.files import load_world, world_names
+from worlds.files import load_world, parse_world, world_names
 from worlds.world import Polygon, StartPose, World
 
 pytestmark = pytest.mark.long
@@ -105,3 +105,11 @@ def test_obstacles_and_the_outside_are_no_space() -> None:
         assert world.clearance(float(found.xs[i]), float(found.ys[k])) >= RADIUS_IN
     for i, k in np.argwhere(~found.fits).tolist()[::37]:
         assert world.clearance(float(found.xs[i]), float(found.ys[k])) < RADIUS_IN
+
+
+def test_of_a_map_without_starts_it_is_said_that_none_is_given() -> None:
+    far = parse_world("[[room]]\ncorners_in = [[100, 100], [200, 100], [200, 200], [100, 200]]\n", "far.toml", "far")
+    told = [finding.words for finding in findings(far, 9.0) if finding.kind == "start"]
+    assert told == [
+        "no [[start]] is given, and (0, 0) lies outside of all rooms or in a wall; the robot's radius is 9 in"
+    ]

@@ -54,5 +54,8 @@ def test_numbers_flags_and_lists_out_of_range_or_of_another_kind_are_refused() -
         TABLE.numbers("ns", 3, 0.0, 9.0)
     with pytest.raises(WorldFileError, match=r"t.of\[0\]: expected a whole number from 0 to 2, found 3"):
         TABLE.indices("of", 3)
+    assert (TABLE.index("n", 3, 1), TABLE.index("n", 3, 2)) == (2, 2)
+    with pytest.raises(WorldFileError, match=r"t.n: expected a whole number from 3 to 8, found 2"):
+        TABLE.index("n", 9, 3)
     with pytest.raises(WorldFileError, match=r"t.no: expected a list of whole numbers"):
         TABLE.indices("no", 3)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.echoes import FiringSchedule
-from localization.told import Told, retold
+from localization.live.echoes import FiringSchedule
+from localization.live.told import Told, retold
 
 LOWEST_IN, HIGHEST_IN = 6, 255
 

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from localization.drawing import require_matplotlib
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.live import matrix, report, tum
 from localization.experiments.live.matrix import COMPARED, Done, Job, Trial, trials
@@ -19,9 +18,10 @@ from localization.experiments.live.scenario import COURSES, SCENARIOS
 from localization.experiments.live.store import Store
 from localization.experiments.live.summary import TrialResult
 from localization.experiments.live.trial import MOST_PERIODS
-from localization.experiments.options import add_shared, crew_for, positive
+from localization.experiments.options import add_shared, crew_for, make_folder, positive
 from localization.experiments.progress import Tally, progress
 from localization.filters.table import METHODS
+from localization.runs.drawing import require_matplotlib
 
 Crew = Callable[[Sequence[Job]], Iterator[Done]]
 
@@ -31,6 +31,7 @@ def main(arguments: Sequence[str]) -> None:
     options = _parser().parse_args(arguments)
     if options.pictures:
         require_matplotlib()
+    make_folder(options.out)
     wanted = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
     store = Store(options.out / "trials", fingerprint())
     with progress(len(wanted), "live", "trials") as tally:

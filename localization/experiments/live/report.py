@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from localization.drawing import blank, save
 from localization.experiments.live.matrix import Cell
 from localization.experiments.live.summary import LiveSummary
+from localization.runs.drawing import blank, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -21,8 +21,8 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization import chi_square
-from localization.belief import Floats, difference
+from localization.estimation import chi_square
+from localization.estimation.belief import Floats, difference
 from localization.experiments.consistency import nees
 from localization.experiments.live.trial import Record
 

@@ -14,14 +14,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.belief import Floats, add, difference, independent
-from localization.echoes import FiringSchedule
+from localization.driving.navigation import PERIOD_S, Navigator, Speeds
+from localization.estimation.belief import Floats, add, difference, independent
+from localization.estimation.systematic import with_constants
 from localization.experiments.live.bad_readings import BadReadings
 from localization.experiments.live.scenario import BAD, COURSES, START_STD, Scenario
-from localization.localizer import Estimate, Localizer, Smoothed
-from localization.navigation import PERIOD_S, Navigator, Speeds
-from localization.surroundings import Surroundings
-from localization.systematic import with_constants
+from localization.filters.surroundings import Surroundings
+from localization.live.echoes import FiringSchedule
+from localization.live.localizer import Estimate, Localizer, Smoothed
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.belief import Floats
+from localization.estimation.belief import Floats
 from localization.experiments.live.matrix import Trial
 from localization.experiments.live.trial import Record
 

@@ -17,7 +17,7 @@ from localization.experiments.kept import Kept
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.lost.summary import summaries, words
 from localization.experiments.lost.trial import Case, Kind, Outcome, drive
-from localization.experiments.options import add_work, crew_for, positive
+from localization.experiments.options import add_work, crew_for, make_folder, positive
 from localization.experiments.progress import progress
 from worlds.files import world_names
 
@@ -35,13 +35,13 @@ class Done(NamedTuple):
 def main(arguments: Sequence[str]) -> None:
     """Run the command. Raises what the crew and the files raise."""
     options = _parser().parse_args(arguments)
+    make_folder(options.out)
     cases = [
         Case(kind, options.world, SCENARIOS[options.scenario], seed, 60.0 * options.minutes)
         for kind in options.kinds
         for seed in range(options.runs or RUNS[kind])
     ]
     found = summaries(_outcomes(cases, Kept(options.out / "runs", fingerprint()), options))
-    options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "lost.json"
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(found) if options.json else "\n".join(map(words, found)), flush=True)
@@ -67,6 +67,14 @@ def _outcomes(cases: Sequence[Case], kept: Kept, options: argparse.Namespace) ->
     return {case: outcomes[case] for case in cases}
 
 
+def _kind(text: str) -> Kind:
+    try:
+        return Kind(text)
+    except ValueError:
+        there = ", ".join(kind.value for kind in Kind)
+        raise argparse.ArgumentTypeError(f"no kind {text!r}; there are {there}") from None
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m localization.experiments lost",
@@ -74,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
         "down elsewhere; robots that are told nothing. Runs that are on disk are not made again.",
         epilog="example: python -m localization.experiments lost kidnapped --runs 20",
     )
-    parser.add_argument("kinds", nargs="*", type=Kind, default=list(Kind), metavar="KIND",
+    parser.add_argument("kinds", nargs="*", type=_kind, default=list(Kind), metavar="KIND",
                         help=f"of {', '.join(kind.value for kind in Kind)} (all)")
     parser.add_argument("--world", choices=world_names(), default=WORLD, metavar="NAME",
                         help="a shipped world (%(default)s: no two of its places are alike)")

@@ -1,4 +1,4 @@
-"""One long run with the filter that knows when it is lost (filters.finder): what was said, and what was so.
+"""One long run with the filter that knows when it is lost (filters.finding.finder): what was said, and what was so.
 
     calm        told its place at the start, it drives about; every time it says LOST is a false alarm
     kidnapped   the same, and then set down elsewhere while its encoders are told nothing; how long until it says LOST,
@@ -20,18 +20,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.belief import HEADING, Floats, difference, independent
-from localization.echoes import FiringSchedule
+from localization.driving.navigation import PERIOD_S, Command, Speeds
+from localization.estimation.belief import HEADING, Floats, difference, independent
+from localization.estimation.systematic import with_constants
 from localization.experiments.live.bad_readings import BadReadings
 from localization.experiments.live.scenario import BAD, START_STD, Scenario
 from localization.experiments.lost.wanderer import Wanderer
+from localization.filters.surroundings import Surroundings
 from localization.filters.table import finder
-from localization.localizer import Estimate, Localizer
-from localization.navigation import PERIOD_S, Command, Speeds
+from localization.filters.watch import Trust
+from localization.live.echoes import FiringSchedule
+from localization.live.localizer import Estimate, Localizer
 from localization.planning.roadmap import Roadmap
-from localization.surroundings import Surroundings
-from localization.systematic import with_constants
-from localization.watch import Trust
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot

@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from localization.belief import Floats
-from localization.control import bearing_error
-from localization.groping import TURN_RAD_S, Groping, Heard
-from localization.navigation import PERIOD_S, Command, Navigator, Speeds
+from localization.driving.control import bearing_error
+from localization.driving.groping import TURN_RAD_S, Groping, Heard
+from localization.driving.navigation import PERIOD_S, Command, Navigator, Speeds
+from localization.estimation.belief import Floats
 from localization.planning.course import waypoints
 from localization.planning.roadmap import NoWayError, Roadmap
 

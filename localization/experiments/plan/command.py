@@ -17,7 +17,7 @@ from typing import Any, Final
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.kept import Kept
 from localization.experiments.live.scenario import SCENARIOS
-from localization.experiments.options import add_work, crew_for, positive
+from localization.experiments.options import add_work, crew_for, make_folder, positive
 from localization.experiments.plan.drive import Driven, drive
 from localization.experiments.plan.pairs import WORLDS, Pair
 from localization.experiments.progress import Tally, progress
@@ -30,12 +30,12 @@ Crew = Callable[[Sequence[Pair]], Iterator[tuple[Pair, Driven]]]
 def main(arguments: Sequence[str]) -> None:
     """Run the command. Raises what the crew and the files raise."""
     options = _parser().parse_args(arguments)
+    make_folder(options.out)
     wanted = [Pair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
     kept = Kept(options.out / "drives", fingerprint())
     with progress(len(wanted), "plan", "drives") as tally:
         results = collect(wanted, kept, crew_for(drive, options), tally)
     rows = [row(world, [results[pair] for pair in wanted if pair.world == world]) for world in options.worlds]
-    options.out.mkdir(parents=True, exist_ok=True)
     written = options.out / f"plan_{options.scenario}.json"
     drives = [asdict(results[pair]) for pair in wanted]
     written.write_text(json.dumps({"worlds": rows, "drives": drives}, indent=1) + "\n", encoding="utf-8")

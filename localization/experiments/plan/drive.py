@@ -15,17 +15,17 @@ from typing import Final
 
 import numpy as np
 
-from localization.belief import add, independent
+from localization.driving.navigation import PERIOD_S
+from localization.estimation.belief import add, independent
+from localization.estimation.systematic import with_constants
 from localization.experiments.live.scenario import START_STD
 from localization.experiments.plan.pairs import METHOD, SPEED_IN_S, Ends, Pair, ends_of
+from localization.filters.surroundings import Surroundings
 from localization.missions.helm import Helm, Sight
 from localization.missions.mission import Mission
 from localization.missions.running import run_mission
 from localization.missions.settings import Settings
-from localization.navigation import PERIOD_S
 from localization.planning.roadmap import Roadmap, length_in
-from localization.surroundings import Surroundings
-from localization.systematic import with_constants
 from nclient import connect
 from nclient.robot import Robot
 from nclient.robot_state import Truth

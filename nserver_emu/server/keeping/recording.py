@@ -3,13 +3,15 @@
     header   world, robot, start, others, noise, setup, seed | pace | permissions | snapshot | port
 
 Rules: the header alone makes an emulator that goes the recorded way: whatever changes an answer must stand there or in
-an entry. World, model and snapshot files are named, not copied. No clock, no socket.
+an entry. Files of world, models and setup are named, not copied, with a digest that tells when they have changed since;
+a snapshot stands there whole, for the daemon that was restored from it may save over it. No clock, no socket.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from hashlib import file_digest
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +22,7 @@ from nserver_emu.server.keeping import snapshot
 from nserver_emu.server.setting_up.setting import Setting
 from nserver_emu.server.stage.pace import Pace
 from nserver_emu.server.stage.stage import Allowed
+from nserver_emu.simulation.setup_toml import SUFFIX
 from worlds.files import world_names
 from worlds.world import StartPose
 
@@ -28,40 +31,41 @@ DAEMON: Final = "nserver"
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """How a daemon's simulation begins. `restored`: the snapshot that it goes on from, at its pace or at this one."""
+    """How a daemon's simulation begins. `restored`: the file of the snapshot that it goes on from, at its pace or at
+    this one; `told`: what stood in it, where that is known."""
 
     setting: Setting
     pace: Pace
     allowed: Allowed
     restored: Path | None = None
     keeps_pace: bool = False
+    told: str | None = None
 
     def emulator(self) -> Emulator:
         """That simulation, at its beginning. Raises what a daemon's start may raise."""
         emulator = Emulator(self.setting.simulation(), pace=replace(self.pace), allowed=self.allowed)
         if self.restored:
-            snapshot.restore(emulator, self.restored)
+            snapshot.loads(emulator, self.told or snapshot.text_of(self.restored), str(self.restored))
             emulator.pace = emulator.pace if self.keeps_pace else replace(self.pace)
         return emulator
 
 
 def header(beginning: Beginning, started: str, **of_daemon: int) -> dict[str, Any]:
-    """What the recording of a daemon begins with.
+    """What the recording of a daemon begins with. Raises SnapshotError where its snapshot cannot be read any more.
 
     started      when, as ISO 8601
     of_daemon    `port`, which connecting is answered; `requests_a_turn`, answered before it is another client's turn;
                  `real_robots`, how many answer in place of the simulation
     """
     setting = beginning.setting
-    world = Path(setting.world)
-    files = {
-        "world": str(world.absolute()) if world.is_file() and setting.world not in world_names() else setting.world,
-        "model_file": _path_text(setting.model_file),
-    }
+    files = {name: str(path.absolute()) for name, path in _files(setting).items()}
+    restored = beginning.restored
     return {
         "package": version(), "started": started, "by": DAEMON, "time": "simulated",
-        "setting": asdict(setting) | files, "pace": asdict(beginning.pace), "allowed": asdict(beginning.allowed),
-        "restored": _path_text(beginning.restored), "keeps_pace": beginning.keeps_pace,
+        "setting": asdict(setting) | {"model_file": None} | files,
+        "digests": {path: _digest(Path(path)) for path in files.values()},
+        "pace": asdict(beginning.pace), "allowed": asdict(beginning.allowed), "keeps_pace": beginning.keeps_pace,
+        "restored": restored and str(restored.absolute()), "snapshot": restored and snapshot.text_of(restored),
     } | of_daemon  # fmt: skip
 
 
@@ -75,9 +79,37 @@ def beginning_of(found: Mapping[str, Any], name: str) -> Beginning:
         pace, allowed = Pace(**found["pace"]), Allowed(**found["allowed"])
         pace.check()
         _ = found["port"], found["requests_a_turn"]
+        digests = dict(found.get("digests", {}))
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{name}, line 1: does not tell how the simulation began ({error!r})") from None
-    return Beginning(setting, pace, allowed, _path(found.get("restored")), bool(found.get("keeps_pace")))
+    for path in map(str, _files(setting).values()):
+        if path in digests and _digest(Path(path)) not in ("", digests[path]):
+            raise RecordingError(f"{name}: began with {path}, which has changed since; bring it back as it was")
+    restored, text = _path(found.get("restored")), found.get("snapshot")
+    return Beginning(setting, pace, allowed, restored, bool(found.get("keeps_pace")), text and str(text))
+
+
+def _files(setting: Setting) -> dict[str, Path]:
+    """The files that a setting names, by its fields."""
+    named: dict[str, Path] = {}
+    if setting.world not in world_names():
+        named["world"] = Path(setting.world)
+    if setting.setup.endswith(SUFFIX):
+        named["setup"] = Path(setting.setup)
+    if setting.model_file is not None:
+        named["model_file"] = setting.model_file
+    return named
+
+
+def _digest(path: Path) -> str:
+    """Of what stands in a file; "" where it is none or cannot be read, which whoever reads it for good says."""
+    try:
+        if not path.is_file():
+            return ""
+        with path.open("rb") as file:
+            return file_digest(file, "sha256").hexdigest()
+    except (OSError, ValueError):
+        return ""
 
 
 def _start(told: Mapping[str, float] | None) -> StartPose | None:
@@ -86,7 +118,3 @@ def _start(told: Mapping[str, float] | None) -> StartPose | None:
 
 def _path(told: str | None) -> Path | None:
     return Path(told) if told else None
-
-
-def _path_text(path: Path | None) -> str | None:
-    return None if path is None else str(path.absolute())

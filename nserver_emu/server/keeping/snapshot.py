@@ -27,6 +27,9 @@ FORMAT: Final = "nserver snapshot"
 KEPT: Final = ("simulation", "pace", "graphics", "traces", "transcript", "arms")
 """What of an emulator is kept: all but connections, port and permissions, which belong to a daemon's start."""
 
+_NONE: Final = "is no snapshot of an nserver"
+_HEAD: Final = 100
+"""Characters among which one says what it is."""
 _PIECE: Final = 65_536
 """Characters that are made bytes at once."""
 _DAMAGED: Final = (
@@ -80,7 +83,12 @@ def _settle(folder: Path) -> None:
 
 def restore(emulator: Emulator, path: Path) -> None:
     """Put an emulator into the state of a file. Raises SnapshotError, and then the emulator is as it was."""
-    loads(emulator, read_text(path, SNAPSHOT_BYTES, SnapshotError), str(path))
+    loads(emulator, text_of(path), str(path))
+
+
+def text_of(path: Path) -> str:
+    """What stands in a snapshot's file. Raises SnapshotError."""
+    return read_text(path, SNAPSHOT_BYTES, SnapshotError)
 
 
 def dumps(emulator: Emulator) -> str:
@@ -94,9 +102,11 @@ def dumps(emulator: Emulator) -> str:
 def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
     """Put an emulator into the state of a snapshot; `name` is what errors call it."""
     try:
+        if not text.lstrip().startswith("{") or FORMAT not in text[:_HEAD]:
+            raise SnapshotError(_NONE)
         whole = json.loads(text)
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
-            raise SnapshotError("is no snapshot of an nserver")
+            raise SnapshotError(_NONE)
         if whole.get("version") != version():
             raise SnapshotError(f"was made by version {whole.get('version')} and can be read by that one only")
         parts, tried = (Reader(whole["objects"]).value(whole["root"]) for _ in range(2))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import logging
 import signal
 import time
@@ -125,10 +126,10 @@ class Daemon:
             loop = asyncio.get_running_loop()
             server = await loop.create_server(lambda: Doorkeeper(self.door, self._hosts, who), host, port)
         except OSError as error:
-            raise ConnectionLost(
-                f"cannot listen on {host}:{port}: {error.strerror or error}; is another nserver running? "
-                f"{option} 0 takes a free port"
-            ) from error
+            remedy = f"is another nserver running? {option} 0 takes a free port"
+            if error.errno != errno.EADDRINUSE:
+                remedy = "--bind wants an address of this machine, and ports below 1024 are the system's"
+            raise ConnectionLost(f"cannot listen on {host}:{port}: {error.strerror or error}; {remedy}") from error
         self._servers.append(server)
         return int(server.sockets[0].getsockname()[1])
 

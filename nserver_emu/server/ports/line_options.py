@@ -74,7 +74,7 @@ def _lines(daemon: Daemon, wanted: list[Wanted]) -> list[tuple[OwnLine, str]]:
 
 async def _open_robotd(daemon: Daemon, own: OwnLine, host: str, port: int) -> str:
     place = at_port(host, await daemon.open_door(lambda: RobotdConnection(daemon, own), host, port, "--robotd"))
-    daemon.places.setdefault(f"robotd:{own.robot_id}", place)
+    _note(daemon, f"robotd:{own.robot_id}", place)
     return place
 
 
@@ -84,8 +84,13 @@ def _open_serial(daemon: Daemon, own: OwnLine, path: str, baud: int | None) -> s
     except ImportError:
         raise ConnectionLost(f"no serial link {path}: this system has no pseudo-terminals; use --robotd") from None
     SerialLine(daemon, own, PseudoTerminal(Path(path)), None if baud is None else lambda: PacedCable(baud))
-    daemon.places.setdefault(f"serial:{own.robot_id}", path)
+    _note(daemon, f"serial:{own.robot_id}", path)
     return path
+
+
+def _note(daemon: Daemon, line: str, place: str) -> None:
+    """Where a line of a robot is; where it has several of a kind they count as one, and all are told."""
+    daemon.places[line] = ", ".join(filter(None, (daemon.places.get(line), place)))
 
 
 def _link(text: str) -> Wanted:

@@ -19,7 +19,7 @@ from typing import Final
 
 from nclient.errors import NomadError
 from nserver_emu.server.setting_up.old_setups import read_setups
-from nserver_emu.server.setting_up.setting import DEFAULT_WORLD
+from worlds.files import DEFAULT_WORLD
 
 log = logging.getLogger(__name__)
 

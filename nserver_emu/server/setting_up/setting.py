@@ -15,11 +15,10 @@ from nserver_emu.simulation.models import MODELS, RobotModel
 from nserver_emu.simulation.setup import IDEAL, NOISY
 from nserver_emu.simulation.setup_toml import setup_named
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import load_world
+from worlds.files import DEFAULT_WORLD, load_world
 from worlds.tables import FARTHEST_IN
 from worlds.world import StartPose
 
-DEFAULT_WORLD = "thesis_room"
 FIRST_ROBOT = 1
 MOST_ROBOTS = 1000
 """That one command line or address puts into a world."""

@@ -38,15 +38,16 @@ export const worldWindow = {
         if (!typed) app.notice(`corners are such as ${EXAMPLE}`);
         else addObstacle(app, typed.map((corner) => corner.map((number) => number * unitIn(app.metric))));
       }, element('div', { className: 'row' }, label, element('button', { id: 'add-corners' }, 'Add'), this.step.label)),
-      element('div', { className: 'row' }, this.undo, this.redo, button('Save world', () => saveWorld(app), { id: 'save-world' }),
-        file, button('Load world', () => file.click()), button('Remove all obstacles', () => clearWorld(app), { id: 'clear-world' })),
+      element('div', { className: 'row halves' }, this.undo, this.redo),
+      element('div', { className: 'row' }, button('Save world', () => saveWorld(app), { id: 'save-world' }), file,
+        button('Load world', () => file.click()), button('Remove all obstacles', () => clearWorld(app), { id: 'clear-world' })),
       this.list);
   },
   update(app) {
     for (const [pressed, title, word, keys] of [[this.undo, app.undo.next, 'Undo', 'Ctrl+Z'], [this.redo, app.undo.again, 'Redo', 'Ctrl+Shift+Z']]) {
       pressed.disabled = title === null;
       pressed.textContent = title === null ? word : `${word}: ${title}`;
-      pressed.title = keys;
+      pressed.title = title === null ? keys : `${word}: ${title} (${keys})`;
     }
     if (this.shown === app.scene.world) return;
     this.shown = app.scene.world;

@@ -105,12 +105,17 @@ def test_escape_stops_from_anywhere_and_space_after_a_click(browser: Browser) ->
         assert page.value(failing) == "NOT STOPPED — not connected"
 
 
+BUTTONS = [f"JSON.stringify((({{x, width}}) => [x, width])(document.querySelector('#{name}').getBoundingClientRect()))"
+           for name in ("undo", "redo", "save-world", "clear-world")]  # fmt: skip
+
+
 def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "other.toml"
     file.write_text(world_text(load_world("several_walls")) + '\n[[obstacle]]\nname = "far"\n'
                     "corners_cm = [[1_00.0, +150], [110, 150.], [110, 160]]\n".replace("150.]", "150.0]"))
     with nserver("thesis_room") as program, opened(browser, program.url) as page:
         assert page.page.is_disabled("#undo")
+        before = [page.value(where) for where in BUTTONS]
         page.page.set_input_files("#load-world", file)
         page.wait("nserver.scene.world.name === 'several_walls'")
         assert page.value("Object.keys(nserver.scene.world.paths).length") > 0
@@ -119,6 +124,7 @@ def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp
         saved.value.save_as(tmp_path / "saved.toml")
         assert load_world(tmp_path / "saved.toml").paths.keys() == load_world("several_walls").paths.keys()
         page.wait("document.querySelector('#undo').innerText === 'Undo: load other.toml'")
+        assert [page.value(where) for where in BUTTONS] == before, "they stay where they are, whatever is undone next"
         page.page.keyboard.press("Control+z")
         page.wait("nserver.scene.world.name === 'thesis_room'")
         page.page.keyboard.press("Control+Shift+z")

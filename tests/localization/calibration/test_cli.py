@@ -98,7 +98,7 @@ def test_without_a_number_of_laps_it_drives_until_all_is_known(
     address = f"sim:thesis_room?seed=3&setup={setup}"
     assert cli.main(["calibrate", address, *words, "--out", str(out)]) == 0
     told = capsys.readouterr().out
-    (line,) = [line for line in told.splitlines() if line.startswith("after 2 laps each way ")]
+    (line,) = [line for line in told.splitlines() if line.startswith("after 2 laps each way: ")]
     assert "drift" in line
     assert "could be known better: more --laps" in line
     assert ": 2 laps each way" in out.read_text()
@@ -115,8 +115,18 @@ def test_it_gives_up_at_the_time_limit_and_writes_nothing(
     out = tmp_path / "found.toml"
     words = ["--world", "thesis_room", "--time-limit", "3", "--out", str(out), "--json"]
     assert cli.main(["calibrate", "sim:thesis_room", *words]) == 3
-    assert "given up after 3 s" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert ("given up after 3 s" in said.err, said.out) == (True, "")
     assert not out.exists()
+
+
+def test_a_robot_that_stands_elsewhere_than_it_is_said_does_not_push_at_walls(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "0"]) == 3
+    said = capsys.readouterr().out
+    assert "it presses against something 5 s long" in said
+    assert "is --start right" in said
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")

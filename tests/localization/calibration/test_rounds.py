@@ -6,7 +6,7 @@ import numpy as np
 
 from localization.calibration.rounds import Rounds
 from localization.calibration.square import Driver, Go, Spin, Task
-from localization.navigation import Command
+from localization.driving.navigation import Command
 
 LAP: list[Task] = [Spin(0.01), Go(0.0, 0.0)]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import hypot, pi, tau
 
 import numpy as np
 import pytest
 
-from localization.belief import HEADING
 from localization.calibration.square import (
     MARGIN_IN,
     Driver,
@@ -18,9 +18,13 @@ from localization.calibration.square import (
     is_clear,
     largest_square,
     tasks,
+    way_to,
 )
-from localization.motion import move
-from localization.navigation import PERIOD_S
+from localization.driving.navigation import PERIOD_S
+from localization.estimation.belief import HEADING
+from localization.estimation.motion import move
+from localization.planning.clearance import clearances
+from localization.planning.roadmap import NoWayError
 from worlds.files import load_world, world_names
 from worlds.world import Polygon, World
 
@@ -49,6 +53,29 @@ def test_a_cupboard_has_none() -> None:
     with pytest.raises(NoSquareError, match="cupboard has no room"):
         largest_square(cupboard, RADIUS_IN, (20.0, 20.0))
     assert not is_clear(Square(-30.0, -30.0, 12.0), cupboard, RADIUS_IN)
+
+
+@pytest.mark.parametrize("start", [(5.0, 5.0), (80.0, 0.0), (0.0, 0.0)])
+def test_the_way_to_it_leaves_room_for_a_robot_that_errs(start: tuple[float, float]) -> None:
+    """Its arcs are driven as chords, from point to point: cut to the body's own radius, they would touch."""
+    world = load_world("several_walls")
+    square = largest_square(world, RADIUS_IN, start)
+    corner = min(square.corners, key=lambda corner: hypot(corner[0] - start[0], corner[1] - start[1]))
+    places = [start, *(tuple(task) for task in way_to(corner, start, world, RADIUS_IN))]
+    assert places[-1] == pytest.approx(corner)
+    ways = np.array([[*one, *other] for one, other in pairwise(places)])
+    assert clearances(ways[1:], world.walls).min() > RADIUS_IN + 0.8
+
+
+def test_a_way_through_a_gap_leaves_what_there_is_and_one_through_none_is_refused() -> None:
+    def door(wide_in: float) -> World:
+        sides = ((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0))
+        posts = np.array([[100.0, 0.0, 100.0, 50.0 - wide_in / 2], [100.0, 50.0 + wide_in / 2, 100.0, 100.0]])
+        return World("door", rooms=(Polygon(sides),), inner_walls=posts)
+
+    assert way_to((160.0, 50.0), (40.0, 50.0), door(24.0), 9.0)[-1] == (160.0, 50.0)
+    with pytest.raises(NoWayError, match=r"10\.0 in radius"):
+        way_to((160.0, 50.0), (40.0, 50.0), door(19.0), 9.0)
 
 
 def test_laps_go_both_ways_round_from_the_nearest_corner() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from localization.belief import Floats
+from localization.estimation.belief import Floats
 from localization.experiments.consistency import bound_step, information, mean_band, nees
 
 

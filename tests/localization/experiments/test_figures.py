@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure as Picture
 
-from localization.belief import Floats
+from localization.estimation.belief import Floats
 from localization.experiments import figures
 from localization.experiments.results import Track
 from localization.experiments.settings import FIGURES, course_of

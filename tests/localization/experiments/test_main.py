@@ -57,6 +57,8 @@ def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(("words", "told"), [
     (["5.5"], "figure 5.5 shows the errors of 5.4 and is drawn with it: say 5.4"),
     (["5.1"], "no figure '5.1'; there are 5.2, 5.4"),
+    (["5.4", "live"], "live is no figure: say it first, and no figure beside it"),
+    (["5.4", "--seeds", "few"], "argument --seeds: a whole number of 1 or more, not 'few'"),
     (["all", "--scenario", "exact"], "unrecognized arguments: --scenario exact"),
 ])  # fmt: skip
 def test_what_it_does_not_know_is_told_with_what_it_does(
@@ -96,18 +98,23 @@ def test_without_matplotlib_it_refuses_before_it_drives(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [["5.6", "--no-pictures"], ["live", "--no-pictures"], ["lost"], ["plan"]])
+def test_a_folder_that_cannot_be_made_is_named_before_anything_is_run(
+    words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for room in ("__main__", "live.command", "lost.command", "plan.command"):
+        monkeypatch.setattr(f"localization.experiments.{room}.progress", lambda *_: pytest.fail("it runs"))
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    assert command.main(["5.6", *QUICK, "--no-pictures", "--out", str(tmp_path / "file")]) == 2
-    assert str(tmp_path / "file") in capsys.readouterr().err
+    assert command.main([*words, "--out", str(tmp_path / "file")]) == 2
+    assert f"{tmp_path / 'file'}: cannot be written: File exists; name a file" in capsys.readouterr().err
 
 
-def test_an_interruption_ends_it_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "drive", interrupted)
-    assert command.main(["5.6", "--no-pictures"]) == 130
+    assert command.main(["5.6", "--no-pictures", "--out", str(tmp_path)]) == 130
 
 
 @pytest.mark.parametrize("arguments", [["5.5"], [], ["5.4", "--seeds", "0"], ["5.4", "--jobs", "none"]])

@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 
-from localization.belief import Floats
+from localization.estimation.belief import Floats
 from localization.experiments.streams import start_errors, step_errors
 
 

@@ -7,16 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from localization import ekf
-from localization.belief import Belief, independent
-from localization.cone import ConeModel
+from localization.estimation import ekf
+from localization.estimation.belief import Belief, independent
+from localization.estimation.observation import Refusal
+from localization.estimation.systematic import with_constants
+from localization.estimation.updates import Rule, iterated, unscented
 from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.sense import ConeSense, RaySense, pose_of, sense_of
-from localization.gating import observe
-from localization.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
-from localization.observation import Refusal
-from localization.systematic import with_constants
-from localization.updates import Rule, iterated, unscented
+from localization.sonar.cone import ConeModel
+from localization.sonar.gating import observe
+from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.atlas import draw_atlas
-from localization.belief import Belief, independent
-from localization.candidates import Candidates
-from localization.cone import ConeModel
-from localization.filters.finder import Finder
+from localization.estimation.belief import Belief, independent
+from localization.estimation.candidates import Candidates
+from localization.estimation.motion import OdometryNoise
+from localization.estimation.observation import Refusal
+from localization.estimation.updates import linear
+from localization.filters.finding.atlas import draw_atlas
+from localization.filters.finding.finder import Finder
 from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.kalman import KalmanFilter
 from localization.filters.sense import Sensed, sense_of
-from localization.measurement import SonarModel
-from localization.motion import OdometryNoise
-from localization.observation import Refusal
-from localization.updates import linear
-from localization.watch import ALL_WELL, Bounds, Trust
+from localization.filters.watch import ALL_WELL, Bounds, Trust
+from localization.sonar.cone import ConeModel
+from localization.sonar.measurement import SonarModel
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization import ekf
-from localization.belief import Belief, Floats, independent
-from localization.filters.likelihood import RayLikelihood
+from localization.estimation import ekf
+from localization.estimation.belief import Belief, Floats, independent
+from localization.estimation.motion import OdometryNoise, move
+from localization.estimation.observation import Observation, Refusal
+from localization.filters.likelihood import RayLikelihood, Weighed
 from localization.filters.particles import ParticleFilter, drawn_from, low_variance, moments
-from localization.measurement import WIRE_SONAR
-from localization.motion import OdometryNoise, move
-from localization.observation import Observation, Refusal
+from localization.filters.watch import Trust
+from localization.sonar.measurement import WIRE_SONAR
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
@@ -30,10 +31,9 @@ class Ruler:
         del reading_in, times
         return 1.0
 
-    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Floats:
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
         del sonar, turret_offset_rad
-        likelihood: Floats = np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2)
-        return likelihood
+        return Weighed(np.exp(-0.5 * ((reading_in - poses[:, 0]) / 0.5) ** 2), np.zeros(len(poses)))
 
 
 def filter_of(count: int, seed: int = 1, **more: object) -> ParticleFilter:
@@ -103,6 +103,35 @@ def test_drawn_particles_have_the_moments_they_are_drawn_from() -> None:
     found = moments(states, np.full(100_000, 1e-5))
     np.testing.assert_allclose(found.mean[:2], belief.mean[:2], atol=0.01)
     np.testing.assert_allclose(found.cov, belief.cov, atol=0.004)
+
+
+def test_how_likely_a_reading_was_bad_is_bayes_over_all_particles() -> None:
+    chance = np.random.default_rng(5)
+    likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
+    particles = ParticleFilter(drawn_from(BELIEF, 50, chance), likelihood, OdometryNoise(), chance)
+    reading = _reading(BELIEF.mean, 2)
+    whole, bad = np.sum([likelihood.of(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
+    assert particles.hear(2, 0.0, reading).bad_share == pytest.approx(float(bad[0] / whole[0]))
+
+
+def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there_does_not() -> None:
+    for off_in, trust in ((0.0, Trust.OK), (12.0, Trust.DEGRADED)):
+        chance, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
+        likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
+        cloud = ParticleFilter(drawn_from(BELIEF, 500, chance), likelihood, OdometryNoise(0.0, 0.0, 0.0), chance)
+        refused = 0
+        for sonar in [*range(16)] * 4:
+            refused += cloud.hear(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
+            cloud.states = drawn_from(BELIEF, 500, chance)  # held where it is believed to be
+        assert cloud.verdict.trust is trust
+        assert (refused > 32) is (off_in > 0.0)
+
+
+def test_a_cloud_that_is_too_wide_says_so() -> None:
+    chance = np.random.default_rng(9)
+    states = drawn_from(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, chance)
+    wide = ParticleFilter(states, Ruler(), OdometryNoise(), chance)
+    assert wide.verdict == (Trust.DEGRADED, "the position is known to 4.0 in only")
 
 
 def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.belief import Belief, Floats, independent
-from localization.candidates import Candidates
-from localization.cone import ConeModel
+from localization.estimation.belief import Belief, Floats, independent
+from localization.estimation.candidates import Candidates
+from localization.estimation.observation import Refusal
 from localization.filters.sense import Sensed, sense_of
-from localization.gating import associate
-from localization.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
-from localization.observation import Refusal
+from localization.sonar.cone import ConeModel
+from localization.sonar.gating import associate
+from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
 from worlds.bodies import N150
 from worlds.files import load_world
 

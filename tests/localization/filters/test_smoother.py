@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from filterpy.kalman import rts_smoother
 
-from localization.belief import Belief, Floats, add, difference, independent
-from localization.candidates import Candidates
+from localization.estimation.belief import Belief, Floats, add, difference, independent
+from localization.estimation.candidates import Candidates
+from localization.estimation.motion import OdometryNoise, move, step_variance
+from localization.estimation.observation import Refusal
+from localization.estimation.systematic import step_jacobians, with_constants
 from localization.filters.hearing import Hearing
 from localization.filters.kalman import KalmanFilter
 from localization.filters.method import Smoothing
 from localization.filters.sense import Sensed
 from localization.filters.smoother import FixedLagSmoother
-from localization.motion import OdometryNoise, move, step_variance
-from localization.observation import Refusal
-from localization.systematic import step_jacobians, with_constants
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
 ROWS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.atlas import draw_atlas
-from localization.belief import Belief, independent
+from localization.estimation.belief import Belief, independent
+from localization.estimation.motion import OdometryNoise
+from localization.estimation.systematic import with_constants
+from localization.filters.finding.atlas import draw_atlas
+from localization.filters.surroundings import Surroundings
 from localization.filters.table import METHODS, finder, make
-from localization.motion import OdometryNoise
-from localization.surroundings import Surroundings
-from localization.systematic import with_constants
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from localization.belief import independent
+from localization.estimation.belief import independent
+from localization.filters.surroundings import Surroundings
 from localization.missions.helm import Helm
-from localization.surroundings import Surroundings
 from nclient import connect
 from worlds.bodies import BODIES
 from worlds.files import load_world

@@ -12,14 +12,24 @@ from typing import Any
 
 import pytest
 
-from localization import kept_file
+from localization.command_line.readers import (
+    MOST_NOISE,
+    constants,
+    noise,
+    numbers,
+    point,
+    pose,
+    positive,
+    seconds,
+    stds,
+)
+from localization.driving.navigation import standing_after
+from localization.keeping import kept_file
 from localization.missions import command, go
 from localization.missions.failures import StepFailed
 from localization.missions.mission import Mission
 from localization.missions.report import Report, Step
 from localization.missions.running import run_mission
-from localization.navigation import standing_after
-from localization.readers import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
 from nclient.cli import main
 from nclient.errors import ConnectionLost, MissionFileError
 from nclient.leaving import Left
@@ -31,7 +41,7 @@ SIM = "sim:thesis_room?noisy=1&seed=1"
 
 
 def test_go_arrives_tells_of_each_second_and_reports(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["go", SIM, "--to", "20,12", "--speed", "8"]) == 0
+    assert main(["go", SIM, "--to", "20,12", "--speed", "8", "--within", "2", "--time-limit", "60"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[1:3] == ["s", "("]
     assert lines[0].endswith("OK")
@@ -49,6 +59,17 @@ def test_go_that_cannot_says_why_and_json_is_alone(capsys: pytest.CaptureFixture
     assert report["truth"]["x_in"] == pytest.approx(0.0, abs=0.2)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--within", "0.01"], "a number from 0.1 to 100, not 0.01"),
+     (["--time-limit", "1e6"], "a number from 0.1 to 86400, not 1e6")],
+)  # fmt: skip
+def test_go_refuses_what_a_mission_would(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["go", SIM, "--to", "20,12", *words])
+    assert said in capsys.readouterr().err
+
+
 def test_where_it_stands_can_be_told_and_what_it_is_is_the_address_word(capsys: pytest.CaptureFixture[str]) -> None:
     address = "sim:thesis_room?robot=scout&start=40,40,90"
     assert main(["go", address, "--to", "40,46", "--start", "40,40,90", "--sonars", "cones", "--method", "ekf"]) == 0
@@ -64,10 +85,10 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
     assert capsys.readouterr().out.splitlines()[0] == "T"
     written = json.loads(report.read_text())
     assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
-    unwritable = tmp_path / "no" / "r.json"
+    unwritable = report / "r.json"
     assert main(["mission", str(file), SIM, "--report", str(unwritable)]) == 1
     told = capsys.readouterr()
-    assert f"nomad: {unwritable}: cannot be written there" in told.err
+    assert f"nomad: {unwritable}: cannot be written" in told.err
     assert told.out == "", "before the drive"
 
 
@@ -145,6 +166,33 @@ def test_a_program_that_breaks_stops_the_robot_and_is_reported(
     assert main(["mission", str(file), SIM, "--report", str(report)]) == 1
     assert f"nomad: {file}: line 3: ZeroDivisionError: division by zero" in capsys.readouterr().err
     assert json.loads(report.read_text())["ending"] == "error"
+
+
+@pytest.mark.parametrize("exit_words", ["sys.exit(0)", "sys.exit(5)"])
+def test_a_program_that_exits_has_failed(exit_words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "m.py"
+    file.write_text(f"import sys\ndef mission(robot):\n    robot.look(0.2)\n    {exit_words}\n")
+    assert main(["mission", str(file), SIM]) == 1
+    told = capsys.readouterr()
+    assert f"nomad: {file}: line 4: leaves by SystemExit(" in told.err
+    assert "  error at (" in told.out
+    file.write_text(f"import sys\n{exit_words}\n")
+    assert main(["mission", str(file), "--check"]) == 1
+    assert f"nomad: {file}: line 2: leaves by SystemExit(" in capsys.readouterr().err
+
+
+def test_a_map_that_is_not_there_is_told_by_check_and_by_the_run_unless_another_is_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "m.toml"
+    file.write_text('map = "thesis_rom"\n[[step]]\ndo = "look"\n')
+    for words in ([str(file), "--check"], [str(file), SIM]):
+        assert main(["mission", *words]) == 1
+        told = capsys.readouterr()
+        assert told.err.startswith(f"nomad: {file}: line 1: map: thesis_rom: no such file")
+        assert "did you mean thesis_room?" in told.err
+        assert told.out == ""
+    assert main(["mission", str(file), SIM, "--map", "thesis_room"]) == 0
 
 
 def mission_of(act: Any) -> Report:
@@ -243,7 +291,7 @@ def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not tell its setup."""
-    monkeypatch.setattr("localization.sonars_taken.rays_told_by", lambda _: None)
+    monkeypatch.setattr("localization.taken.sonars.rays_told_by", lambda _: None)
     words = ["go", "sim:thesis_room?setup=measured&seed=1", "--to", "60,40", "--method", "ekf", "--speed", "8"]
     main([*words, "--json"])
     told = capsys.readouterr()

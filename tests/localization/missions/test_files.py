@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.missions.files import MOST_BYTES, load_mission, parse_list, parse_program
-from localization.missions.mission import Mission, Seen
+from localization.missions.files import MOST_BYTES, load_mission, parse_list
+from localization.missions.mission import Seen
 from localization.missions.settings import OnLost, Settings
-from nclient.errors import MissionFileError, RobotRefused
+from nclient.errors import MissionFileError
 
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
 
@@ -122,6 +122,12 @@ def test_settings_are_read_and_have_defaults() -> None:
         ('[[step]]\ndo = "turn"\n', "m.toml: line 1: step[0]: expected heading_deg or by_deg, one of them"),
         ('[[step]]\ndo = "dock"\nto_in = [1, 2]\n',
          "m.toml: line 1: step[0].heading_deg: is wanted: which way to drive in, in degrees"),
+        ('[[step]]\nwords = "hello"\n', "m.toml: line 1: step[0].do: is wanted; there are go_to, follow, turn, look, "
+         "wait_for, patrol, dock, note"),
+        ('[[step]]\ndo = "patrol"\npoints_in = [[1, 2]]\nrounds = 0\n',
+         "m.toml: line 4: step[0].rounds: expected a whole number from 1 to 10000, found 0"),
+        ('[[step]]\ndo = "turn"\nby_deg = 3601\n',
+         "m.toml: line 3: step[0].by_deg: expected -3600 to 3600, found 3601"),
         ('[[step]]\ndo = "note"\n', "m.toml: line 1: step[0].words: is wanted: what to write into the report"),
         ('[[step]]\ndo = "wait_for"\ntime_limit_s = 3\n', "m.toml: line 1: step[0]: expected one of touching, "
          "nearer_than_in, farther_than_in, known_to_in, finds, found none"),
@@ -136,6 +142,10 @@ def test_settings_are_read_and_have_defaults() -> None:
         ('lost_s = 0\n[[step]]\ndo = "look"\n', "m.toml: line 1: lost_s: expected 0.1 to 86400, found 0"),
         ('fence_in = [[1, 2]]\n[[step]]\ndo = "look"\n',
          "m.toml: line 1: fence_in: expected at least 3 points, found 1"),
+        ('fence_m = [[0, 0], [1, 1], [2, 2]]\n[[step]]\ndo = "look"\n',
+         "m.toml: line 1: fence_m: expected an outline around some area, found corners on one line"),
+        ('\nfence_in = [[0, 0], [9, 9], [9, 0], [0, 9]]\n[[step]]\ndo = "look"\n', "m.toml: line 2: fence_in: expected "
+         "the corners in their order around, found edges 0 and 2 that cross"),
         ('# rounds\n\n[[stp]]\ndo = "look"\n', "m.toml: stp: unknown key; expected one of title, map, time_limit_s, "
          "on_lost, lost_s, step, fence_in, fence_cm, fence_m; did you mean step?"),
     ],
@@ -144,47 +154,6 @@ def test_a_list_that_is_wrong_is_told_with_its_line(text: str, said: str) -> Non
     with pytest.raises(MissionFileError) as refused:
         parse_list(text, "m.toml")
     assert str(refused.value) == said
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("def mission(robot)\n  pass", "m.py: line 1: is no Python: expected ':'"),
-        ("x = 1\ny = x / 0\n", "m.py: line 2: ZeroDivisionError: division by zero"),
-        ("def mision(robot): pass",
-         "m.py: expected a function mission(robot), found none; its verbs: docs/missions.md"),
-        ("settings = 3\ndef mission(robot): pass", "m.py: settings: expected Settings(...), found int"),
-    ],
-)  # fmt: skip
-def test_a_program_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
-    with pytest.raises(MissionFileError) as refused:
-        parse_program(text, "m.py")
-    assert str(refused.value) == said
-
-
-def test_a_program_runs_and_what_it_raises_is_told_with_its_line() -> None:
-    robot: Any = Told()
-    program = parse_program(
-        "from localization.missions import Settings\nsettings = Settings(title='T')\n"
-        "def mission(robot):\n    robot.go_to(1, 2)\n    {}['x']\n", "m.py",
-    )  # fmt: skip
-    assert program.settings.title == "T"
-    with pytest.raises(MissionFileError, match=r"^m\.py: line 5: KeyError: 'x'$"):
-        program.run(robot)
-    assert robot.said == [("go_to", (1, 2), {})]
-
-
-def test_errors_of_the_robot_stay_what_they_are() -> None:
-    def refuse(*_: object) -> None:
-        raise RobotRefused("vm", 4)
-
-    robot: Any = Told()
-    robot.look = refuse
-    with pytest.raises(RobotRefused):
-        parse_program("def mission(robot): robot.look()", "m.py").run(robot)
-    broken: Any = object.__new__(Mission)
-    with pytest.raises(MissionFileError, match=r"^m\.py: line 1: AttributeError"):
-        parse_program("def mission(robot): robot.fly()", "m.py").run(broken)
 
 
 def test_files_are_read_by_their_ending(tmp_path: Path) -> None:
@@ -210,3 +179,22 @@ def test_files_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | N
         (tmp_path / name).write_bytes(content)
     with pytest.raises(MissionFileError, match=said):
         load_mission(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("m.toml", '# x\nmap = "several_wals"\n[[step]]\ndo = "look"\n', "line 2: map: several_wals: no such file"),
+        ("m.py", "from localization.missions import Settings\nsettings = Settings(map='several_wals')\n"
+         "def mission(robot): pass\n", "settings: map: several_wals: no such file"),
+    ],
+)  # fmt: skip
+def test_a_map_that_is_not_there_is_told_with_file_and_key(tmp_path: Path, name: str, text: str, told: str) -> None:
+    file = tmp_path / name
+    file.write_text(text)
+    orders = load_mission(file)
+    with pytest.raises(MissionFileError, match="did you mean several_walls") as refused:
+        orders.check_map()
+    assert str(refused.value).startswith(f"{file}: {told}")
+    file.write_text(text.replace("several_wals", "several_walls"))
+    load_mission(file).check_map()

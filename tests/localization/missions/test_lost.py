@@ -8,15 +8,15 @@ from math import hypot, pi
 
 import pytest
 
-from localization.groping import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
+from localization.driving.groping import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
+from localization.driving.navigation import PERIOD_S
+from localization.filters.watch import Trust, Verdict
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm, Sight
 from localization.missions.lost import _searching
 from localization.missions.mission import Mission
 from localization.missions.settings import OnLost, Settings
-from localization.navigation import PERIOD_S
 from localization.planning.following import Velocities
-from localization.watch import Trust, Verdict
 from nclient.robot_state import Pose
 
 pytestmark = pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Callable
 from math import degrees, hypot
 from typing import Any
@@ -14,7 +15,9 @@ from localization.missions.helm import Helm
 from localization.missions.mission import Mission
 from localization.missions.running import run_mission
 from localization.missions.settings import Settings
+from localization.planning.course import turn_between
 from nclient.errors import ConnectionLost, NomadError
+from nclient.leaving import Left
 
 pytestmark = pytest.mark.long
 
@@ -75,8 +78,6 @@ def test_follow_patrol_turn_look_and_note(helm_at: MakeHelm) -> None:
     assert [verb for verb, _ in endings(mission)] == ["follow", *["patrol"] * 4, "turn", "turn", "look", "note"]
     assert {ending for _, ending in endings(mission)} == {"done"}
     assert mission.report.steps[0].words == "(10, 0) (10, 10)"
-    with pytest.raises(TypeError, match="one of them"):
-        mission.turn()
 
 
 def test_waiting_ends_by_the_condition_or_by_its_limit(helm_at: MakeHelm) -> None:
@@ -219,7 +220,60 @@ def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm
     helm.watchers[-1] = break_off
     with pytest.raises(KeyboardInterrupt):
         mission.turn(90)
-    assert mission.report.steps[-1].reason == "KeyboardInterrupt"
+    assert (mission.report.steps[-1].ending, mission.report.steps[-1].reason) == ("interrupted", "Ctrl-C")
+
+
+@pytest.mark.parametrize("by_deg", [-270, 360, 540])
+def test_a_turn_by_so_much_is_turned_by_so_much_in_truth(helm_at: MakeHelm, by_deg: int) -> None:
+    helm = helm_at("thesis_room")
+    turned, before = 0.0, helm.robot.truth().steering_rad
+
+    def add_up(_: object) -> None:
+        nonlocal turned, before
+        now = helm.robot.truth().steering_rad
+        turned, before = turned + turn_between(before, now), now
+
+    helm.watchers.append(add_up)
+    mission = Mission(helm)
+    mission.turn(by_deg=by_deg)
+    assert degrees(turned) == pytest.approx(by_deg, abs=4)
+
+
+def test_a_turn_that_is_tried_again_goes_on_where_it_was(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+    mission.turn(by_deg=180, limit_s=3.5, retries=5)
+    (step,) = mission.report.steps
+    assert step.tries > 1
+    assert abs(mission.seen.heading_deg) == pytest.approx(180, abs=4)
+
+
+def test_a_signal_ends_a_step_by_its_name(helm_at: MakeHelm) -> None:
+    helm = helm_at("thesis_room")
+
+    def leave(_: object) -> None:
+        raise Left("SIGTERM")
+
+    helm.watchers.append(leave)
+    mission = Mission(helm)
+    with pytest.raises(Left):
+        run_mission(mission, lambda robot: robot.patrol([(20, 0)]))
+    (step,) = mission.report.steps
+    assert (step.ending, step.reason) == ("interrupted", "SIGTERM")
+    assert "s  interrupted  patrol (20, 0), round 1 of 1" in step.line()
+    assert step.line().endswith(": SIGTERM")
+    assert (mission.report.ending, mission.report.reason) == ("interrupted", "SIGTERM")
+
+
+def test_an_exit_within_a_condition_that_is_swallowed_does_not_end_it_with_its_code(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+
+    def program(robot: Mission) -> None:
+        with contextlib.suppress(SystemExit):
+            robot.wait_for(lambda _: sys.exit(0), 3.0)
+        robot.look(0.2)
+
+    run_mission(mission, program)
+    assert endings(mission) == [("wait_for", "error"), ("look", "done")]
 
 
 def test_touches_are_counted(helm_at: MakeHelm) -> None:

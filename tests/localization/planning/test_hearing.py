@@ -8,12 +8,12 @@ from math import hypot
 import numpy as np
 import pytest
 
-from localization.belief import independent
-from localization.localizer import Echo, Estimate
-from localization.observation import Refusal
+from localization.estimation.belief import independent
+from localization.estimation.observation import Refusal
+from localization.filters.watch import ALL_WELL, Trust, Verdict
+from localization.live.localizer import Echo, Estimate
 from localization.planning.hearing import MOST_SPARED, spared, take_in
 from localization.planning.unmapped import Unmapped
-from localization.watch import ALL_WELL, Trust, Verdict
 from nclient import connect
 from nclient.robot import Robot
 from nclient.robot_state import RobotState

@@ -9,15 +9,15 @@ from math import cos, hypot, sin
 import numpy as np
 import pytest
 
-from localization.belief import Belief
-from localization.localizer import Estimate
+from localization.estimation.belief import Belief
+from localization.filters.watch import ALL_WELL, Trust, Verdict
+from localization.live.localizer import Estimate
 from localization.planning.circles import room
 from localization.planning.following import STAND
 from localization.planning.limits import LIMITS
 from localization.planning.pilot import Ending, Patience, Pilot
 from localization.planning.planner import MARGINS_IN, Planner
 from localization.planning.unmapped import Unmapped
-from localization.watch import ALL_WELL, Trust, Verdict
 from nclient.protocol.models import N150 as MODEL
 from nclient.robot_state import RobotState
 from worlds.bodies import N150

@@ -117,6 +117,13 @@ def test_an_answer_that_does_not_fit_closes_with_the_reason(answer: bytes) -> No
         backend.execute(GS)
 
 
+def test_what_is_no_nserver_at_all_is_told_with_where_one_may_be() -> None:
+    """A page's port, told of connect_robot."""
+    page = ScriptedServer({"connect_robot": b"HTTP/1.1 400 Bad Request\r\n\r\n"})
+    with pytest.raises(ConnectionLost, match=r"closed\. Is it an Nserver that answers there\? Its port is 7019"):
+        connected(page)
+
+
 def test_a_reply_in_crumbs_is_one_reply() -> None:
     server = ScriptedServer()
 

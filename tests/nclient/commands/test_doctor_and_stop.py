@@ -69,6 +69,18 @@ def test_a_simulated_robot_is_stopped(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; told 1 time\n"
 
 
+def test_without_an_address_it_is_the_one_that_all_commands_take(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NOMAD_ROBOT", "sim:thesis_room?start=3,4")
+    assert cli.main(["stop"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("stands still at x 3.0 in, y 4.0 in")
+    assert said.err == "nomad: stopping sim:thesis_room?start=3,4\n"
+    assert cli.main(["doctor", "--exchanges", "5", "--interval", "0.01", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["address"] == "sim:thesis_room?start=3,4"
+
+
 class Runaway:
     """Rolls at 100, on for `obeys` looks after it was told to stop, and is not there at first so many times.
 

@@ -60,7 +60,8 @@ def test_all_parts_come_with_their_names() -> None:
     (N150, {}, "error", "none"),
     (N150, {}, "clock", "not told"),
     (N150, {}, "battery", "not told"),
-    (N150, {}, "laser", "no readings"),
+    (N200, {}, "laser", "no readings"),
+    (N150, {}, "laser", "none on this model"),
 ])
 def test_a_part_in_words(model: Model, slots: dict[int, int], part: str, told: str) -> None:
     (line,) = glance.lines(state(model, slots), (part,))

@@ -190,6 +190,13 @@ def test_quitting_is_noted(text: str) -> None:
     assert session.finished
 
 
+@pytest.mark.parametrize("text", ["quit", "exit", "disconnect_robot 1"])
+def test_what_follows_on_the_line_is_not_done(text: str) -> None:
+    session = session_on()
+    told(session, f"{text}; pr 100 0 0; gs")
+    assert not session.robot.refresh().moving
+
+
 def test_a_time_out_of_ones_own_is_noted() -> None:
     session = session_on()
     assert not session.keeps_time_out

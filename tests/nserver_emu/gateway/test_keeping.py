@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
+from daemon_house import serving
 from real_robots import ScriptedRobot, emulated
 
 from nclient import connect
@@ -50,15 +51,8 @@ def serve(side: RealSide, visit: Visiting, *, shadow: bool = False, every_s: flo
         gateway = Gateway(emulator, {1: side}, shadow=shadow)
         daemon = Daemon(emulator, 1.0, gateway)
         port = await daemon.listen("127.0.0.1", 0)
-        stop = asyncio.Event()
-        async with kept(gateway, daemon, every_s):
-            serving = asyncio.create_task(daemon.serve(stop))
-            try:
-                async with asyncio.timeout(WHOLE_S):
-                    await visit(f"nserver://127.0.0.1:{port}/1")
-            finally:
-                stop.set()
-                await serving
+        async with kept(gateway, daemon, every_s), serving(daemon, WHOLE_S):
+            await visit(f"nserver://127.0.0.1:{port}/1")
 
     asyncio.run(evening())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 
 from wire_client import simulation
 
@@ -65,6 +65,19 @@ class House:
                 await writer.wait_closed()
 
 
+@contextlib.asynccontextmanager
+async def serving(daemon: Daemon, within_s: float = 30.0) -> AsyncIterator[None]:
+    """A daemon serves as long as the block takes, which is no longer than that."""
+    stop = asyncio.Event()
+    served = asyncio.create_task(daemon.serve(stop))
+    try:
+        async with asyncio.timeout(within_s):
+            yield
+    finally:
+        stop.set()
+        await served
+
+
 Visit = Callable[[House], Awaitable[None]]
 
 
@@ -77,14 +90,10 @@ def with_daemon(
         daemon = Daemon(emulator or Emulator(simulation()), speed)
         house = House(daemon, await daemon.listen("127.0.0.1", 0))
         before(house)
-        stop = asyncio.Event()
-        serving = asyncio.create_task(daemon.serve(stop))
         try:
-            async with asyncio.timeout(120):  # no verdict on speed: a busy machine may take its time
+            async with serving(daemon, 120):  # no verdict on speed: a busy machine may take its time
                 await visit(house)
         finally:
-            stop.set()
-            await serving
             await house.see_out()
         assert not daemon.connections
 

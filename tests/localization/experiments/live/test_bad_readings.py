@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.echoes import FiringSchedule
 from localization.experiments.live.bad_readings import BadReadings
-from localization.told import Retold
+from localization.live.echoes import FiringSchedule
+from localization.live.told import Retold
 
 ROUND_S = FiringSchedule(0.0).round_s
 

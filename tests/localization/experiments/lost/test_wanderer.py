@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from localization.driving.groping import TURN_RAD_S
+from localization.driving.navigation import Command, Speeds
 from localization.experiments.lost.wanderer import STAND, Wanderer
-from localization.groping import TURN_RAD_S
-from localization.navigation import Command, Speeds
 from localization.planning.roadmap import Roadmap
 from worlds.geometry import polygon_segments
 

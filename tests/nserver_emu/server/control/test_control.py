@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from wire_client import ORIGIN, simulation
 
+from fuzz.page import House as QuietHouse
 from nclient.faults.kinds import Drop
 from nclient.faults.plan import Direction, Plan, Rule
 from nclient.faults.plan_file import plan_text
@@ -24,8 +25,8 @@ from worlds.files import parse_world
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
 
-class House:
-    """A daemon without a socket."""
+class House(QuietHouse):
+    """A daemon without a socket, that remembers what it was told."""
 
     def __init__(self, pace: Pace | None = None) -> None:
         self.emulator = Emulator(simulation(seed=5), pace=pace)
@@ -41,20 +42,6 @@ class House:
 
     def changed(self, what: Mapping[str, Any]) -> None:
         self.changes.append(dict(what))
-
-    def hold(self, robot_ids: Iterable[int], by: str) -> None:
-        for robot_id in robot_ids:
-            self.emulator.hold(robot_id, by)
-
-    def release(self, robot_ids: Iterable[int]) -> None:
-        for robot_id in robot_ids:
-            self.emulator.holds.release(robot_id)
-
-    def lines(self) -> Mapping[str, str]:
-        return {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
-
-    def visitors(self) -> list[dict[str, Any]]:
-        return [{"name": "127.0.0.1:1", "robot": 1, "waiting": False, "refused": 0}]
 
     def told(self, request: object) -> dict[str, Any]:
         line = request if isinstance(request, bytes) else json.dumps(request).encode()

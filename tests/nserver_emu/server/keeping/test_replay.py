@@ -34,7 +34,7 @@ from nserver_emu.server.ports.talker import REQUESTS_A_TURN
 from nserver_emu.server.setting_up.setting import Setting, pose_from_text
 from nserver_emu.server.stage.pace import FASTEST, Pace
 from nserver_emu.server.stage.stage import Allowed
-from worlds.files import load_world
+from worlds.files import SHIPPED, load_world
 from worlds.writing import world_text
 
 pytestmark = pytest.mark.long
@@ -215,7 +215,29 @@ def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
         await converse(client, 0, 20)
 
     beginning = dataclasses.replace(LOCKSTEP, restored=tmp_path / "saved.json")
-    assert replay(recorded(tmp_path / "run.log", beginning, visit)).difference == ""
+    recording = recorded(tmp_path / "run.log", beginning, visit)
+    (tmp_path / "saved.json").write_text("what the daemon saved in the end")
+    assert replay(recording).difference == ""
+
+
+@pytest.mark.parametrize("field", ["world", "setup", "model_file"])
+def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> None:
+    """Else the first other byte would be blamed."""
+    mine = tmp_path / "mine.toml"
+    room = SHIPPED.joinpath("thesis_room.toml").read_text()
+    model = '[[model]]\nname = "mine"\nlike = "n150"\n'
+    mine.write_text({"world": room, "setup": 'base = "noisy"'}.get(field, model))
+    path: Any = mine if field == "model_file" else str(mine)
+    beginning = dataclasses.replace(LOCKSTEP, setting=Setting(**{field: path}))
+
+    async def visit(house: House) -> None:
+        await converse(await house.call(), 0, 2)
+
+    recording = recorded(tmp_path / "run.log", beginning, visit)
+    assert replay(recording).difference == ""
+    mine.write_text(mine.read_text() + "\n")
+    with pytest.raises(RecordingError, match=f"run.log: began with {mine}, which has changed since"):
+        replay(recording)
 
 
 def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) -> None:
@@ -343,9 +365,10 @@ def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, part: str, wrong
 
 def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
     saved, models = tmp_path / "saved.json", tmp_path / "models.toml"
-    beginning = Beginning(
-        dataclasses.replace(THREE, model_file=models), Pace(None, True, 0.25), Allowed(quit=True), saved
-    )
+    saved.write_text("all of it")
+    models.touch()
+    setting = dataclasses.replace(THREE, model_file=models)
+    beginning = Beginning(setting, Pace(None, True, 0.25), Allowed(quit=True), saved, told="all of it")
     LogWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
     assert beginning_of(read_recording(tmp_path / "run.log").header, "run.log") == beginning
 

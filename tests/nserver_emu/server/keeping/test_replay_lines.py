@@ -8,6 +8,8 @@ import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from daemon_house import serving
+
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nclient.protocol.hello import HELLO_SIZE, adopt, read_hello
@@ -80,14 +82,9 @@ def recorded(path: Path, pace: Pace, visit: Callable[[House], Awaitable[None]]) 
         daemon = Daemon(beginning.emulator(), pace.factor)
         port = await daemon.listen("127.0.0.1", 0)
         daemon.record(path, header(beginning, "2026-01-01T00:00:00", port=port, requests_a_turn=20))
-        house, stop = House(daemon), asyncio.Event()
-        serving = asyncio.create_task(daemon.serve(stop))
-        try:
-            async with asyncio.timeout(30), house.guests:
-                await visit(house)
-        finally:
-            stop.set()
-            await serving
+        house = House(daemon)
+        async with serving(daemon), house.guests:
+            await visit(house)
 
     asyncio.run(evening())
     return read_recording(path)

@@ -219,10 +219,14 @@ def refused(text: str, match: str) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("", "is damaged"),
+        ("", "is no snapshot"),
         ("[]", "is no snapshot"),
+        ('{"nomad_recording": 1}\n{"out": "00"}\n', "is no snapshot"),
+        ('name = "a world"\n', "is no snapshot"),
+        ('{"as": "nserver snapshot"}', "is no snapshot"),
+        ('{"format": "nserver snapshot", "version": "0.', "is damaged"),
         ('{"format": "nserver snapshot", "version": "0.0"}', "version 0.0"),
-        ("[" * 100_000, "is damaged"),
+        ('{"format": "nserver snapshot", "root": ' + "[" * 100_000, "is damaged"),
     ],
 )
 def test_what_is_no_snapshot_is_refused(text: str, match: str) -> None:

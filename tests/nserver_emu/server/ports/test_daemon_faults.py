@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
+from daemon_house import serving
 from wire_client import ORIGIN, simulation
 
 from nclient.faults.kinds import Corrupt, Delay, Drop, Nak
@@ -57,7 +58,7 @@ def with_daemon(
         port = await daemon.listen("127.0.0.1", 0)
         if plan is not None:
             daemon.faults.put(plan, daemon.lines())
-        stop, clients = asyncio.Event(), []
+        clients: list[Client] = []
 
         async def knock(wide: bool = False) -> Client:
             clients.append(Client(*await asyncio.open_connection("127.0.0.1", port), wide))
@@ -65,13 +66,10 @@ def with_daemon(
             assert await clients[-1].types(1) == [82]
             return clients[-1]
 
-        serving = asyncio.create_task(daemon.serve(stop))
         try:
-            async with asyncio.timeout(30):
+            async with serving(daemon):
                 await visit(daemon, knock)
         finally:
-            stop.set()
-            await serving
             for client in clients:
                 await client.close()
 

@@ -67,6 +67,13 @@ def test_lines_are_for_the_robots_in_their_order_unless_they_name_one(tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_of_several_lines_of_one_robot_all_are_told(tmp_path: Path) -> None:
+    a, b = (str(tmp_path / name) for name in "ab")
+    told, places = opened("--serial-link", f"{a}@1", "--serial-link", f"{b}@1", "--robotd", "0@1", "--robotd", "0@1")
+    assert places["serial:1"] == f"{a}, {b}"
+    assert [f"listening robotd {place}" for place in places["robotd:1"].split(", ")] == told[:2]
+
+
 def test_robotd_without_a_number_takes_the_usual_port_and_an_at_in_a_folder_is_part_of_the_path() -> None:
     options = parsed("--robotd", "--serial-link", "/tmp/me@home/q")
     assert options.robotd == [("65001", None)]

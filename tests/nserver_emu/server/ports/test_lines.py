@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
+from daemon_house import serving
 from line_host import emulated
 
 from nclient.errors import AddressError, ConnectionLost
@@ -114,14 +115,9 @@ def with_house(
         own = own_line(daemon, 1)
         line = SerialLine(daemon, own, PseudoTerminal(path), new_cable)
         port = await daemon.open_door(lambda: RobotdConnection(daemon, own), "127.0.0.1", 0, "--robotd")
-        house, stop = House(daemon, line, port, model), asyncio.Event()
-        serving = asyncio.create_task(daemon.serve(stop))
-        try:
-            async with asyncio.timeout(30), house.guests:
-                await visit(house)
-        finally:
-            stop.set()
-            await serving
+        house = House(daemon, line, port, model)
+        async with serving(daemon), house.guests:
+            await visit(house)
         assert not daemon.connections
         assert not os.path.lexists(path)
 

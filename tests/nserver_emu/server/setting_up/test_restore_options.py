@@ -190,5 +190,5 @@ def test_a_file_that_is_damaged_is_an_error_and_is_not_begun_anew(
     kept = tmp_path / "now.json"
     kept.touch()
     assert cli.main(["--save", str(kept), "--restore", str(kept)]) == 1
-    assert "is damaged" in capsys.readouterr().err
+    assert "is no snapshot of an nserver" in capsys.readouterr().err
     assert (started, kept.read_text()) == ([], "")

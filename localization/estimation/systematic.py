@@ -1,0 +1,167 @@
+"""Encoders that err the same way every time, and a filter that finds out how: states longer than a pose.
+
+A state (..., n) is a pose and as many of these, in this order, as its n has room for; n = 3 is the pose alone:
+
+    3  way_scale     the robot goes (1 + way_scale) drho where the encoders tell drho
+    4  turn_scale    and turns (1 + turn_scale) dtheta
+    5  drift         + drift drho besides, rad/in: a synchro drive whose wheels are not parallel
+
+Rules: pure functions; constants are not driven, so no noise is added to them: what is known of them only grows. One
+that is known beforehand gets a standard deviation of 0.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from math import cos, sin
+from typing import Final
+
+import numpy as np
+
+from localization.estimation.belief import HEADING, Belief, Floats, add, part, wrapped
+from localization.estimation.motion import OdometryNoise, carried, move, step_jacobian, step_variance
+
+POSE: Final = 3
+"""Coordinates of the pose, which every state begins with."""
+
+
+class Constant(IntEnum):
+    """Where in a state each constant stands."""
+
+    WAY_SCALE = 3
+    TURN_SCALE = 4
+    DRIFT = 5
+
+
+LARGEST: Final = 6
+"""Coordinates of the largest state."""
+
+
+def true_step(states: Floats, step: Floats) -> Floats:
+    """The steps (..., 2) that states (..., n) make of what the encoders tell, (..., 2)."""
+    count = states.shape[-1]
+    told_way, told_turn = part(step, 0), part(step, 1)
+    made = np.empty((*np.broadcast_shapes(states.shape[:-1], step.shape[:-1]), 2))
+    made[..., 0] = told_way * (1.0 + part(states, Constant.WAY_SCALE)) if count > Constant.WAY_SCALE else told_way
+    made[..., 1] = told_turn * (1.0 + part(states, Constant.TURN_SCALE)) if count > Constant.TURN_SCALE else told_turn
+    if count > Constant.DRIFT:
+        made[..., 1] += part(states, Constant.DRIFT) * told_way
+    return made
+
+
+def move_states(states: Floats, step: Floats) -> Floats:
+    """Where states (..., n) lead after steps (..., 2) that the encoders tell; the constants stay."""
+    after = np.broadcast_to(states, np.broadcast_shapes(states.shape, (*step.shape[:-1], 1))).copy()
+    after[..., :POSE] = move(states[..., :POSE], true_step(states, step))
+    return after
+
+
+def predict(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
+    """The belief over states (..., n), 3 <= n <= 6, after steps (..., 2) that the encoders tell.
+
+    mean' = move(mean, true_step), P' = F P F' + Q. With G the derivative of the pose by the true step, the columns of F
+    for the constants are G times the derivative of the true step by them. Raises ValueError for other n.
+    """
+    if belief.mean.ndim == step.ndim == 1:
+        return _predict_one(belief, step, noise)
+    made = true_step(belief.mean, step)
+    by_state, by_step = step_jacobians(belief.mean, step)
+    scaled = by_step * np.sqrt(step_variance(step, noise))[..., None, :]
+    cov = by_state @ belief.cov @ by_state.swapaxes(-1, -2)
+    cov[..., :POSE, :POSE] += scaled @ scaled.swapaxes(-1, -2)
+    mean = belief.mean.copy()
+    mean[..., :POSE] = move(belief.mean[..., :POSE], made)
+    return Belief(mean, 0.5 * (cov + cov.swapaxes(-1, -2)))
+
+
+def step_jacobians(states: Floats, step: Floats) -> tuple[Floats, Floats]:
+    """F and G of `predict`: derivatives of `move_states` by the state, (..., n, n), and of its pose by the true step,
+    (..., 3, 2). Raises ValueError for other n than 3 to 6."""
+    count = _size(states)
+    by_pose, by_step = step_jacobian(states[..., :POSE], true_step(states, step))
+    by_state = np.zeros((*by_pose.shape[:-2], count, count))
+    by_state[...] = np.eye(count)
+    by_state[..., :POSE, :POSE] = by_pose
+    by_state[..., :POSE, POSE:] = by_step @ _by_constants(step, count)
+    return by_state, by_step
+
+
+def _size(states: Floats) -> int:
+    """How many coordinates states (..., n) have."""
+    count: int = states.shape[-1]
+    if not POSE <= count <= LARGEST:
+        raise ValueError(f"a state has {POSE} to {LARGEST} coordinates, not {count}")
+    return count
+
+
+def _predict_one(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
+    """`predict` of a single belief in numbers. `columns`: those of F for the pose that are not the identity's, (which,
+    its three numbers)."""
+    count = _size(belief.mean)
+    if count == POSE:
+        return Belief(*carried(belief.mean, belief.cov, step, noise))
+    x, y, heading, *constants = belief.mean.tolist()
+    told_way, told_turn = step.tolist()
+    way_scale, turn_scale, drift = (*constants, 0.0, 0.0, 0.0)[:3]
+    way, turn = told_way * (1.0 + way_scale), told_turn * (1.0 + turn_scale) + drift * told_way
+    cosine, sine = cos(heading + 0.5 * turn), sin(heading + 0.5 * turn)
+    by_way, by_turn = (cosine, sine, 0.0), (-0.5 * way * sine, 0.5 * way * cosine, 1.0)
+    columns = [(HEADING, (-way * sine, way * cosine, 0.0))]
+    by_constants = (3, by_way, told_way), (4, by_turn, told_turn), (5, by_turn, told_way)
+    for which, by_step, told in by_constants[: count - POSE]:
+        columns.append((which, (told * by_step[0], told * by_step[1], told * by_step[2])))
+    along = noise.translation_std**2 * abs(told_way)
+    about = noise.drift_std**2 * abs(told_way) + noise.rotation_std**2 * abs(told_turn)
+    cov = belief.cov.tolist()
+    for row in range(POSE):
+        for which, by in columns:
+            share = by[row]
+            if share:
+                cov[row] = [here + share * there for here, there in zip(cov[row], cov[which], strict=True)]
+    for row in range(POSE):
+        told = cov[row]
+        of_way, of_turn = along * by_way[row], about * by_turn[row]
+        for at in range(row, POSE):
+            more = sum([by[at] * told[which] for which, by in columns])
+            told[at] = cov[at][row] = told[at] + more + of_way * by_way[at] + of_turn * by_turn[at]
+        for which in range(POSE, count):
+            cov[which][row] = told[which]
+    mean = [x + way * cosine, y + way * sine, wrapped(heading + turn), *constants]
+    return Belief(np.array(mean), np.array(cov))
+
+
+def with_constants(belief: Belief, stds: tuple[float, ...]) -> Belief:
+    """A belief over poses (..., 3) with constants besides, at first 0 and as uncertain as `stds` say, in their order.
+
+    Raises ValueError for more constants than there are.
+    """
+    count = belief.mean.shape[-1] + len(stds)
+    if count > LARGEST:
+        raise ValueError(f"there are {LARGEST - POSE} constants, not {count - POSE}")
+    mean = np.zeros((*belief.mean.shape[:-1], count))
+    mean[..., : -len(stds) or None] = belief.mean
+    cov = np.zeros((*mean.shape, count))
+    size = belief.mean.shape[-1]
+    cov[..., :size, :size] = belief.cov
+    rest = np.arange(size, count)
+    cov[..., rest, rest] = np.square(stds)
+    return Belief(add(mean, np.zeros_like(mean)), cov)
+
+
+def moved_to(pose: Belief, known: Belief) -> Belief:
+    """A belief (n,) with the pose of one over poses (3,) and the constants of another (n,), the two independent."""
+    cov = known.cov.copy()
+    cov[:POSE], cov[:, :POSE] = 0.0, 0.0
+    cov[:POSE, :POSE] = pose.cov
+    return Belief(np.concatenate((pose.mean, known.mean[POSE:])), cov)
+
+
+def _by_constants(step: Floats, count: int) -> Floats:
+    """The derivative (..., 2, n - 3) of the true step by the constants."""
+    way, turn = part(step, 0), part(step, 1)
+    by_constants = np.zeros((*step.shape[:-1], 2, LARGEST - POSE))
+    by_constants[..., 0, Constant.WAY_SCALE - POSE] = way
+    by_constants[..., 1, Constant.TURN_SCALE - POSE] = turn
+    by_constants[..., 1, Constant.DRIFT - POSE] = way
+    wanted: Floats = by_constants[..., : count - POSE]
+    return wanted

@@ -1,0 +1,29 @@
+"""Who reads TOML refuses, as its own error, a number that Python reads and cannot show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from localization.missions.files import load_mission
+from nclient.errors import NomadError
+from nclient.faults.plan_file import load_plan
+from nserver_emu.simulation.model_files import load_models
+from nserver_emu.simulation.setup_toml import load_setup
+from worlds.calibration import load_calibration
+from worlds.files import load_world
+
+READERS: list[Callable[[Path], object]] = [
+    load_plan, load_mission, load_models, load_setup, load_world, lambda path: load_calibration(path, "worn"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("load", READERS)
+@pytest.mark.parametrize("key", ["name", "seed", "base"])
+def test_it_is_refused_by_the_readers_own_error(load: Callable[[Path], object], key: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(f"{key} = [0x{'f' * 3600}]")
+    with pytest.raises(NomadError, match="holds a whole number of more than 4096 bits"):
+        load(path)

@@ -1,0 +1,56 @@
+"""What a robot tells that is known to err, as one that does not would."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from localization.estimation.belief import independent
+from localization.filters.surroundings import Surroundings
+from localization.live import calibrated
+from localization.live.calibrated import with_wheels
+from localization.live.echoes import FiringSchedule
+from localization.live.localizer import Localizer
+from localization.live.told import Retold
+from localization.sonar.measurement import WIRE_SONAR
+from worlds.bodies import N150
+from worlds.calibration import FAULTLESS, Calibration, Spread
+from worlds.files import load_world
+
+TOLD = Retold(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
+ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), Spread(0.01, 0.02, 1e-4))
+
+
+def test_readings_lose_their_offsets_and_limits_stay_limits() -> None:
+    corrected = calibrated.of(TOLD, ERRS)
+    assert corrected.sonars_in[:3] == (6.0, 255.0, 0.0)
+    assert 6.0 < corrected.sonars_in[3] < 6.01
+    assert 254.99 < corrected.sonars_in[4] < 255.0
+    assert corrected.sonars_in[5:] == (52.0,) * 11
+    assert corrected.turret_rad == pytest.approx(0.6 + radians(3.0))
+    assert (corrected.clock_s, corrected.x_in, corrected.y_in, corrected.steering_rad) == (1.0, 2.0, 3.0, 0.5)
+
+
+def test_a_faultless_robot_is_told_as_it_is() -> None:
+    assert calibrated.of(TOLD, FAULTLESS) is TOLD
+    pose = independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
+    assert with_wheels(pose, FAULTLESS) is pose
+
+
+def test_wheels_begin_at_what_was_found() -> None:
+    pose = independent([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+    belief = with_wheels(pose, ERRS)
+    np.testing.assert_allclose(belief.mean, [1.0, 2.0, 3.0, 0.02, -0.03, 0.001])
+    np.testing.assert_allclose(belief.std, [0.1, 0.2, 0.3, 0.01, 0.02, 1e-4])
+
+
+def test_a_localizer_hears_what_is_corrected() -> None:
+    walls = load_world("thesis_room").walls
+    start = independent([2.0, 3.0, 0.5], [0.1, 0.1, 0.01])
+    known = Surroundings(walls, N150, sonar=WIRE_SONAR, errs=ERRS)
+    localizer = Localizer(known, start, FiringSchedule(1.0))
+    localizer.update(TOLD)
+    estimate = localizer.update(Retold(2.0, 2.0, 3.0, 0.5, 0.6, TOLD.sonars_in))
+    assert {echo.sonar: echo.reading_in for echo in estimate.echoes}[15] == 52.0

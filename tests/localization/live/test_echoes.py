@@ -1,0 +1,69 @@
+"""Which echo is new: against a ring written out firing by firing."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from localization.live.echoes import CLOCK_STEP_S, Firing, FiringSchedule
+from nclient.protocol.models import DEFAULT_SONAR_ORDER
+
+
+def written_out(schedule: FiringSchedule, until_s: float) -> list[Firing]:
+    """Every firing of the ring up to an instant, one after another."""
+    count = int((until_s - schedule.start_s) / schedule.interval_s) + 2
+    order = schedule.order
+    instants = [schedule.start_s + k * schedule.interval_s for k in range(count)]
+    return [Firing(order[k % len(order)], instant) for k, instant in enumerate(instants) if instant <= until_s + 1e-9]
+
+
+def test_the_default_ring_fires_every_60_ms_and_goes_round_in_960() -> None:
+    schedule = FiringSchedule(0.0)
+    assert schedule.interval_s == pytest.approx(0.060)
+    assert schedule.round_s == pytest.approx(0.960)
+    assert [f.sonar for f in schedule.readable(-1.0, 0.2)] == [0, 2, 15, 1]
+
+
+def test_an_echo_is_handed_out_once_and_only_a_clock_step_later() -> None:
+    schedule = FiringSchedule(10.0)
+    assert schedule.readable(9.0, 10.0) == []
+    assert [f.sonar for f in schedule.readable(9.0, 10.0 + CLOCK_STEP_S)] == [0]
+    assert schedule.readable(10.0, 10.0 + CLOCK_STEP_S) == []
+
+
+def test_an_echo_that_was_overwritten_is_not_handed_out() -> None:
+    schedule = FiringSchedule(0.0)
+    late = schedule.readable(-1.0, 5.0)
+    assert len(late) <= len(DEFAULT_SONAR_ORDER)
+    assert len({f.sonar for f in late}) == len(late)
+    assert all(f.instant_s > 5.0 + CLOCK_STEP_S - schedule.round_s for f in late)
+
+
+@given(
+    start_s=st.floats(0, 100),
+    rate=st.integers(1, 50),
+    order=st.permutations(range(16)).flatmap(lambda p: st.integers(1, 16).map(lambda n: tuple(p[:n]))),
+    gaps_s=st.lists(st.floats(0.001, 0.5), min_size=1, max_size=40),
+)
+@settings(max_examples=80)
+def test_polled_anyhow_each_readable_echo_comes_once(
+    start_s: float, rate: int, order: tuple[int, ...], gaps_s: list[float]
+) -> None:
+    schedule = FiringSchedule(start_s, rate, order)
+    heard: list[Firing] = []
+    last_s, now_s = start_s - 1.0, start_s
+    for gap_s in gaps_s:
+        now_s += gap_s
+        fresh = schedule.readable(last_s, now_s)
+        assert fresh == sorted(fresh, key=lambda firing: firing.instant_s)
+        for firing in fresh:
+            newest = [f for f in written_out(schedule, now_s) if f.sonar == firing.sonar][-1]
+            assert newest.instant_s == pytest.approx(firing.instant_s)
+            assert newest.sonar == firing.sonar
+        heard += fresh
+        last_s = fresh[-1].instant_s if fresh else last_s
+    assert len({round(f.instant_s, 6) for f in heard}) == len(heard)
+    if schedule.round_s > max(gaps_s) + 2 * CLOCK_STEP_S + schedule.interval_s:
+        due = [f for f in written_out(schedule, now_s) if f.instant_s < now_s - CLOCK_STEP_S - 1e-6]
+        assert [f.sonar for f in heard[: len(due)]] == [f.sonar for f in due]

@@ -1,0 +1,139 @@
+"""The live filter on made-up reports: a robot that goes exactly as its encoders say, sonars in whole inches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from localization.estimation.belief import Belief, independent
+from localization.estimation.observation import Refusal
+from localization.filters.surroundings import Surroundings
+from localization.live.echoes import FiringSchedule
+from localization.live.localizer import Localizer
+from localization.live.told import Retold
+from nclient.protocol.models import DEFAULT_SONAR_ORDER
+from worlds.bodies import N150
+from worlds.files import load_world
+from worlds.raycast import cast_rays
+
+ROOM = load_world("thesis_room").walls
+
+
+class Robot:
+    """Drives straight at `speed_in_s`, turret at its own angle; the encoders err by a fixed offset."""
+
+    def __init__(self, speed_in_s: float, heading_rad: float = 0.5, turret_rad: float = 0.0) -> None:
+        self.speed, self.heading, self.turret = speed_in_s, heading_rad, turret_rad
+        self.sonars = [255] * 16
+        self.fired = 0
+
+    def pose(self, time_s: float) -> tuple[float, float]:
+        way = self.speed * time_s
+        return 20 + way * math.cos(self.heading), 30 + way * math.sin(self.heading)
+
+    def report(self, time_s: float) -> Retold:
+        while self.fired * 0.06 <= time_s + 1e-9:
+            self.fire(DEFAULT_SONAR_ORDER[self.fired % 16], self.fired * 0.06)
+            self.fired += 1
+        x, y = self.pose(time_s)
+        return Retold(time_s, x, y, self.heading % math.tau, self.turret % math.tau, tuple(self.sonars))
+
+    def fire(self, sonar: int, time_s: float) -> None:
+        angle = self.turret + N150.sonar_angles_rad[sonar]
+        direction = np.array([math.cos(angle), math.sin(angle)])
+        reach, _ = cast_rays(np.array(self.pose(time_s)), direction, ROOM)
+        self.sonars[sonar] = int(min(255, max(6, round(float(reach) - N150.sonar_ring_radius_in))))
+
+
+def localizer(belief: Belief | None = None) -> Localizer:
+    start = belief or independent([20, 30, 0.5], [0.2, 0.2, 0.01])
+    return Localizer(Surroundings(ROOM, N150), start, FiringSchedule(0.0))
+
+
+@pytest.mark.parametrize("turret_rad", [0.0, 1.0, -2.5])
+@pytest.mark.parametrize("speed_in_s", [0.0, 5.0])
+def test_a_wrong_start_is_mended_while_the_robot_drives(speed_in_s: float, turret_rad: float) -> None:
+    robot = Robot(speed_in_s, turret_rad=turret_rad)
+    filtered = localizer(independent([20.6, 29.4, 0.53], [0.6, 0.6, 0.03]))
+    for k in range(101):
+        estimate = filtered.update(robot.report(0.1 * k))
+    error = estimate.pose[:2] - robot.pose(10.0)
+    assert np.hypot(*error) < 0.35
+    assert abs(estimate.pose[2] - 0.5) < 0.02
+    assert (np.abs(estimate.pose - [*robot.pose(10.0), 0.5]) < 4 * estimate.belief.std).all()
+
+
+def test_each_echo_is_told_once_with_what_became_of_it() -> None:
+    robot, filtered = Robot(2.0), localizer()
+    echoes = [echo for k in range(60) for echo in filtered.update(robot.report(0.1 * k)).echoes]
+    instants = [echo.instant_s for echo in echoes]
+    assert instants == sorted(set(instants))
+    assert instants[-1] > 5.8
+    assert [echo.sonar for echo in echoes[:16]] == [*DEFAULT_SONAR_ORDER[1:], 0]
+    assert {echo.refusal for echo in echoes} >= {Refusal.NONE}
+    assert all(echo.innovation_in == 0 for echo in echoes if echo.refusal is not Refusal.NONE)
+
+
+def test_limits_are_never_ranges() -> None:
+    robot, filtered = Robot(0.0), localizer()
+    filtered.update(robot.report(0.0))
+    for k in range(1, 20):
+        limits = tuple(6 if sonar % 2 else 255 for sonar in range(16))
+        estimate = filtered.update(replace(robot.report(0.1 * k), sonars_in=limits))
+        assert {echo.refusal for echo in estimate.echoes} <= {Refusal.LIMIT}
+    assert estimate.pose == pytest.approx([20, 30, 0.5])
+
+
+def test_a_reading_off_by_a_foot_is_refused_by_the_gate() -> None:
+    robot, filtered = Robot(0.0), localizer()
+    filtered.update(robot.report(0.0))
+    wrong = tuple(reading + 12 for reading in robot.report(0.5).sonars_in)
+    estimate = filtered.update(replace(robot.report(0.5), sonars_in=wrong))
+    assert Refusal.GATE in {echo.refusal for echo in estimate.echoes}
+    assert Refusal.NONE not in {echo.refusal for echo in estimate.echoes}
+
+
+def test_the_same_state_twice_and_an_older_one_change_nothing() -> None:
+    robot, filtered = Robot(3.0), localizer()
+    for k in range(20):
+        estimate = filtered.update(robot.report(0.1 * k))
+    again = filtered.update(robot.report(1.9))
+    assert (again.pose == estimate.pose).all()
+    assert again.echoes == ()
+    older = filtered.update(replace(robot.report(1.9), clock_s=0.3, x_in=0.0))
+    assert (older.pose == estimate.pose).all()
+
+
+def test_a_state_without_a_clock_is_told_apart() -> None:
+    with pytest.raises(ValueError, match="refresh"):
+        localizer().update(replace(Robot(0.0).report(0.0), clock_s=None))
+
+
+def test_the_estimate_is_carried_to_the_clock_of_the_state_by_odometry() -> None:
+    robot, filtered = Robot(10.0), localizer(independent([20, 30, 0.5], [1e-6, 1e-6, 1e-6]))
+    for k in range(30):
+        estimate = filtered.update(robot.report(0.1 * k))
+        assert estimate.clock_s == pytest.approx(0.1 * k)
+        assert estimate.pose[:2] == pytest.approx(robot.pose(0.1 * k), abs=0.4)
+
+
+def test_a_method_that_smooths_tells_where_the_robot_was_a_while_ago() -> None:
+    robot = Robot(5.0)
+    belief = independent([20.4, 29.7, 0.52], [0.5, 0.5, 0.03])
+    looking_back = Localizer(Surroundings(ROOM, N150), belief, FiringSchedule(0.0), "smoother")
+    plain = localizer(belief)
+    looks = []
+    for k in range(101):
+        estimate = looking_back.update(robot.report(0.1 * k))
+        np.testing.assert_array_equal(estimate.pose, plain.update(robot.report(0.1 * k)).pose)
+        looks.append(estimate.smoothed)
+    first, last = looks[5], looks[-1]
+    assert first is not None
+    assert last is not None
+    assert first.clock_s == 0.0
+    assert last.clock_s == pytest.approx(0.06 * (math.floor((10.0 - 0.0164) / 0.06) - 32))
+    assert np.hypot(*(last.belief.mean[:2] - robot.pose(last.clock_s))) < 0.3
+    assert plain.update(robot.report(10.2)).smoothed is None
