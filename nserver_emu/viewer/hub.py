@@ -5,7 +5,8 @@
 
 Rules: a slow viewer gets the newest picture, never a backlog: no more than AHEAD pictures go out that it has not
 drawn. Of other news MOST_NEWS wait; then the oldest are left out, and it is told how many. Viewers who have the same
-picture share the text that takes them on. A viewer that is gone is forgotten.
+picture share the text that takes them on. Whoever comes gets the next picture: the newest is of when somebody looked
+last, which may be long ago. A viewer that is gone is forgotten.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ MOST_NEWS: Final = 1000
 
 
 class Viewer:
-    """One page that is open. `may_act`: whether it may do more than look; `ring` is called when there is news."""
+    """One page that is open. `may_act`: whether it may do more than look; `ring` is called when there is news; `came`:
+    the number of the picture that was the newest then."""
 
-    def __init__(self, *, may_act: bool, name: str = "viewer") -> None:
+    def __init__(self, *, may_act: bool, name: str = "viewer", came: int = 0) -> None:
         self.may_act = may_act
         self.name = name
+        self.came = came
         self.ring: Callable[[], object] = lambda: None
         self.has = 0
         self.drawn = 0
@@ -89,7 +92,7 @@ class Hub:
     def join(self, *, may_act: bool) -> Viewer:
         """Somebody opened the page."""
         self._guests += 1
-        viewer = Viewer(may_act=may_act, name=f"viewer {self._guests}")
+        viewer = Viewer(may_act=may_act, name=f"viewer {self._guests}", came=self._album.number)
         self.viewers.add(viewer)
         return viewer
 
@@ -117,7 +120,7 @@ class Hub:
     def next_for(self, viewer: Viewer) -> Iterator[str]:
         """What this viewer is to be told now, the picture last: what is wrong with it keeps no news back."""
         yield from viewer.news()
-        if viewer.has != self._album.number and not viewer.behind:
+        if self._album.number > max(viewer.has, viewer.came) and not viewer.behind:
             text = self._text_from(viewer.has)
             viewer.given(self._album.number)
             yield text

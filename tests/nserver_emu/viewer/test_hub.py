@@ -50,6 +50,19 @@ def test_a_slow_viewer_gets_the_newest_and_never_a_backlog() -> None:
     assert (picture["since"], picture["frame"]) == (0, 500)
 
 
+def test_who_comes_is_not_shown_what_was_when_somebody_looked_last() -> None:
+    emulator = Emulator(simulation())
+    hub = Hub(Album(emulator))
+    hub.take()
+    emulator.simulation.robots[1].place(300.0, 200.0, 0.0, 0.0)
+    late = hub.join(may_act=False)
+    assert told(hub, late) == []
+    hub.take()
+    (picture,) = told(hub, late)
+    assert (picture["since"], picture["robots"]["1"]["actual"][:2]) == (0, [300, 200])
+    assert "world" in picture
+
+
 def test_viewers_at_the_same_picture_share_its_text() -> None:
     hub = a_hub()
     first, second = hub.join(may_act=False), hub.join(may_act=True)
