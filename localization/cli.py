@@ -114,7 +114,7 @@ def _tell(options: argparse.Namespace, world: World, done: Run) -> bool:
     """What a run leaves: --save, --picture, the verdict. False where one could not be written, which is told on stderr:
     what has ended the run stays what it was."""
     written = True
-    for write in (_save, _draw):
+    for write in (resuming.save, _draw):
         try:
             write(options, world, done)
         except NomadError as error:
@@ -122,10 +122,6 @@ def _tell(options: argparse.Namespace, world: World, done: Run) -> bool:
             print(f"nomad: {error}", file=sys.stderr)
     print(json.dumps(done.summary()) if options.json else done.verdict(), flush=True)
     return written
-
-
-def _save(options: argparse.Namespace, world: World, done: Run) -> None:
-    resuming.save(options, world, done)
 
 
 def _draw(options: argparse.Namespace, world: World, done: Run) -> None:

@@ -10,7 +10,7 @@ import json
 import math
 import sys
 import time
-from dataclasses import asdict, astuple
+from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,11 +31,12 @@ from localization.calibration.square import (
     tasks,
     way_to,
 )
-from localization.command_line.readers import check_writable, noise, numbers, opened, pose, positive, stds
+from localization.command_line.outset import add_known
+from localization.command_line.readers import check_writable, numbers, opened, pose, positive, stds
 from localization.driving.obstruction import Obstruction
 from localization.estimation.belief import independent
 from localization.filters.calibrating import CalibratingFilter
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.filters.surroundings import Surroundings
 from localization.live.fit import Fit
 from localization.sonar.cone import ConeModel
 from localization.sonar.measurement import WIRE_SONAR
@@ -73,8 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="where the robot stands now, inches and degrees (default: what its encoders say)")
     parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
                         help="how well that is known, inches and degrees (default 0.5,0.5,1.15)")
-    parser.add_argument("--body", choices=sorted(BODIES),
-                        help="the robot's model, where its address does not tell it (default n150)")
+    add_known(parser)
     parser.add_argument("--square", type=_square, metavar="X,Y,SIDE",
                         help="the square: lower left corner and side in inches (default: the largest with room)")
     parser.add_argument("--laps", type=_count, metavar="N",
@@ -86,12 +86,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="speed in in/s (default %(default)s)")
     parser.add_argument("--turn-speed", type=positive, default=TURN_DEG_S, metavar="DEG_S",
                         help="speed of turns in deg/s (default %(default)s)")
-    parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
-                        help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
-                             f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="exact rays or a real ring's cones (default: as the setup of a sim: address has them, "
-                             "rays of other simulations, cones of a robot)")
     parser.add_argument("--time-limit", type=positive, default=3600.0, metavar="S",
                         help="give up after so many seconds of the robot's clock (default %(default)s)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")  # fmt: skip

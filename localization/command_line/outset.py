@@ -1,6 +1,7 @@
 """What every command that localizes a robot begins with: its options, and from them the first belief.
 
-    add_options()    what is known of the robot, and how it is to be localized
+    add_known()      what is known of the robot, for whoever hears its sonars
+    add_options()    the same, and how it is to be localized
     outset()         where the robot is said to stand, what its sonars are taken for, what is believed of it
 
 Rules: reads options, says on stdout (stderr with --json) what is guessed; what is driven is the command's.
@@ -43,21 +44,26 @@ class Outset(NamedTuple):
     sonars: Taken
 
 
-def add_options(parser: argparse.ArgumentParser, method: str, method_help: str, publish_help: str) -> None:
-    """What all these commands have; `method` is the one where none is given."""
-    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
-                        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
+def add_known(parser: argparse.ArgumentParser) -> None:
+    """What is known of a robot: --body, --odometry-noise, --sonars."""
     parser.add_argument("--body", choices=sorted(BODIES),
                         help="the robot's model, where its address does not tell it (default n150)")
-    parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
-                        help="top speed in in/s (default %(default)s)")
     parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
-                        help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in "
+                        help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
                              f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
     parser.add_argument("--sonars", choices=("rays", "cones"),
                         help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
                              "with bad readings among them (default: as the setup of a sim: address has them, rays of "
                              "other simulations, cones of a robot)")
+
+
+def add_options(parser: argparse.ArgumentParser, method: str, method_help: str, publish_help: str) -> None:
+    """What all these commands have; `method` is the one where none is given."""
+    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
+                        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
+    parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
+                        help="top speed in in/s (default %(default)s)")
+    add_known(parser)
     parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
                         help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
                              "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")

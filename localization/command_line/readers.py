@@ -31,14 +31,19 @@ def opened(address: str | None) -> tuple[Robot, bool]:
         return connect(address), False
 
 
+def make_folder(folder: Path) -> None:
+    """Before anything is run: the folder for what comes of it. Raises OutputFileError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputFileError(unwritable(folder, error)) from error
+
+
 def check_writable(*files: Path | None) -> None:
     """Before anything is driven: whether files can be written at its end, in folders that are made where they are not
     there. Raises OutputFileError."""
     for file in filter(None, files):
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputFileError(unwritable(file, error)) from error
+        make_folder(file.parent)
         if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
             raise OutputFileError(f"{str(file)!r}: cannot be written there: name a file in a folder that may be "
                                   "written to")

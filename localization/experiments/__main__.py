@@ -15,10 +15,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from localization.command_line.readers import make_folder
 from localization.experiments import figures
 from localization.experiments.live import command as live
 from localization.experiments.lost import command as lost
-from localization.experiments.options import NO_PICTURES, add_shared, make_folder
+from localization.experiments.options import NO_PICTURES, add_shared
 from localization.experiments.plan import command as plan
 from localization.experiments.pool import drive, drive_on_cluster
 from localization.experiments.progress import progress

@@ -11,8 +11,6 @@ from typing import Final, TypeVar
 
 from localization.experiments import crew
 from localization.experiments.fingerprint import fingerprint
-from nclient.errors import OutputFileError
-from nclient.unwritable import unwritable
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -57,14 +55,6 @@ def positive(text: str) -> int:
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"a whole number of 1 or more, not {text!r}")
     return int(text)
-
-
-def make_folder(path: Path) -> None:
-    """Before anything is run: the folder for what comes of it. Raises OutputFileError."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputFileError(unwritable(path, error)) from error
 
 
 def cores() -> int:

@@ -29,10 +29,10 @@ from localization.estimation.belief import HEADING, Belief, Floats, add
 from localization.estimation.motion import step_variance
 from localization.estimation.observation import Refusal
 from localization.estimation.systematic import LARGEST, POSE, move_states, step_jacobians
-from localization.filters.method import TELLING, Judgement
+from localization.filters.method import TELLING, Judgement, told_as
 from localization.filters.sense import Sense, sense_of
 from localization.filters.surroundings import Surroundings
-from localization.filters.watch import MOSTLY_BAD, Verdict, Watch
+from localization.filters.watch import Verdict, Watch
 from localization.sonar.aim import Aiming, Look
 from localization.sonar.cone import ConeModel
 from localization.sonar.measurement import SonarModel
@@ -136,8 +136,7 @@ class CalibratingFilter:
         cov += (away * share[:, None]).T @ away + bad_share * np.outer(change, change)
         self.belief = Belief(add(self.belief.mean, change), 0.5 * (cov + cov.T))
         best = int(np.argmax(share))
-        refusal = Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
-        return Judgement(refusal, float(innovation[best]), float(nis[best]), bad_share)
+        return Judgement(told_as(bad_share), float(innovation[best]), float(nis[best]), bad_share)
 
     def _aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
         """What is heard at all tells where the sonar looks: heading and ring together."""

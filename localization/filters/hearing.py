@@ -13,11 +13,9 @@ import numpy.typing as npt
 
 from localization.estimation.belief import Belief
 from localization.estimation.mixture import absorb
-from localization.estimation.observation import Refusal
 from localization.estimation.updates import Rule, linear
-from localization.filters.method import Judgement
+from localization.filters.method import Judgement, told_as
 from localization.filters.sense import SPAN_IN, Sense, sense_of
-from localization.filters.watch import MOSTLY_BAD
 from localization.sonar.cone import ConeModel
 from localization.sonar.gating import STRICT, Gate
 from localization.sonar.measurement import SonarModel, SonarRing
@@ -47,8 +45,7 @@ class Hearing:
         if sensed.candidates is None:
             return Heard(belief, Judgement(sensed.refusal, 0.0, 0.0, 1.0), sensed.likelihood)
         taken = absorb(belief, reading_in, sensed.candidates, self._rule, times)
-        refusal = Refusal.GATE if taken.bad_share > MOSTLY_BAD else Refusal.NONE
-        judgement = Judgement(refusal, taken.innovation_in, taken.nis, taken.bad_share)
+        judgement = Judgement(told_as(taken.bad_share), taken.innovation_in, taken.nis, taken.bad_share)
         likelihood = (1.0 - sensed.besides) * taken.likelihood + sensed.besides / SPAN_IN
         return Heard(taken.belief, judgement, likelihood)
 

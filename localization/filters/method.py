@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from localization.estimation.belief import Belief, Floats
 from localization.estimation.observation import Refusal
-from localization.filters.watch import Verdict
+from localization.filters.watch import MOSTLY_BAD, Verdict
 
 
 class Judgement(NamedTuple):
@@ -24,6 +24,11 @@ class Judgement(NamedTuple):
     innovation_in: float
     nis: float
     bad_share: float
+
+
+def told_as(bad_share: float) -> Refusal:
+    """What became of a reading that was so likely a bad one: refused by the gate, or taken."""
+    return Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
 
 
 TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})

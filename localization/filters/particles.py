@@ -24,8 +24,8 @@ from localization.estimation.observation import Refusal
 from localization.estimation.repeats import Repeats
 from localization.estimation.systematic import POSE, move_states
 from localization.filters.likelihood import Likelihood
-from localization.filters.method import Judgement
-from localization.filters.watch import MOSTLY_BAD, Verdict, Watch
+from localization.filters.method import Judgement, told_as
+from localization.filters.watch import Verdict, Watch
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ class ParticleFilter:
         self.weights /= self.weights.sum()
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        judgement = Judgement(Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE, 0.0, 0.0, bad_share)
+        judgement = Judgement(told_as(bad_share), 0.0, 0.0, bad_share)
         self._watch.look(judgement)
         return judgement
 

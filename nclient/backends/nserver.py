@@ -42,9 +42,8 @@ _request = lru_cache(maxsize=256)(language.tcp_request)
 _TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connections)?"
 """A server that turns a newcomer away says nothing: it only closes."""
 
-
 _NO_NSERVER: Final = ". Is it an Nserver that answers there? Its port is 7019; a robot's own line is robotd://HOST:PORT"
-
+"""What answers to a first call, and is none of an Nserver's answers."""
 
 class NserverBackend:
     """A conversation with an Nserver about one robot; connects at once (`create`: to a robot that it then makes).

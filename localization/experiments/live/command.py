@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from localization.command_line.readers import make_folder
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.live import matrix, report, tum
 from localization.experiments.live.matrix import COMPARED, Done, Job, Trial, trials
@@ -18,7 +19,7 @@ from localization.experiments.live.scenario import COURSES, SCENARIOS
 from localization.experiments.live.store import Store
 from localization.experiments.live.summary import TrialResult
 from localization.experiments.live.trial import MOST_PERIODS
-from localization.experiments.options import add_shared, crew_for, make_folder, positive
+from localization.experiments.options import add_shared, crew_for, positive
 from localization.experiments.progress import Tally, progress
 from localization.filters.table import METHODS
 from localization.runs.drawing import require_matplotlib

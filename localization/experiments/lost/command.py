@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from localization.command_line.readers import make_folder
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.kept import Kept
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.lost.summary import summaries, words
 from localization.experiments.lost.trial import Case, Kind, Outcome, drive
-from localization.experiments.options import add_work, crew_for, make_folder, positive
+from localization.experiments.options import add_work, crew_for, positive
 from localization.experiments.progress import progress
 from worlds.files import world_names
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, Final
 
+from localization.command_line.readers import make_folder
 from localization.experiments.fingerprint import fingerprint
 from localization.experiments.kept import Kept
 from localization.experiments.live.scenario import SCENARIOS
-from localization.experiments.options import add_work, crew_for, make_folder, positive
+from localization.experiments.options import add_work, crew_for, positive
 from localization.experiments.plan.drive import Driven, drive
 from localization.experiments.plan.pairs import WORLDS, Pair
 from localization.experiments.progress import Tally, progress

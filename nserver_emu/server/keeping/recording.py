@@ -32,20 +32,23 @@ DAEMON: Final = "nserver"
 @dataclass(frozen=True, slots=True)
 class Beginning:
     """How a daemon's simulation begins. `restored`: the file of the snapshot that it goes on from, at its pace or at
-    this one; `told`: what stood in it, where that is known."""
+    this one; `snapshot_text`: what stood in it, where that is known."""
 
     setting: Setting
     pace: Pace
     allowed: Allowed
     restored: Path | None = None
     keeps_pace: bool = False
-    told: str | None = None
+    snapshot_text: str | None = None
 
     def emulator(self) -> Emulator:
         """That simulation, at its beginning. Raises what a daemon's start may raise."""
         emulator = Emulator(self.setting.simulation(), pace=replace(self.pace), allowed=self.allowed)
         if self.restored:
-            snapshot.loads(emulator, self.told or snapshot.text_of(self.restored), str(self.restored))
+            if self.snapshot_text:
+                snapshot.loads(emulator, self.snapshot_text, str(self.restored))
+            else:
+                snapshot.restore(emulator, self.restored)
             emulator.pace = emulator.pace if self.keeps_pace else replace(self.pace)
         return emulator
 

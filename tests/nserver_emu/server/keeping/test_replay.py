@@ -368,7 +368,7 @@ def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
     saved.write_text("all of it")
     models.touch()
     setting = dataclasses.replace(THREE, model_file=models)
-    beginning = Beginning(setting, Pace(None, True, 0.25), Allowed(quit=True), saved, told="all of it")
+    beginning = Beginning(setting, Pace(None, True, 0.25), Allowed(quit=True), saved, snapshot_text="all of it")
     LogWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
     assert beginning_of(read_recording(tmp_path / "run.log").header, "run.log") == beginning
 
