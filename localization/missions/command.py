@@ -23,6 +23,7 @@ from localization.missions.settings import Settings
 from nclient.errors import MissionFileError
 from nclient.exit_codes import ExitCode
 from nclient.unwritable import unwritable
+from worlds.files import load_world
 
 FAILED = ExitCode.NOT_REACHED
 
@@ -32,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="the mission, .toml or .py (docs/missions.md)")
     parser.add_argument("address", nargs="?", metavar="ADDRESS",
                         help="the robot (default: NOMAD_ROBOT, or a local nserver)")
-    parser.add_argument("--check", action="store_true", help="read the file, say what is wrong with it, move nothing")
+    parser.add_argument("--check", action="store_true",
+                        help="read the file and its map, say what is wrong with them, move nothing")
     parser.add_argument("--report", type=Path, metavar="JSON", help="write the report there")
     add_options(parser)
 
@@ -40,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit code."""
     orders = load_mission(options.file)
-    if not options.map:
+    if options.map:
+        load_world(options.map)
+    else:
         orders.check_map()
     if options.check:
         print(f"{options.file}: a mission{f', {orders.settings.title}' if orders.settings.title else ''}")

@@ -193,6 +193,8 @@ def test_a_map_that_is_not_there_is_told_by_check_and_by_the_run_unless_another_
         assert "did you mean thesis_room?" in told.err
         assert told.out == ""
     assert main(["mission", str(file), SIM, "--map", "thesis_room"]) == 0
+    assert main(["mission", str(file), "--check", "--map", "thesis_rom"]) == 1
+    assert "nomad: thesis_rom: no such file" in capsys.readouterr().err
 
 
 def mission_of(act: Any) -> Report:
