@@ -39,8 +39,8 @@ static int take_options(struct address *address, char *options)
     return 1;
 }
 
-/* What follows the host of an Nserver: /2, or nothing. */
-static int take_robot(struct address *address, const char *path)
+/* What follows the host: of an Nserver /2, or nothing; of a robot nothing. */
+static int take_path(struct address *address, const char *path)
 {
     const char *number = path + strspn(path, "/");
     size_t digits = strspn(number, "0123456789");
@@ -48,6 +48,10 @@ static int take_robot(struct address *address, const char *path)
 
     if (*number == '\0')
         return 1;
+    if (strcmp(address->scheme, "nserver") != 0) {
+        nomad_complain("NOMAD_ROBOT: a host and its port follow %s://, not /%s", address->scheme, path);
+        return 0;
+    }
     if (digits == 0 || number[digits + strspn(number + digits, "/")] != '\0' || robot < 1 || robot > LAST_ROBOT) {
         nomad_complain("NOMAD_ROBOT: what follows the host is the robot's number, 1 or more, not /%s", path);
         return 0;
@@ -78,7 +82,7 @@ int nomad_address(struct address *address)
     slash = strchr(text, '/');
     if (slash && strcmp(address->scheme, "serial") != 0)
         *slash++ = '\0';
-    if (slash && strcmp(address->scheme, "nserver") == 0 && !take_robot(address, slash))
+    if (slash && strcmp(address->scheme, "serial") != 0 && !take_path(address, slash))
         return -1;
     if (strlen(text) >= sizeof address->place) {
         nomad_complain("NOMAD_ROBOT: %.100s is longer than the name of a machine can be", text);

@@ -264,6 +264,9 @@ def test_a_line_can_be_named_outside(direct: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab/1")
     found, _ = held([direct], "connect_robot 1\n")
     assert "link it with -lnclient" in found["error"]
+    monkeypatch.setenv("NOMAD_ROBOT", "robotd://127.0.0.1:1/2?model=n150")
+    found, _ = held([direct], "connect_robot 1\n")
+    assert "a host and its port follow robotd://, not /2" in found["error"]
 
 
 def test_the_globals_name_a_line_where_nothing_else_does(workshop: Workshop, tmp_path: Path) -> None:
