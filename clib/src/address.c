@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LAST_ROBOT = 0x7FFFFFFF };
+enum { LAST_ROBOT = 0x7FFFFFFF, LONGEST_TM_S = 255 };
 
 static int model_named(const char *name)
 {
@@ -20,10 +20,21 @@ static int model_named(const char *name)
     return -1;
 }
 
+/* What conf_tm takes: 0 for never, 2 to 255; -1 for all else. */
+static int seconds_in(const char *text)
+{
+    size_t digits = strspn(text, "0123456789");
+    int seconds = atoi(text);
+
+    return digits && digits <= 3 && !text[digits] && seconds != 1 && seconds <= LONGEST_TM_S ? seconds : -1;
+}
+
 static int take_option(struct address *address, const char *option)
 {
     if (strncmp(option, "model=", 6) == 0)
         return (address->model = model_named(option + 6)) >= 0;
+    if (strncmp(option, "tm_s=", 5) == 0)
+        return (address->tm_s = seconds_in(option + 5)) >= 0;
     if (strncmp(option, "baud=", 5) == 0)
         return (address->baud = atoi(option + 5)) > 0;
     return 0;
@@ -33,7 +44,8 @@ static int take_options(struct address *address, char *options)
 {
     for (char *option = strtok(options, "&"); option; option = strtok(NULL, "&"))
         if (!take_option(address, option)) {
-            nomad_complain("NOMAD_ROBOT: %s is no option here; there are model=n150, n200 or scout, and baud=", option);
+            nomad_complain("NOMAD_ROBOT: %s is no option here; there are model=n150, n200 or scout, baud=, "
+                           "and tm_s=0 or 2 to 255", option);
             return 0;
         }
     return 1;
@@ -66,7 +78,7 @@ int nomad_address(struct address *address)
     char text[256], *options, *slash;
 
     memset(address, 0, sizeof *address);
-    address->model = -1;
+    address->model = address->tm_s = -1;
     if (given == NULL || *given == '\0')
         return 0;
     place = strstr(given, "://");

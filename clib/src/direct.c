@@ -199,7 +199,7 @@ int nomad_connect(enum command_id how, long robot_id, va_list *more, int known)
     if (line.fd < 0)
         return FALSE;
     begin(&place);
-    if (greet(&place))
+    if (greet(&place) && (!place.tm_s || conf_tm(place.tm_s)))
         return TRUE;
     nomad_close(&line.fd);
     return FALSE;

@@ -7,6 +7,8 @@
 
 #include <string.h>
 
+enum { USUAL_TM_S = 5 };
+
 static int fill(struct place *to, const char *name, int is_port, int number, int model)
 {
     if (strlen(name) >= sizeof to->name) {
@@ -18,7 +20,20 @@ static int fill(struct place *to, const char *name, int is_port, int number, int
     to->is_port = is_port;
     to->number = number;
     to->model = model;
+    to->tm_s = 0;
     return 1;
+}
+
+static int fill_from(struct place *to, const struct address *address)
+{
+    int model = address->model >= 0 ? address->model : DEFAULT_ROBOT_MODEL, filled;
+
+    if (strcmp(address->scheme, "serial") == 0)
+        filled = fill(to, address->place, 1, address->baud ? address->baud : DEFAULT_SERIAL_BAUD, model);
+    else
+        filled = fill(to, address->place, 0, CONN_TCP_PORT, model);
+    to->tm_s = address->tm_s >= 0 ? address->tm_s : USUAL_TM_S;
+    return filled;
 }
 
 /* Where a robot is that is named by its number alone: NOMAD_ROBOT, else the globals. */
@@ -32,12 +47,8 @@ int nomad_place_from_outside(struct place *to)
     if (!found)
         return ROBOT_MACHINE_NAME[0] ? fill(to, ROBOT_MACHINE_NAME, 0, CONN_TCP_PORT, model)
                                      : fill(to, DEFAULT_SERIAL_PORT, 1, DEFAULT_SERIAL_BAUD, model);
-    if (address.model >= 0)
-        model = address.model;
-    if (strcmp(address.scheme, "serial") == 0)
-        return fill(to, address.place, 1, address.baud ? address.baud : DEFAULT_SERIAL_BAUD, model);
-    if (strcmp(address.scheme, "robotd") == 0)
-        return fill(to, address.place, 0, CONN_TCP_PORT, model);
+    if (strcmp(address.scheme, "serial") == 0 || strcmp(address.scheme, "robotd") == 0)
+        return fill_from(to, &address);
     nomad_complain("NOMAD_ROBOT begins with %s://, and this program was linked for a robot's own line, serial:// or "
                    "robotd://; link it with -lnclient for an Nserver", address.scheme);
     return 0;

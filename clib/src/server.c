@@ -144,25 +144,24 @@ static int is_another(const struct address *address, const long *robot_id)
 }
 
 /* `robot_id`: whom the program asks for; NULL where it only looks. */
-static int open_named(const long *robot_id, int aloud)
+static int open_named(const long *robot_id, int aloud, struct address *address)
 {
-    struct address address;
-    int named = SERVER_MACHINE_NAME[0] ? 0 : nomad_address(&address), patience_ms = nomad_patience(USUAL_MS), found;
+    int named = SERVER_MACHINE_NAME[0] ? 0 : nomad_address(address), patience_ms = nomad_patience(USUAL_MS), found;
     char own[256] = "";
 
     if (SERVER_MACHINE_NAME[0])
         return nomad_open_tcp(SERVER_MACHINE_NAME, SERV_TCP_PORT, patience_ms, aloud);
     if (named < 0)
         return -1;
-    if (named && strcmp(address.scheme, "nserver") != 0) {
+    if (named && strcmp(address->scheme, "nserver") != 0) {
         nomad_complain("NOMAD_ROBOT begins with %s://, and this program was linked to talk to an nserver://; "
-                       "link it with -lndirect for a robot's own line", address.scheme);
+                       "link it with -lndirect for a robot's own line", address->scheme);
         return -1;
     }
-    if (named && is_another(&address, robot_id))
+    if (named && is_another(address, robot_id))
         return -1;
     if (named)
-        return nomad_open_tcp(address.place, SERV_TCP_PORT, patience_ms, aloud);
+        return nomad_open_tcp(address->place, SERV_TCP_PORT, patience_ms, aloud);
     found = nomad_open_tcp("localhost", SERV_TCP_PORT, patience_ms, 0);
     if (found >= 0 || gethostname(own, sizeof own - 1) != 0)
         return found;
@@ -182,13 +181,14 @@ static int join(enum command_id how, long robot_id)
 
 int nomad_connect(enum command_id how, long robot_id, va_list *more, int known)
 {
+    struct address address = {.tm_s = 0};
     int port;
 
     (void)more;
     (void)known;
     if (nomad_is_connected())
         nomad_disconnect(robot_id);
-    fd = open_named(&robot_id, 1);
+    fd = open_named(&robot_id, 1, &address);
     if (fd < 0)
         return FALSE;
     terms.laser_mode = DEFAULT_LASER_MODE;
@@ -196,7 +196,7 @@ int nomad_connect(enum command_id how, long robot_id, va_list *more, int known)
     memcpy(terms.mask, nomad_everything, sizeof terms.mask);
     nomad_begin_holding(nomad_everything);
     port = join(how, robot_id);
-    if (port == 0 || !ct()) {
+    if (port == 0 || !ct() || (address.tm_s > 0 && !conf_tm(address.tm_s))) {
         nomad_close(&fd);
         return FALSE;
     }
@@ -222,7 +222,8 @@ int nomad_is_connected(void)
 
 int nomad_is_running(void)
 {
-    int found = open_named(NULL, 0), running = found >= 0;
+    struct address address;
+    int found = open_named(NULL, 0, &address), running = found >= 0;
 
     nomad_close(&found);
     return running;

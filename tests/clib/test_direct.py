@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import os
 import socket
 import subprocess
 import termios
-import threading
-import tty
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +14,7 @@ import pytest
 from answering import on_socket
 from building import PROGRAMS, SANITIZED, Workshop, held
 from robot_line import NAK, Late, ScriptedLine
+from scripted_lines import on_line
 
 from nclient.errors import ConnectionLost
 from nclient.protocol.commands import Call
@@ -32,28 +29,6 @@ from nclient.transports.serial_port import SerialStream
 @pytest.fixture(scope="module")
 def direct(workshop: Workshop) -> str:
     return str(workshop.program(PROGRAMS / "replay.c", SANITIZED, "ndirect"))
-
-
-@contextlib.contextmanager
-def on_line(robot: ScriptedLine) -> Iterator[str]:
-    """The name of a pseudo-terminal behind which the robot is."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-
-    def answer() -> None:
-        with contextlib.suppress(OSError):
-            while data := os.read(master, 4096):
-                robot.send(data)
-                os.write(master, robot.receive())
-
-    thread = threading.Thread(target=answer, daemon=True)
-    thread.start()
-    try:
-        yield os.ttyname(slave)
-    finally:
-        os.close(slave)
-        thread.join(10)
-        os.close(master)
 
 
 def with_line(direct: str, robot: ScriptedLine, *calls: str) -> list[dict[str, Any]]:
@@ -167,7 +142,7 @@ def test_a_robot_of_another_model_is_not_understood(direct: str) -> None:
 
 def test_a_line_that_is_gone(direct: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with on_socket(lambda _: None) as port:
-        monkeypatch.setenv("NOMAD_ROBOT", f"robotd://127.0.0.1:{port}?model=n150")
+        monkeypatch.setenv("NOMAD_ROBOT", f"robotd://127.0.0.1:{port}?model=n150&tm_s=0")
         connected, gone, after, _ = held([direct], "connect_robot 1\ngs\ngs\n")
     assert [connected["return"], gone["return"], after["return"]] == [1, 0, 0]
     assert gone["error"] == "gs: the line is gone; connect again"

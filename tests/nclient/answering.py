@@ -123,11 +123,11 @@ def on_socket(talk: Callable[[socket.socket], None]) -> Iterator[int]:
 
 
 def by_script(server: ScriptedServer, calls: int) -> Callable[[socket.socket], None]:
-    """A talk that answers so many calls by the script, and then hangs up."""
+    """A talk that answers so many calls by the script, and then hangs up; sooner where the client has."""
 
     def talk(connection: socket.socket) -> None:
-        while len(server.calls) < calls:
-            server.send(connection.recv(65536))
+        while len(server.calls) < calls and (heard := connection.recv(65536)):
+            server.send(heard)
             connection.sendall(server.receive())
 
     return talk
