@@ -47,6 +47,8 @@ What a file leaves out is as in its base. `name` is what the setup is called, th
 `model = "polaroid"` or `"{RAY}"` in `[sonar]` chooses how sonars hear, and what both models have stays. A key that is
 unknown or out of its range is refused with the range or the nearest key.
 
+What the numbers do, formula by formula: [sensors and noise](sensors.md#the-noise-models).
+
 The tables are made by `scripts/setup-page` from the setups themselves; a test compares. {NOT_THERE} means that the
 sonar model of that setup, one exact ray, has no such number; `model = "polaroid"` brings those of *measured*.
 """

@@ -106,6 +106,42 @@ def test_faults_and_recordings(tmp_path: Path) -> None:
     assert replayed == recorded
 
 
+def sonars(said: str) -> list[float]:
+    """The sixteen of a line that `nomad state` or the shell prints; inf where nothing was heard."""
+    (line,) = re.findall(r"^sonar +(.*?) in,", said, re.MULTILINE)
+    return [float(reading.replace("-", "inf")) for reading in line.split()]
+
+
+def test_sensors_and_noise(tmp_path: Path) -> None:
+    everything, ideal, measured, at_4_ms, at_60_ms, laser = [run(line, tmp_path) for line in commands("sensors.md")]
+    for part in ("infrared", "bumpers", "compass", "battery", "clock"):
+        assert re.search(rf"^{part} ", everything, re.MULTILINE)
+    assert max(sonars(ideal)) < 255
+    heard = [number for number, reading in enumerate(sonars(measured)) if reading < 255]
+    assert {0, 4, 8, 12} <= set(heard) <= {0, 2, 4, 6, 8, 10, 12, 14}
+    assert sonars(at_4_ms)[:2] == [12, 12]
+    assert all(91 <= reading <= 96 for reading in sonars(at_60_ms)[:2])
+    assert re.search(r"laser +2 readings, in: \([^,)]+(, [^,)]+){3}\)", laser)
+
+
+def test_the_program_of_the_sensors_page_repeats(capsys: pytest.CaptureFixture[str]) -> None:
+    (program,) = blocks("sensors.md", "python")
+    exec(compile(program, "sensors.md", "exec"), {})
+    first, again, other = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
+    assert first == again != other
+    assert all(line.startswith("encoders 60.0 in, really ") for line in (first, other))
+
+
+def test_localization_explained(tmp_path: Path) -> None:
+    said = [run(line, tmp_path) for line in commands("localization.md")]
+    rays, cones, too_sure, figures, found, worn = said
+    assert all("2 of 2 way-points reached" in told for told in (rays, cones, too_sure, worn))
+    assert "1 of 1 way-points reached" in found
+    assert "DEGRADED: innovations are" in too_sure
+    assert "DEGRADED" not in rays
+    assert [float(nees) < 5.5 for nees in re.findall(r"NEES, mean +([\d.]+)", figures)] == [True, True]
+
+
 @pytest.mark.parametrize("said", re.findall(r"^\| `([^`|]+)` \|", (DOCS / "real-robot.md").read_text().partition(
     "## Serial first aid")[2].partition("## Which system")[0], re.MULTILINE))  # fmt: skip
 def test_first_aid_quotes_what_is_said(said: str) -> None:
