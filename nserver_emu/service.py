@@ -4,7 +4,8 @@
     STOPPING=1   told to end                    nothing       where no service manager asked for it
 
 Rules: the watchdog is fed by the loop that serves the clients, so that a loop that hangs is seen. Nothing said here can
-fail the daemon: a manager that does not listen is logged once, and left alone.
+fail the daemon, nor is it waited for: what a manager does not take now, since its queue is full or it is begun anew, is
+told again the next time. That is logged once, until it listens again.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ READY: Final = "READY=1"
 STOPPING: Final = "STOPPING=1"
 WATCHDOG: Final = "WATCHDOG=1"
 _US_PER_S: Final = 1e6
+_AGAIN_S: Final = 1.0
+"""How soon what was not taken is told again, where no watchdog is fed."""
 
 
 class Manager:
@@ -34,26 +37,43 @@ class Manager:
         asked = environment.get("WATCHDOG_USEC", "")
         self.feed_s = int(asked) / _US_PER_S / 2 if self._place and meant and asked.isdecimal() else 0.0
         """How often the watchdog is fed; 0: there is none."""
+        self._owed: list[str] = []
+        self._listens = True
+
+    @property
+    def again_s(self) -> float:
+        """How soon there is something to tell; 0: never."""
+        return self.feed_s or (_AGAIN_S if self._owed else 0.0)
+
+    def feed(self) -> None:
+        """Tell what is owed, and that the loop goes round."""
+        self.tell(*self._owed, *([WATCHDOG] if self.feed_s else []))
 
     def tell(self, *words: str) -> None:
-        """Say this, one a line."""
+        """Say this, one a line; what is not taken is owed, but for WATCHDOG, which is out of date then."""
         if not self._place:
             return
+        self._owed = [word for word in words if word != WATCHDOG]
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as teller:
                 teller.setblocking(False)
                 teller.sendto("\n".join(words).encode(), self._place.replace("@", "\0", 1) if self._place[0] == "@"
                               else self._place)
         except OSError as error:
-            log.warning("the service manager at %s does not listen: %s; it is told no more", self._place, error)
-            self._place = ""
+            if self._listens:
+                log.warning("the service manager at %s does not listen: %s; it is told again", self._place, error)
+            self._listens = False
+            return
+        if not self._listens:
+            log.warning("the service manager at %s listens again", self._place)
+        self._listens, self._owed = True, []
 
 
 @contextlib.asynccontextmanager
 async def announced(manager: Manager) -> AsyncIterator[None]:
     """The daemon is ready; while it lasts, the watchdog is fed."""
     manager.tell(READY)
-    feeding = asyncio.create_task(_feed(manager)) if manager.feed_s else None
+    feeding = asyncio.create_task(_feed(manager)) if manager.again_s else None
     try:
         yield
     finally:
@@ -64,6 +84,6 @@ async def announced(manager: Manager) -> AsyncIterator[None]:
 
 
 async def _feed(manager: Manager) -> None:
-    while True:
-        manager.tell(WATCHDOG)
-        await asyncio.sleep(manager.feed_s)
+    while manager.again_s:
+        manager.feed()
+        await asyncio.sleep(manager.again_s)

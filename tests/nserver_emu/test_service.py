@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import configparser
+import contextlib
 import os
 import shlex
 import signal
@@ -11,10 +12,12 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from nserver_emu import service
 from nserver_emu.cli import whole_parser
 from nserver_emu.service import Manager, announced
 
@@ -59,15 +62,51 @@ def test_the_watchdog_is_fed_where_it_is_asked_for(environment: dict[str, str], 
     assert Manager(environment).feed_s == feed_s
 
 
-def test_a_manager_that_is_not_there_costs_one_word(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
-    manager = Manager({"NOTIFY_SOCKET": str(tmp_path / "nobody"), "WATCHDOG_USEC": "2000"})
+FED = {"WATCHDOG_USEC": "2000"}
+
+
+def test_a_manager_that_is_not_there_costs_one_word_and_is_told_when_it_comes(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    place = str(tmp_path / "nobody")
 
     async def scenario() -> None:
-        async with announced(manager):
+        async with announced(Manager({"NOTIFY_SOCKET": place} | FED)):
             await asyncio.sleep(0.02)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+                listener.setblocking(False)
+                listener.bind(place)
+                told = await asyncio.get_running_loop().sock_recv(listener, 100)
+                assert told.split() == [b"READY=1", b"WATCHDOG=1"]
+                assert await asyncio.get_running_loop().sock_recv(listener, 100) == b"WATCHDOG=1"
 
     asyncio.run(scenario())
     assert caplog.text.count("does not listen") == 1
+    assert caplog.text.count("listens again") == 1
+
+
+@pytest.mark.parametrize("environment", [FED, {}], ids=["watchdog", "no watchdog"])
+def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
+    manager: socket.socket, place: str, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "_AGAIN_S", 0.001)
+    manager.setblocking(False)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as crowd, contextlib.suppress(BlockingIOError):
+        crowd.setblocking(False)
+        while True:
+            crowd.sendto(b"STATUS=much to say", place.replace("@", "\0", 1) if place[0] == "@" else place)
+
+    async def scenario() -> None:
+        hear = partial(asyncio.get_running_loop().sock_recv, manager, 100)
+        async with announced(Manager({"NOTIFY_SOCKET": place} | environment)):
+            await asyncio.sleep(0.02)
+            while (told := await hear()).startswith(b"STATUS="):
+                pass
+            assert told.split() == ([b"READY=1", b"WATCHDOG=1"] if environment else [b"READY=1"])
+            if environment:
+                assert await hear() == b"WATCHDOG=1"
+
+    asyncio.run(scenario())
 
 
 def test_the_unit_asks_for_what_the_daemon_does(tmp_path: Path) -> None:
