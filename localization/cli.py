@@ -1,4 +1,4 @@
-"""Drive a robot from way-point to way-point on the filter's estimate, on whatever address (`nomad localize`).
+"""Drive a robot from way-point to way-point on the filter's estimate, on whatever address.
 
 Rules: reads options, prints, waits on the real clock; what drives and what estimates is navigation's and localizer's.
 Where the other end is our simulation the true error is printed beside the estimate; the filter never sees the truth.

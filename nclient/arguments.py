@@ -17,14 +17,7 @@ from nclient.suggesting import did_you_mean, nearest
 
 
 class Parser(argparse.ArgumentParser):
-    """An ArgumentParser with suggestions; its subparsers are of the same kind.
-
-    `followers`: first words that are commands of their own, and what may follow each (for completion).
-    """
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.followers: dict[str, tuple[str, ...]] = {}
+    """An ArgumentParser with suggestions; its subparsers are of the same kind."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does; ends with a suggestion where a long option is unknown."""

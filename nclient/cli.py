@@ -2,6 +2,7 @@
 
     nomad COMMAND ...    COMMAND: an entry point of the group `nomad.commands`, a module with
                          add_arguments(parser) and run(options) -> exit code; its docstring's first line is the help
+    nomad help [COMMAND] the same as --help, or as COMMAND --help
 
 Rules: knows no subcommand by name and imports only the one that is asked for, so that one which lacks an extra
 hurts no other. A NomadError is told on stderr; exit codes are those of nclient.exit_codes. Every command is left in
@@ -30,6 +31,7 @@ from nclient.leaving import Left, left_in_order
 from nclient.suggesting import nearest
 
 GROUP = "nomad.commands"
+HELP = "help"
 
 
 class Subcommand(Protocol):
@@ -68,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _dispatch(arguments: list[str]) -> int:
     commands = {point.name: point for point in entry_points(group=GROUP)}
+    if arguments[:1] == [HELP]:
+        arguments = [*(word for word in arguments[1:] if word != HELP), "--help"]
     if not arguments or arguments[0].startswith("-"):
         parser = _top_parser(commands)
         parser.parse_args(arguments or ["--help"])
@@ -97,6 +101,8 @@ def whole_parser() -> Parser:
             continue
         below = commands.add_parser(name, help=_plain(summary(point)), **_description(command))
         command.add_arguments(below)
+    about = commands.add_parser(HELP, help="show what there is, or what a command takes", add_help=False)
+    about.add_argument("name", nargs="?", choices=sorted(points))
     return parser
 
 
@@ -122,7 +128,7 @@ def _top_parser(commands: dict[str, EntryPoint]) -> Parser:
         prog="nomad",
         usage="nomad COMMAND ...",
         description=f"Nomad robots and their Nserver from the command line.\nExit codes: {in_short()}.",
-        epilog="\n".join(("commands (nomad COMMAND --help says more):", *lines)),
+        epilog="\n".join(("commands (nomad help COMMAND says more):", *lines)),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"nomad {version()}")
@@ -143,7 +149,7 @@ def summary(point: EntryPoint) -> str:
 
 
 def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
-    near = nearest(name, commands, likeness=0.5)
+    near = nearest(name, (*commands, HELP), likeness=0.5)
     hint = f"did you mean {near}?" if near else f"there are: {', '.join(sorted(commands))}"
     return f"no command {name!r}; {hint}"
 

@@ -34,7 +34,7 @@ class ExitCode(IntEnum):
     NOT_REACHED = 3, "it ran, and what was asked for did not come to be (table below)", (_NOMAD,)
     UNFIT = 4, "`nomad calibrate`: readings do not fit what was told of the robot; nothing was written", (_NOMAD,)
     HUNG_UP = 129, "the terminal was closed (SIGHUP); a driven robot was stopped, its report written", (_NOMAD,)
-    INTERRUPTED = 130, "Ctrl-C (SIGINT); a driven robot was stopped, its report written", (_NOMAD, _CTL)
+    INTERRUPTED = 130, "Ctrl-C (SIGINT), of `nserver` until it serves; a driven robot stopped, its report written", _ALL
     READER_GONE = 141, "whoever read the output went away (SIGPIPE)", _ALL
     TERMINATED = 143, "SIGTERM; a driven robot was stopped, its report written", (_NOMAD,)
 

@@ -17,7 +17,9 @@ def nearest(word: str, known: Iterable[str], likeness: float = LIKENESS) -> str:
     return next(iter(get_close_matches(word, list(known), n=1, cutoff=likeness)), "")
 
 
-def did_you_mean(word: str, known: Iterable[str], before: str = "; ", after: str = "?") -> str:
+def did_you_mean(
+    word: str, known: Iterable[str], before: str = "; ", after: str = "?", likeness: float = LIKENESS
+) -> str:
     """`; did you mean WORD?` with the nearest known word; "" where none is near."""
-    near = nearest(word, known)
+    near = nearest(word, known, likeness)
     return f"{before}did you mean {near}{after}" if near else ""

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 import sys
 
-from nserver_emu.cli import main
+from nomad_start import nserver
 
-sys.exit(main())
+sys.exit(nserver())

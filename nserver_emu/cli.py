@@ -2,6 +2,7 @@
 
     nserver [options] [WORLD] [robot.setup] [world.setup]       the original's -help -noisy -port n work as well
     nserver ctl COMMAND                                         says one thing to a daemon that runs (ctl.py)
+    nserver help [ctl]                                          what either takes
 
 Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
 Exit codes are those of nclient.exit_codes.
@@ -26,7 +27,7 @@ from nclient.arguments import Parser
 from nclient.errors import ExtraMissing, NomadError, SnapshotError
 from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
-from nserver_emu import ctl, logs
+from nserver_emu import ctl, ctl_completion, logs
 from nserver_emu.garbage import seldom_sought
 from nserver_emu.gateway import options as real_options
 from nserver_emu.gateway.gateway import Gateway
@@ -38,7 +39,6 @@ from nserver_emu.server.admission.access import access_of, warning
 from nserver_emu.server.admission.descriptors import make_room
 from nserver_emu.server.admission.door import Door
 from nserver_emu.server.admission.limits import limits_of
-from nserver_emu.server.control.control import BY_NAME
 from nserver_emu.server.control.control_options import controlled, may_have_faults
 from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.keeping.autosave import SaveFile, autosaved
@@ -62,12 +62,14 @@ log = logging.getLogger(__name__)
 
 CONTROL = "ctl"
 """Instead of options: what follows is for a daemon that runs (ctl.py)."""
+HELP = "help"
+"""Instead of options: to be told what there is."""
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
     outputs.fill_in()
-    words = sys.argv[1:] if argv is None else argv
+    words = _asked_for_help(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: ctl.main(words[1:])
     try:
         code = run(words)
@@ -75,6 +77,15 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         return outputs.ended_by(error, "nserver")
     return code
+
+
+def _asked_for_help(words: list[str]) -> list[str]:
+    """`help` as the option; any other words as they are."""
+    if words[:1] != [HELP]:
+        return words
+    if words[1:2] not in ([], [CONTROL]):
+        nserver_parser().error(f"{HELP} {words[1]}: it is {HELP} alone, or {HELP} {CONTROL}")
+    return [*words[1:2], "--help"]
 
 
 def _daemon(words: list[str]) -> int:
@@ -92,8 +103,8 @@ def _daemon(words: list[str]) -> int:
     except NomadError as error:
         logs.tell_failure(options, error)
         return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
-    except KeyboardInterrupt:
-        return ExitCode.DONE
+    except KeyboardInterrupt:  # not while it serves: that ends as it should (stop_on_signals)
+        return ExitCode.INTERRUPTED
 
 
 async def _serve(options: argparse.Namespace) -> int:
@@ -151,7 +162,8 @@ async def _run(
             logs.tell(line)
         with seldom_sought():
             async with announced(manager):
-                await daemon.serve(stop, lambda: _end(manager, file))
+                with contextlib.suppress(asyncio.CancelledError):  # Ctrl-C, where a loop has no signal handlers
+                    await daemon.serve(stop, lambda: _end(manager, file))
 
 
 def _end(manager: Manager, file: SaveFile | None) -> None:
@@ -215,7 +227,10 @@ def _list_worlds() -> None:
 
 
 def whole_parser() -> Parser:
-    """The parser, with what `nserver ctl` takes: for completion."""
+    """The parser with `nserver ctl` and `nserver help` as subcommands: for completion. It reads no words itself."""
     parser = nserver_parser()
-    parser.followers[CONTROL] = tuple(dict.fromkeys(word for name in BY_NAME for word in name.split()))
+    first = parser.add_subparsers()
+    ctl_completion.add_commands(first.add_parser(CONTROL, help="say something to a daemon that runs"))
+    asking = first.add_parser(HELP, help="show what there is", add_help=False)
+    asking.add_argument("about", nargs="?", choices=[CONTROL])
     return parser

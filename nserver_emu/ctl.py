@@ -24,6 +24,7 @@ from nclient.faults.plan_file import read_plan
 from nclient.suggesting import did_you_mean
 from nserver_emu.ctl_answers import said_in, shown
 from nserver_emu.server.control.control import BY_NAME, COMMANDS
+from nserver_emu.server.control.control_options import socket_path
 from nserver_emu.server.control.control_socket import LONGEST_LINE, default_path
 from worlds.files import world_text
 
@@ -130,6 +131,13 @@ def _argument(name: str, given: str | None) -> object:
             return given
 
 
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options, which may stand before, between and after the words."""
+    parser.add_argument("--control", type=socket_path, metavar="PATH",
+                        help="the daemon's socket (default: the user's own)")
+    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+
+
 def _parser() -> argparse.ArgumentParser:
     commands = "\n".join("  " + line for line in _rows({f"{c.name} {c.argument}".strip(): c.about for c in COMMANDS}))
     parser = Parser(
@@ -138,7 +146,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"commands:\n{commands}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--control", type=Path, metavar="PATH", help="the daemon's socket (default: the user's own)")
-    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+    add_options(parser)
     parser.add_argument("words", nargs="+", metavar="COMMAND", help="see below")
     return parser

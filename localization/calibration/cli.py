@@ -1,4 +1,4 @@
-"""`nomad calibrate`: drive a square both ways round, find out what wheels and sonars get wrong, write a model file.
+"""Drive a square both ways round, find out what wheels and sonars get wrong, write a model file.
 
 Rules: reads options, prints, waits on the real clock; square drives, filters.calibrating estimates.
 """

@@ -1,4 +1,4 @@
-"""`nomad map`: check a map, simplify it, show where it lets a robot know its place.
+"""Check a map, simplify it, show where it lets a robot know its place.
 
 Rules: reads options and prints; findings are worlds.checking's, fewer walls worlds.simplifying's, the bound weakness's.
 """

@@ -1,10 +1,11 @@
-"""Print what makes a shell complete `nomad` and `nserver`: commands, options, choices, addresses, worlds, files.
+"""Print what makes a shell complete nomad and nserver: commands, options, choices, addresses, worlds, files.
 
     eval "$(nomad completion bash)"        in ~/.bashrc; for zsh the same with zsh, in ~/.zshrc after compinit
     nomad completion fish nomad            the script of one program alone
 
 Rules: the scripts are made by shtab (extra `shell`) from the parsers themselves, found by entry point; what an argument
 is completed with is read off its metavar. They hold what is installed now: worlds, commands. Made anew, they hold more.
+What a program takes instead of its own words is a subparser (`nserver ctl`), and is offered as the first word alone.
 """
 
 from __future__ import annotations
@@ -55,24 +56,48 @@ def words_of_metavars() -> dict[str, tuple[str, ...]]:
     found = {point.name: tuple(point.load()()) for point in entry_points(group=WORDS)}
     addresses = [_BEFORE_A_COLON.get(scheme, (f"{scheme}:",)) for scheme in known_schemes()]
     simulated = [f"sim:{world}" for world in found.get("WORLD", ())]
-    return {"PART": tuple(PARTS), "COMMAND": tuple(BY_NAME), "MODEL": tuple(MODELS),
+    return {"PART": tuple(PARTS), "COMMAND": tuple(BY_NAME), "call": tuple(BY_NAME), "MODEL": tuple(MODELS),
             "ADDRESS": (*(word for words in addresses for word in words), *simulated)} | found  # fmt: skip
 
 
 def script(parser: Parser, shell: str, words: dict[str, tuple[str, ...]]) -> str:
     """The script for one program."""
+    firsts = _firsts(parser)
     for action in _actions(parser):
-        _mark(action, words, parser)
+        own = action in parser._actions and not action.option_strings
+        _mark(action, words, parser.prog, firsts if own else ())
     made = str(shtab.complete(parser, shell=shell))
-    if shell == "bash":
-        return f"{made}\n\n{_WHOLE_WORDS.substitute(prog=parser.prog)}"
-    return _with_all_words(made, alone=parser._subparsers is None) if shell == "zsh" else made
+    match shell:
+        case "bash":
+            return f"{made}\n\n{_WHOLE_WORDS.substitute(prog=parser.prog)}"
+        case "zsh":
+            return _with_all_words(made, parser.prog, firsts, alone=parser._subparsers is None)
+        case _:
+            return re.sub(r"-ge 0(' -a )", rf"-ge 0; {_FISH_FIRST}\1", made)
 
 
-def _with_all_words(made: str, *, alone: bool) -> str:
-    """shtab has zsh complete the first of several words alone, and looks for that by its mark `(*)`."""
+def _firsts(parser: Parser) -> tuple[str, ...]:
+    """The first words that are commands of their own, of a program that takes other words as well."""
+    words = [action for action in parser._actions if not action.option_strings]
+    commands = [action for action in words if isinstance(action, argparse._SubParsersAction)]
+    return tuple(name for action in commands for name in action.choices) if len(words) > len(commands) else ()
+
+
+def _with_all_words(made: str, prog: str, firsts: tuple[str, ...], *, alone: bool) -> str:
+    """shtab has zsh complete the first of several words alone, and looks for that by its mark `(*)`; and it has either
+    words or subcommands."""
     made = re.sub(r'^  "\(\*\)::?', '  "*:', made, flags=re.MULTILINE)
-    return made.replace("_defaults_added=0", "_defaults_added=1") if alone else made
+    if alone or firsts:
+        made = made.replace(f"_shtab_{prog}_defaults_added=0", f"_shtab_{prog}_defaults_added=1")
+    begin = f"_shtab_{prog}() {{\n"
+    cases = "".join(_zsh_case(made, f"_shtab_{prog}_{first}", first) for first in firsts)
+    return made.replace(begin, f"{begin}{_FIRST_WORD.substitute(cases=cases)}", 1) if firsts else made
+
+
+def _zsh_case(made: str, name: str, first: str) -> str:
+    """shtab writes a function for a subcommand that has subcommands, and an array of options for one that has none."""
+    does = name if f"\n{name}() {{\n" in made else f"_arguments -C -s ${name}_options"
+    return f"      {first}) shift words; (( CURRENT -= 1 )); {does}; return;;\n"
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
@@ -84,63 +109,71 @@ def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
                 yield from _actions(below)
 
 
-def _mark(action: argparse.Action, words: dict[str, tuple[str, ...]], parser: Parser) -> None:
-    """Say to shtab what completes an action, where its metavar or type tells."""
+def _mark(action: argparse.Action, words: dict[str, tuple[str, ...]], prog: str, firsts: tuple[str, ...]) -> None:
+    """Say to shtab what completes an action, where its metavar or type tells; `firsts`: words for the first place."""
     metavar = action.metavar if isinstance(action.metavar, str) else action.dest
     names = ["ADDRESS"] if action.dest == "address" else metavar.split(" | ")
     offered = tuple(word for name in names for word in words.get(name, ()))
     files = action.type is Path or not _FILES.isdisjoint(names)
     if action.choices is None and (offered or files):
-        first = {} if action.option_strings else parser.followers
-        vars(action)["complete"] = _completer(parser.prog, names, offered, first, files) if offered else shtab.FILE
+        vars(action)["complete"] = _completer(prog, names, offered, firsts, files) if offered else shtab.FILE
 
 
 def _completer(
-    prog: str, names: list[str], offered: tuple[str, ...], first: dict[str, tuple[str, ...]], files: bool
+    prog: str, names: list[str], offered: tuple[str, ...], firsts: tuple[str, ...], files: bool
 ) -> dict[str, Any]:
-    """A shell function that offers words, files as well, or what follows a first word that is a command of its own."""
+    """A shell function that offers words, others in the first place, and files as well."""
     kinds = [re.sub(r"\W", "", word).lower() for word in names]
-    name = "_".join(("", prog, *kinds, *(["file"] if files and "file" not in kinds else [])))
-    words = " ".join((*offered, *first))
+    kinds += [*(["file"] if files and "file" not in kinds else []), *(["first"] if firsts else [])]
+    name = "_".join(("", prog, *kinds))
     functions = {}
-    for shell, (function, case, paths) in _FUNCTIONS.items():
-        cases = "".join(case.format(first=verb, then=" ".join(then)) for verb, then in first.items())
-        functions[shell] = function.substitute(name=name, words=words, cases=cases, files=paths if files else ":")
+    for shell, (function, first, paths) in _FUNCTIONS.items():
+        more = [first.format(words=" ".join(firsts))] if firsts and first else []
+        lines = "\n  ".join([*more, *([paths] if files else [])]) or ":"
+        functions[shell] = function.substitute(name=name, words=" ".join(offered), more=lines)
     return {"bash": name, "zsh": name, "fish": f"({name})", "preamble": functions}
 
 
 _FUNCTIONS = {
     "bash": (Template("""\
 $name() {
-  case "$${COMP_WORDS[1]}" in
-$cases    *) compgen -W "$words" -- "$$1"; $files;;
-  esac
-}"""), '    {first}) compgen -W "{then}" -- "$1";;\n', 'compgen -f -- "$1"'),
+  compgen -W "$words" -- "$$1"
+  $more
+}"""), '(( COMP_CWORD > 1 )) || compgen -W "{words}" -- "$1"', 'compgen -f -- "$1"'),
     "zsh": (Template("""\
 $name() {
-  case "$$words[2]" in
-$cases    *) compadd -- $words; $files;;
-  esac
-}"""), "    {first}) compadd -- {then};;\n", "_files"),
+  compadd -- $words
+  $more
+}"""), "(( CURRENT > 2 )) || compadd -- {words}", "_files"),
     "fish": (Template("""\
 function $name
   printf '%s\\n' $words
-  $files
+  $more
 end"""), "", "__fish_complete_path (commandline -ct)"),
 }  # fmt: skip
-"""By shell: the function, its line for a first word, and how it offers files."""
+"""By shell: the function, how it offers words for the first place (fish does by itself), and how files."""
+_FISH_FIRST = "and test (count (commandline -opc)) -eq 1"
+"""Beside other words shtab has fish offer a subcommand in every place."""
+_FIRST_WORD = Template("""\
+  if (( CURRENT > 2 )); then
+    case "$$words[2]" in
+$cases    esac
+  fi
+""")
+"""The beginning of zsh's function for a program, where a first word is a command of its own."""
 _WHOLE_WORDS = Template("""\
-# bash takes a colon for the end of a word; an address is one word
+# bash takes a colon and a = for the end of a word; an address is one word, and so is KEY=VALUE
 _${prog}_whole_words() {
-  local line="$${COMP_LINE:0:COMP_POINT}" place
+  local line="$${COMP_LINE:0:COMP_POINT}" place breaks="$${COMP_WORDBREAKS//[^:=]/}"
   local -a COMP_WORDS
   read -ra COMP_WORDS <<<"$$line"
   [[ "$$line" == *" " ]] && COMP_WORDS+=("")
   local COMP_CWORD=$$(( $${#COMP_WORDS[@]} - 1 ))
   local typed="$${COMP_WORDS[COMP_CWORD]}"
   _shtab_${prog} "$$@"
-  if [[ "$$typed" == *:* && "$$COMP_WORDBREAKS" == *:* ]]; then
-    for place in "$${!COMPREPLY[@]}"; do COMPREPLY[place]="$${COMPREPLY[place]#"$${typed%:*}:"}"; done
+  local last="$${typed##*["$$breaks"]}"
+  if [[ -n "$$breaks" && "$$last" != "$$typed" ]]; then
+    for place in "$${!COMPREPLY[@]}"; do COMPREPLY[place]="$${COMPREPLY[place]#"$${typed%"$$last"}"}"; done
   fi
 }
 complete -o bashdefault -F _${prog}_whole_words ${prog}""")

@@ -2,7 +2,8 @@
 
     nomad state nserver://localhost:7019/1               all that it tells, with units
     nomad state sim:thesis_room sonar pose               parts: pose velocity motors sonar infrared bumpers compass ...
-    nomad state --watch --every 0.5                      anew twice a second, until Ctrl-C
+    nomad state --every 0.5                              anew twice a second, until Ctrl-C
+    nomad state --count 3 clock                          three times, a second between two
     nomad state --watch --json | jq .x_in                an object a line, for programs
 
 Rules: options and printing only; what a state looks like is nclient.shell.glance's. Asks gs; the link is not dressed:
@@ -34,10 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("words", nargs="*", metavar="ADDRESS | PART",
                         help=f"an address (default: $NOMAD_ROBOT, or this machine's Nserver), and parts of the state: "
                         f"{', '.join(glance.PARTS)} (default: all)")
-    parser.add_argument("--watch", action="store_true", help="look again and again, until Ctrl-C")
-    parser.add_argument("--every", type=seconds, default=EVERY_S, metavar="S",
-                        help=f"seconds between two looks of --watch (default {EVERY_S:g})")
-    parser.add_argument("--count", type=_count, metavar="N", help="how often --watch looks")
+    parser.add_argument("--watch", action="store_true",
+                        help="look again and again, until Ctrl-C; --every or --count alone means it, too")
+    parser.add_argument("--every", type=seconds, metavar="S",
+                        help=f"watch, with so many seconds between two looks (default {EVERY_S:g})")
+    parser.add_argument("--count", type=_count, metavar="N", help="watch, and end after so many looks")
     parser.add_argument("--json", action="store_true", help="print an object a line, of all parts")
 
 
@@ -45,9 +47,10 @@ def run(options: argparse.Namespace) -> int:
     """Look and tell; the exit code."""
     address, parts = _sorted_words(options.words)
     robot = Robot(opening_of(address_or_default(address), Wanted()).talk())
-    looks = options.count if options.watch else 1
+    watching = options.watch or options.every is not None or options.count is not None
+    every_s = EVERY_S if options.every is None else options.every
     try:
-        watch(robot, parts, looks, options.every, as_json=options.json, sleep=time.sleep)
+        watch(robot, parts, options.count if watching else 1, every_s, as_json=options.json, sleep=time.sleep)
     except KeyboardInterrupt:
         return ExitCode.DONE  # which is how one ends it
     finally:

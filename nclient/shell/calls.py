@@ -6,7 +6,7 @@ through before its first line is done.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from nclient.errors import ShellError, WireError
@@ -15,11 +15,13 @@ from nclient.protocol.bounds import beyond_line
 from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.mask import SLOTS, Mask
 from nclient.protocol.terms import Terms
-from nclient.shell.language import Order, Value
+from nclient.shell.language import ARRAYS, Order, Value
 from nclient.shell.own_words import OWN
 from nclient.shell.reference import Parameter, available, parameters, usage
 from nclient.suggesting import did_you_mean
 
+_LIKENESS = 0.5
+"""Of names, many of which are two letters long: one right letter is half of such a one."""
 _END = 255
 """What ends a firing order."""
 _THOUSANDTHS = 1000
@@ -42,10 +44,16 @@ def call_of(order: Order, terms: Terms, smask: Sequence[int], pid: int) -> Call:
     return call
 
 
+def no_command(name: str, beside: Iterable[str] = ()) -> str:
+    """That there is no such command, and which was probably meant; `beside`: what else may have been."""
+    hint = did_you_mean(name, (*BY_NAME, *OWN, *beside), likeness=_LIKENESS)
+    return f"no command {name!r}{hint}; help lists them all"
+
+
 def _row(name: str, terms: Terms) -> Command:
     row = BY_NAME.get(name)
     if row is None:
-        raise ShellError(f"no command {name!r}{did_you_mean(name, (*BY_NAME, *OWN))}; help lists them all")
+        raise ShellError(no_command(name, ARRAYS))
     if not available(row, terms):
         there = f"on the own line of a {terms.model.name}" if terms.line else "over TCP"
         raise ShellError(f"there is no {name} {there}; help {name} says where there is")

@@ -20,11 +20,10 @@ from nclient.protocol.terms import Terms
 from nclient.robot import Robot
 from nclient.shell import glance
 from nclient.shell.answers import shown
-from nclient.shell.calls import call_of
+from nclient.shell.calls import call_of, no_command
 from nclient.shell.language import Element, Order, Value, parse
 from nclient.shell.own_words import ARRAYS_HELP, OWN
 from nclient.shell.reference import help_lines, model_note, summaries
-from nclient.suggesting import did_you_mean
 
 WAIT_S = 60
 LOOK_S = 0.05
@@ -182,7 +181,7 @@ def _check_own(order: Order) -> None:
         case "help":
             for word in map(str, values):
                 if word not in BY_NAME and word not in OWN:
-                    raise ShellError(f"help: no command {word!r}{did_you_mean(word, (*BY_NAME, *OWN))}")
+                    raise ShellError(f"help: {no_command(word)}")
         case "state":
             glance.check(map(str, values))
         case "wait" | "sleep" if values or name == "sleep":

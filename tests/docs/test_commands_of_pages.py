@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from localization.experiments import __main__ as figures
-from nserver_emu.cli import whole_parser
+from nserver_emu.options import nserver_parser
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -52,4 +52,4 @@ def test_the_options_of_the_service_are_the_daemons() -> None:
     found = re.findall(r'NSERVER_OPTIONS="?([^"`\n]+)', page)
     assert len(found) == 2
     for words in found:
-        assert whole_parser().parse_args(shlex.split(words)).robots == 2
+        assert nserver_parser().parse_args(shlex.split(words)).robots == 2

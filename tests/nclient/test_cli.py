@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from importlib.metadata import EntryPoint, version
+from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,30 @@ def test_help_lists_all_and_imports_none(arguments: list[str], capsys: pytest.Ca
     assert not any(module.startswith("nomad_test_") for module in sys.modules)
 
 
+@pytest.mark.parametrize(("words", "option"), [
+    (["help"], ["--help"]), (["help", "help"], ["--help"]), (["help", "fine"], ["fine", "--help"]),
+])
+def test_help_is_a_word_as_well(words: list[str], option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    told = []
+    for arguments in (words, option):
+        with pytest.raises(SystemExit, match="0"):
+            cli.main(arguments)
+        told.append(capsys.readouterr().out)
+    assert told[0] == told[1]
+    assert f"usage: nomad {option[0] if len(option) > 1 else 'COMMAND'}" in told[0]
+
+
+def test_help_of_what_is_not_there_says_what_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["help", "fien"]) == 2
+    assert capsys.readouterr().err == "nomad: no command 'fien'; did you mean fine?\n"
+
+
+def test_every_command_of_ours_says_what_it_does_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    for point in entry_points(group=cli.GROUP):
+        assert re.fullmatch(r"[A-Z][^`()]+\.", cli.summary(point)), point.name
+
+
 def test_help_of_a_subcommand_leaves_its_rules_out(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         cli.main(["fine", "--help"])
@@ -97,6 +122,7 @@ def test_options_alone_are_no_command(argument: str, capsys: pytest.CaptureFixtu
 
 @pytest.mark.parametrize(("name", "told"), [
     ("fien", "no command 'fien'; did you mean fine?"),
+    ("hlep", "no command 'hlep'; did you mean help?"),
     ("xyzzy", "no command 'xyzzy'; there are: absent, builtin, extra, fine, gone, nameless, odd"),
     ("extra", "the command 'extra' needs no_such_extra, which is not installed: pip install 'nomad-nserver[all]'"),
     ("odd", "the command 'odd' cannot be loaded: cannot import name 'no_such_name'"),
@@ -138,6 +164,7 @@ def test_one_parser_of_all_has_those_that_cannot_be_loaded_by_their_names(monkey
     parser = cli.whole_parser()
     assert parser.parse_args(["fine", "3"]).number == 3
     assert parser.parse_args(["extra"]).command == "extra"
+    assert parser.parse_args(["help", "odd"]).name == "odd"
     with pytest.raises(SystemExit, match="2"):
         parser.parse_args(["extra", "--option"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import signal
 import socket
@@ -14,6 +15,7 @@ import pytest
 from nclient.protocol import language
 from nclient.protocol.commands import Call
 from nserver_emu import cli
+from nserver_emu.server.ports.daemon import Daemon
 
 
 def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,6 +110,41 @@ def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: sig
         out, err = program.communicate(timeout=20)
     assert (program.returncode, out) == (0, "")
     assert "connected" in err
+
+
+@pytest.mark.parametrize(("words", "usage"), [(["help"], "nserver [-h]"), (["help", "ctl"], "nserver ctl [-h]")])
+def test_help_is_a_word_as_well(words: list[str], usage: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(words)
+    assert capsys.readouterr().out.startswith(f"usage: {usage}")
+
+
+def test_help_of_something_else_says_of_what_there_is_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["help", "status"])
+    assert capsys.readouterr().err.endswith("nserver: error: help status: it is help alone, or help ctl\n")
+
+
+def test_ctrl_c_before_it_serves_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: list[Path]) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "read_setups", interrupted)
+    assert cli.main(["--port", "0"]) == 130
+
+
+def test_ctrl_c_is_how_it_ends_where_no_signal_can_be_handled(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """asyncio then cancels what runs."""
+
+    async def cancelled(daemon: Daemon, *_: object) -> None:
+        await daemon.close()
+        raise asyncio.CancelledError
+
+    monkeypatch.setattr(Daemon, "serve", cancelled)
+    assert cli.main(["--port", "0"]) == 0
+    assert capsys.readouterr().out.startswith("listening nserver ")
 
 
 def test_usage_errors_say_what_is_wanted(capsys: pytest.CaptureFixture[str]) -> None:

@@ -82,6 +82,17 @@ def test_files_are_read_here_and_named_whole(path: Path, tmp_path: Path, monkeyp
     assert run(path.with_name("t"), "save", "x.json")[1]["argument"] == str(tmp_path / "x.json")
 
 
+@pytest.mark.parametrize("words", [["--control", "c1", "status"], ["--control", "status"]])
+def test_a_path_is_one_that_the_daemon_takes_as_well(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    wanted = f"argument --control: a path with a slash or ending in .sock, such as ./nserver.sock, not {words[1]!r}"
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["ctl", *words])
+    assert capsys.readouterr().err.endswith(f"{wanted}\n")
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(words[:2])
+    assert f"{wanted}; the world goes before --control" in capsys.readouterr().err
+
+
 def test_a_file_that_is_not_there_is_told_without_asking(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["ctl", "--control", "/nowhere", "faults", "set", str(tmp_path / "x.toml")]) == 1
     assert "x.toml: cannot be read" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from nserver_emu import service
-from nserver_emu.cli import whole_parser
+from nserver_emu.options import nserver_parser
 from nserver_emu.service import Manager, announced
 
 UNIT = Path(__file__).parents[2] / "packaging/nserver.service"
@@ -121,5 +121,5 @@ def test_the_unit_asks_for_what_the_daemon_does(tmp_path: Path) -> None:
         command = command.replace(folder, str(tmp_path))
     words = shlex.split(command)
     assert words[0].endswith("/nserver")
-    found = whole_parser().parse_args(words[1:])
+    found = nserver_parser().parse_args(words[1:])
     assert (found.files, found.log_format, found.control) == (["several_walls"], "json", tmp_path / "nserver.sock")

@@ -32,7 +32,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--faults", type=Path, metavar="FILE",
                        help="a plan of faults on purpose, in TOML: what is lost, late, corrupted or refused, on "
                        "which line")
-    group.add_argument("--control", type=_socket, nargs="?", const=_USERS_OWN, metavar="PATH",
+    group.add_argument("--control", type=_socket_after_a_world, nargs="?", const=_USERS_OWN, metavar="PATH",
                        help="let `nserver ctl` control the daemon over a socket that only you can open (default: one "
                        "in your runtime folder)")
 
@@ -73,8 +73,16 @@ async def _begun(daemon: Daemon, options: argparse.Namespace) -> ControlSocket |
     return control
 
 
-def _socket(text: str) -> Path:
+def socket_path(text: str) -> Path:
+    """What may follow --control, of the daemon and of `nserver ctl`: no world and no command, which have no slash."""
     if "/" not in text and not text.endswith(_SUFFIX):
-        raise argparse.ArgumentTypeError(f"a path with a slash or ending in {_SUFFIX}, such as ./nserver{_SUFFIX}, "
-                                         f"not {text!r}; the world goes before --control")
+        wanted = f"a path with a slash or ending in {_SUFFIX}, such as ./nserver{_SUFFIX}"
+        raise argparse.ArgumentTypeError(f"{wanted}, not {text!r}")
     return Path(text)
+
+
+def _socket_after_a_world(text: str) -> Path:
+    try:
+        return socket_path(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}; the world goes before --control") from None

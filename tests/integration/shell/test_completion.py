@@ -1,4 +1,4 @@
-"""Completion scripts in real shells: bash and zsh, at a terminal, by Tab."""
+"""Completion scripts in real shells: bash and zsh at a terminal, by Tab; fish by its own command that completes."""
 
 from __future__ import annotations
 
@@ -27,6 +27,20 @@ CASES = {
     "nserver --setup meas": "nserver --setup measured",
     "nserver thesis": "nserver thesis_room",
     "nserver ctl pau": "nserver ctl pause",
+    "nserver ctl --js": "nserver ctl --json",
+    "nserver ctl --po": "nserver ctl --po",
+    "nserver ctl faults sh": "nserver ctl faults show",
+    "nserver ctl faults sta": "nserver ctl faults sta",
+    "nserver ctl faults set squ": "nserver ctl faults set square.nomad",
+    "nserver ctl --control ./x world set th": "nserver ctl --control ./x world set thesis_room",
+    "nserver ctl noise sensors=me": "nserver ctl noise sensors=measured",
+    "nserver ctl speed m": "nserver ctl speed max",
+    "nserver hel": "nserver help",
+    "nserver help c": "nserver help ctl",
+    "nserver --port 0 hel": "nserver --port 0 hel",
+    "nomad wire encode pre": "nomad wire encode predict_sensors",
+    "nomad wire decode --call conf_l": "nomad wire decode --call conf_ls",
+    "nomad help wi": "nomad help wire",
     "nserver --restore squ": "nserver --restore square.nomad",
 }
 START = {
@@ -49,6 +63,24 @@ def test_tab_completes_commands_options_choices_addresses_worlds_and_files(shell
             terminal.see(rf"\n{completed} ?\r.*ready> ")
         terminal.type("exit\r")
         assert terminal.leave() == 0
+
+
+def test_fish_completes_the_same(tmp_path: Path) -> None:
+    assert shutil.which("fish"), "fish is missing: scripts/test installs it"
+    (tmp_path / "square.nomad").write_text("st\n")
+    asked = "".join(f"echo '> {typed}'; complete -C '{typed}'\n" for typed in CASES)
+    script = f"{BIN}/nomad completion fish | source\n{asked}"
+    environment = {**os.environ, "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}", "HOME": str(tmp_path)}
+    done = subprocess.run(
+        ["fish", "--no-config", "-c", script],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    blocks = (block.splitlines() for block in done.stdout.split("> ")[1:])
+    told = {typed: [line.partition("\t")[0] for line in lines] for typed, *lines in blocks}
+    assert told == {
+        typed: [completed.rpartition(" ")[2]] if completed != typed else [] for typed, completed in CASES.items()
+    }
 
 
 @pytest.mark.parametrize(("words", "told"), [

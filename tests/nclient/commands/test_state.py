@@ -26,6 +26,33 @@ def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
     assert clocks == sorted(set(clocks))
 
 
+@pytest.mark.parametrize(("words", "looks"), [
+    (["--count", "3"], 3), (["--every", "0", "--count", "2"], 2), (["--watch", "--count", "1"], 1), ([], 1),
+])
+def test_how_often_is_said_without_watch_as_well(
+    words: list[str], looks: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("time.sleep", slept.append)
+    assert cli.main(["state", "sim:thesis_room", "clock", *words]) == 0
+    assert capsys.readouterr().out.count("clock") == looks
+    assert slept == [0.0 if "--every" in words else state.EVERY_S] * (looks - 1)
+
+
+def test_an_interval_alone_is_to_watch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    slept: list[float] = []
+
+    def twice(seconds: float) -> None:
+        slept.append(seconds)
+        if len(slept) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", twice)
+    assert cli.main(["state", "sim:thesis_room", "clock", "--every", "0.5"]) == 0
+    assert capsys.readouterr().out.count("clock") == 2
+    assert slept == [0.5, 0.5]
+
+
 def test_objects_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["state", "sim:thesis_room?robot=scout", "--json"]) == 0
     (line,) = capsys.readouterr().out.splitlines()

@@ -43,6 +43,8 @@ def test_arguments_are_those_of_the_table(text: str, args: tuple[object, ...]) -
 
 @pytest.mark.parametrize(("text", "told"), [
     ("prr 1", "no command 'prr'; did you mean pr.?; help lists them all"),
+    ("vn 1 0 0", "no command 'vn'; did you mean vm.; help"),
+    ("smask", "no command 'smask'; did you mean Smask.; help"),
     ("hlep", "no command 'hlep'; did you mean help"),
     ("zzzzzz", "no command 'zzzzzz'; help lists them all"),
     ("conf_ser 1 9600", "there is no conf_ser over TCP"),

@@ -102,6 +102,9 @@ def test_help_is_as_wide_as_a_terminal_but_for_long_lines() -> None:
 @pytest.mark.parametrize(("text", "why"), [
     ("help nothing_such", "help: no command 'nothing_such'"),
     ("help mvv", "did you mean mv?"),
+    ("help vn", r"help: no command 'vn'; did you mean vm\?; help lists them all"),
+    ("help foo", "help: no command 'foo'; help lists them all"),
+    ("help slep", "did you mean sleep?"),
     ("state sonars", "no part 'sonars'"),
     ("sleep", r"sleep SECONDS: a number of seconds is wanted, 0 to 86400"),
     ("sleep long", "sleep SECONDS"),
