@@ -156,9 +156,12 @@ class RobotState:
 
     @property
     def laser_points_in(self) -> tuple[tuple[float, ...], ...]:
-        """The laser's readings in the robot's frame, inches: (x, y) points, (x1, y1, x2, y2) lines, or pixels."""
+        """The laser's readings in the robot's frame, inches: (x, y) points, or (x1, y1, x2, y2) lines. A mode whose
+        readings are rows of the camera has none: those are `laser`."""
         count, values = self.laser[0], self.laser[1:]
-        width = max(1, len(values) // count) if count else 1
+        width = len(values) // count if count else 0
+        if width <= 1:
+            return ()
         return tuple(tuple(v / 10 for v in values[k : k + width]) for k in range(0, len(values), width))
 
     # pose, by the encoders

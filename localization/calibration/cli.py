@@ -11,6 +11,7 @@ import math
 import sys
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,7 +55,7 @@ from worlds.world import World
 START_STD = (0.5, 0.5, 0.02)
 """How well the robot is placed at the start: inches, inches, radians."""
 TOLD_EVERY_S = 10.0
-MOST_LAPS = 8
+MOST_LAPS, MOST_COUNT = 8, 100
 SPEED_IN_S, TURN_DEG_S = 10.0, 40.0
 
 
@@ -77,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_known(parser)
     parser.add_argument("--square", type=_square, metavar="X,Y,SIDE",
                         help="the square: lower left corner and side in inches (default: the largest with room)")
-    parser.add_argument("--laps", type=_count, metavar="N",
+    parser.add_argument("--laps", type=partial(_count, least=1), metavar="N",
                         help="laps each way (default: until all is known to a thirtieth of itself, or of what is "
                              f"typical, but {MOST_LAPS} at most)")
     parser.add_argument("--spins", type=_count, default=1, metavar="N",
@@ -212,7 +213,7 @@ def _square(text: str) -> Square:
     return Square(x, y, side)
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) > 100:
-        raise argparse.ArgumentTypeError(f"a whole number from 0 to 100, not {text!r}")
+def _count(text: str, least: int = 0) -> int:
+    if not text.isdecimal() or not least <= int(text) <= MOST_COUNT:
+        raise argparse.ArgumentTypeError(f"a whole number from {least} to {MOST_COUNT}, not {text!r}")
     return int(text)

@@ -107,7 +107,9 @@ def _bumpers(state: RobotState) -> str:
 
 
 def _laser(state: RobotState) -> str:
-    points = state.laser_points_in
+    points, rows = state.laser_points_in, state.laser[1:]
+    if not points and rows:
+        return f"{len(rows)} rows of the camera: {' '.join(map(str, rows[:8]))}{' ..' if len(rows) > 8 else ''}"
     if not points:
         return "no readings" if state.model.has_laser else "none on this model"
     shown = "  ".join(f"({', '.join(f'{value:.1f}' for value in point)})" for point in points[:4])

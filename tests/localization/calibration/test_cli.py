@@ -123,7 +123,7 @@ def test_it_gives_up_at_the_time_limit_and_writes_nothing(
 def test_a_robot_that_stands_elsewhere_than_it_is_said_does_not_push_at_walls(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert cli.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "0"]) == 3
+    assert cli.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
     said = capsys.readouterr().out
     assert "it presses against something 5 s long" in said
     assert "is --start right" in said
@@ -143,10 +143,11 @@ def test_what_was_found_is_told_where_it_cannot_be_written(capsys: pytest.Captur
 def test_readings_that_do_not_fit_are_told_and_nothing_is_written(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A robot that stands elsewhere than it is said."""
+    """A real ring's cones, taken for rays."""
     out = tmp_path / "found.toml"
-    told = ["--start", "4,3,0", "--start-std", "0.01,0.01,0.01", "--laps", "0", "--out", str(out), "--square", "5,5,80"]
-    code = cli.main(["calibrate", "sim:thesis_room", "--world", "thesis_room", *told, *words])
+    quick = ["--laps", "1", "--square", "5,5,60", "--spins", "0", "--speed", "15", "--turn-speed", "90"]
+    address = "sim:thesis_room?setup=measured&seed=1"
+    code = cli.main(["calibrate", address, "--sonars", "rays", "--out", str(out), *quick, *words])
     said = capsys.readouterr()
     assert code == 4
     assert "do not believe this" in said.out + said.err
@@ -158,7 +159,9 @@ def test_a_square_among_walls_is_refused(capsys: pytest.CaptureFixture[str]) -> 
     assert "too near to walls" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [["--square", "0,0"], ["--square", "0,0,-1"], ["--laps", "x"], ["--spins", "-1"]])
+@pytest.mark.parametrize("words", [
+    ["--square", "0,0"], ["--square", "0,0,-1"], ["--laps", "x"], ["--laps", "0"], ["--spins", "-1"],
+])  # fmt: skip
 def test_wrong_usage_exits_2(words: list[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         cli.main(["calibrate", "sim:", "--world", "thesis_room", *words])

@@ -75,6 +75,14 @@ def test_what_was_told_is_shown() -> None:
     assert "5 readings, in: (1.0, 2.0)  (3.0, 4.0)  (5.0, 6.0)  (7.0, 8.0) .." in told
 
 
+@pytest.mark.parametrize(("laser", "told"), [
+    ((3, 7, 8, 9), "3 rows of the camera: 7 8 9"), ((9, *range(9)), "9 rows of the camera: 0 1 2 3 4 5 6 7 .."),
+])  # fmt: skip
+def test_rows_of_the_camera_are_no_points(laser: tuple[int, ...], told: str) -> None:
+    (line,) = glance.lines(state(N200, laser=laser), ("laser",))
+    assert line.endswith(told)
+
+
 def test_a_part_that_there_is_not() -> None:
     with pytest.raises(ShellError, match=r"no part 'sonars' of the state; there are pose, .*; did you mean sonar?"):
         glance.check(("pose", "sonars"))
