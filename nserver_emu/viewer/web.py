@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from nclient.access import LOOPBACK_NAME, is_loopback
 from nclient.errors import ConnectionLost
-from nserver_emu.server.admission.access import LOOPBACK_NAME, is_loopback
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.entrance import (
     REFUSED,
