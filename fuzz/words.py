@@ -10,6 +10,7 @@ import functools
 
 from fuzz.mutating import bytes_changed, either, words_changed
 from fuzz.reader import Reader
+from nclient import access
 from nclient.address import Address
 from nclient.connect import open_backend
 from nclient.errors import AddressError, FaultPlanError, ShellError, StartError, WireError, WorldFileError
@@ -17,7 +18,6 @@ from nclient.protocol.commands import COMMANDS
 from nclient.schemes import OPTIONS, Wanted, opening_of
 from nclient.shell.own_words import OWN
 from nclient.shell.session import Session
-from nserver_emu.server.admission import access
 from nserver_emu.server.in_process import open_address
 
 _SHELL = (

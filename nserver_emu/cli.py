@@ -23,6 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from nclient import outputs
+from nclient.access import access_of, warning
 from nclient.arguments import Parser
 from nclient.errors import ExtraMissing, NomadError, SnapshotError
 from nclient.exit_codes import ExitCode
@@ -35,7 +36,6 @@ from nserver_emu.gateway.keeping import kept
 from nserver_emu.gateway.options import model_of, reached
 from nserver_emu.gateway.side import RealSide
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
-from nserver_emu.server.admission.access import access_of, warning
 from nserver_emu.server.admission.descriptors import make_room
 from nserver_emu.server.admission.door import Door
 from nserver_emu.server.admission.limits import limits_of

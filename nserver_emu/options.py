@@ -14,12 +14,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from nclient import access
 from nclient.arguments import Parser
 from nclient.distribution import version
 from nclient.suggesting import did_you_mean
 from nserver_emu import logs
 from nserver_emu.gateway import options as real_options
-from nserver_emu.server.admission import access, limits
+from nserver_emu.server.admission import limits
 from nserver_emu.server.control import control_options
 from nserver_emu.server.keeping import autosave
 from nserver_emu.server.ports import line_options

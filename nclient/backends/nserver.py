@@ -28,9 +28,9 @@ from nclient.transports.byte_stream import ByteStream, Deadline
 
 DEFAULT_TIMEOUT_S = 5.0
 """How long a server may take to answer."""
-_ORDINARY_S = 1.0
+ORDINARY_S = 1.0
 """Commands that the robot itself answers within this are given the time-out that was set; the others their own."""
-_CLICK_S = 120.0
+CLICK_S = 120.0
 """get_robot_conf may wait for a click in the server's window."""
 SPEED_SLOT, REAL_TIME = 0, 10
 _NO_ANSWER = Reply("none")
@@ -206,8 +206,8 @@ class NserverBackend:
         if row.name == "ws":
             return self.timeout_s + float(max(0, call.args[3])) * self._slowness
         if row.name == "get_robot_conf":
-            return max(self.timeout_s, _CLICK_S)
-        if row.line_timeout_s > _ORDINARY_S:
+            return max(self.timeout_s, CLICK_S)
+        if row.line_timeout_s > ORDINARY_S:
             return max(self.timeout_s, row.line_timeout_s * self._slowness)
         return self.timeout_s
 

@@ -7,8 +7,9 @@
 Whatever an address can say of its stream (record=, faults=) holds here, too; --record and --dump are in short.
 
 Rules: bytes pass as they come, in both directions, one visitor at a time. The far end is opened anew for each visitor
-but the first, so that both begin together, and what is wrong with the address is told at the start. Loopback only,
-unless --bind says otherwise: there is no authentication.
+but the first, so that both begin together, and what is wrong with the address is told at the start. Who has the line
+keeps it while he talks or waits for an answer; who is silent makes room, lest he keep `nomad stop` from a robot.
+Loopback only, unless --bind says otherwise: there is no authentication.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ import argparse
 import contextlib
 import threading
 import time
+from collections.abc import Callable
 from urllib.parse import quote
 
-from nclient.commands.serving import add_door, open_door, tell, visitors
+from nclient.commands.serving import LOOK_S, Turn, add_door, open_door, tell, visitors
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.exit_codes import ExitCode
 from nclient.protocol.models import Model
@@ -28,11 +30,9 @@ from nclient.recording.log import IN, OUT, Entry
 from nclient.recording.readable import lines_of
 from nclient.recording.stream import RecordingStream
 from nclient.schemes import Opening, Wanted, opening_of
+from nclient.silence import Overheard
 from nclient.transports import memory
 from nclient.transports.byte_stream import ByteStream, Deadline
-
-_LOOK_S = 0.2
-"""How soon one direction sees that the other is over."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,41 +48,56 @@ def run(options: argparse.Namespace) -> int:
     opening = _opening(options)
     waiting = [_far_end(opening, options.dump)]
 
-    def talk(near: ByteStream) -> None:
+    def talk(near: ByteStream, turn: Turn) -> None:
         try:
             far = waiting.pop() if waiting else _far_end(opening, options.dump)
         except ConnectionLost as error:
             tell(str(error))
             return
         try:
-            pass_on(near, far)
+            pass_on(near, far, turn, Overheard(turn.silence, opening.scheme.line, opening.model))
         finally:
             far.close()
 
     try:
         with contextlib.suppress(KeyboardInterrupt), open_door(options, "bridge") as door:
-            visitors(door, options.once, talk)
+            visitors(door, options, talk)
     finally:
         for far in waiting:
             far.close()
     return ExitCode.DONE
 
 
-def pass_on(near: ByteStream, far: ByteStream) -> None:
-    """Bytes from each to the other, until one of the two is over; the near one then is."""
+def pass_on(near: ByteStream, far: ByteStream, turn: Turn, overheard: Overheard) -> None:
+    """Bytes from each to the other, until one of the two or the near one's turn is over; the near one then is."""
     over = threading.Event()
-    back = threading.Thread(target=_pass_one_way, args=(far, near, over), daemon=True)
+    back = threading.Thread(
+        target=_pass_one_way, args=(far, near, over, overheard.to_host, lambda _: False), daemon=True
+    )
     back.start()
-    _pass_one_way(near, far, over)
+    _pass_one_way(near, far, over, overheard.to_robot, turn.over)
     back.join()
 
 
-def _pass_one_way(source: ByteStream, target: ByteStream, over: threading.Event) -> None:
-    """Until one of them is gone, which is told unless the other direction told it already."""
+def _pass_one_way(
+    source: ByteStream,
+    target: ByteStream,
+    over: threading.Event,
+    hear: Callable[[bytes], None],
+    ended: Callable[[bool], bool],
+) -> None:
+    """Until one of them is gone, which is told unless the other direction told it already, or until it is `ended`:
+    asked again and again, with whether nothing was left to pass.
+    """
     try:
         while not over.is_set():
+            data = b""
             with contextlib.suppress(ReplyTimeout):
-                target.send(source.receive(Deadline.after(_LOOK_S)))
+                data = source.receive(Deadline.after(LOOK_S))
+                hear(data)
+                target.send(data)
+            if ended(not data):
+                return
     except ConnectionLost as error:
         if not over.is_set():
             over.set()

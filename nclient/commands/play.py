@@ -5,7 +5,7 @@
     nomad play run.log --listen 0 --order loose --connection 127.0.0.1:4711
 
 Each visitor meets the recording from its beginning. One that asks something else than was recorded is hung up on, what
-and where is told on stderr, and the exit code is 1 in the end.
+and where is told on stderr, and the exit code is 1 in the end. One that says nothing makes room for another.
 
 Rules: sockets, waiting and printing only; what is answered is nclient.recording's.
 """
@@ -18,16 +18,16 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from nclient.commands.serving import add_door, open_door, tell, visitors
+from nclient.commands.serving import LOOK_S, Turn, add_door, open_door, tell, visitors
 from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
 from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
 from nclient.recording.player import ORDERS, STRICT, Player
-from nclient.recording.script import Piece, Script, script_of
+from nclient.recording.script import Piece, script_of
 from nclient.transports.byte_stream import ByteStream, Deadline
 
 AT_ONCE, RECORDED = "at-once", "recorded"
-_PATIENCE_S = 1.0
+_MAY = "may have the recording answer"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,26 +50,30 @@ def run(options: argparse.Namespace) -> int:
     wait = time.sleep if options.pace == RECORDED else None
     strayed: list[RecordingError] = []
 
-    def talk(peer: ByteStream) -> None:
+    def talk(peer: ByteStream, turn: Turn) -> None:
         try:
-            play(script, options.order, peer, wait)
+            play(Player(script, options.order), peer, wait, turn)
         except RecordingError as error:
             strayed.append(error)
             tell(str(error))
 
-    with contextlib.suppress(KeyboardInterrupt), open_door(options, "play") as door:
-        visitors(door, options.once, talk)
+    with contextlib.suppress(KeyboardInterrupt), open_door(options, "play", _MAY) as door:
+        visitors(door, options, talk)
     return ExitCode.FAILED if strayed else ExitCode.DONE
 
 
-def play(script: Script, order: str, peer: ByteStream, wait: Callable[[float], None] | None) -> None:
-    """One visitor, until it leaves. Raises RecordingError where it asks something else than was recorded."""
-    player = Player(script, order)
+def play(player: Player, peer: ByteStream, wait: Callable[[float], None] | None, turn: Turn) -> None:
+    """One visitor, until it leaves or its turn is over. Raises RecordingError where it asks what was not recorded."""
     with contextlib.suppress(ConnectionLost):
         _send(player.greeting, peer, wait)
         while True:
+            data = b""
             with contextlib.suppress(ReplyTimeout):
-                _send(player.answers(peer.receive(Deadline.after(_PATIENCE_S))), peer, wait)
+                data = peer.receive(Deadline.after(LOOK_S))
+                _send(player.answers(data), peer, wait)
+                turn.silence.heard()
+            if turn.over(at_rest=not data):
+                return
 
 
 def _send(pieces: Iterable[Piece], peer: ByteStream, wait: Callable[[float], None] | None) -> None:

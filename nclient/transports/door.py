@@ -1,6 +1,7 @@
 """Where others come in: a TCP port or a pseudo-terminal that waits for one peer after the other.
 
     door.peer() ──> a ByteStream to whoever came; the next one is waited for when that is closed
+    door.wanted()   whether another has something to say meanwhile; to be asked now and then (lobby.py)
 
 Rules: one peer at a time. A pseudo-terminal is raw, stands behind a symbolic link, and knows its peer by the other end
 being open; what is at the link's place and is no link stays. POSIX only, where a pseudo-terminal is asked for.
@@ -13,11 +14,13 @@ import os
 import select
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.transports.byte_stream import ByteStream, Deadline
+from nclient.transports.lobby import MOST_WAITING, Lobby
 from nclient.transports.tcp import TcpStream
 
 _LOOK_S = 0.02
@@ -36,32 +39,51 @@ class Door(Protocol):
         """Wait for the next one."""
         ...
 
+    def wanted(self) -> bool:
+        """Whether somebody waits who has said something."""
+        ...
+
     def close(self) -> None:
         """Let nobody in any more. Twice is fine."""
         ...
 
 
 class TcpDoor:
-    """A port of this machine; port 0 takes a free one. Raises ConnectionLost where it cannot be had."""
+    """A port of this machine; port 0 takes a free one. Raises ConnectionLost where it cannot be had.
 
-    def __init__(self, host: str, port: int) -> None:
+    `refusal`, `turned_away`: who may not come in, and who is told of it, as Lobby has them.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        refusal: Callable[[str], str] = lambda _: "",
+        turned_away: Callable[[str, str], None] = lambda _, __: None,
+    ) -> None:
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._socket = socket.create_server((host, port), family=family, backlog=1)
+            self._socket = socket.create_server((host, port), family=family, backlog=MOST_WAITING)
         except OSError as error:
             raise ConnectionLost(
                 f"cannot listen on {host}:{port}: {error.strerror or error}; port 0 takes a free one"
             ) from error
+        self._lobby = Lobby(self._socket, refusal, turned_away)
         self.port: int = self._socket.getsockname()[1]
         self.name = f"[{host}]:{self.port}" if ":" in host else f"{host}:{self.port}"
 
     def peer(self) -> ByteStream:
-        """Whoever connects next."""
-        accepted, address = self._socket.accept()
-        return _Visitor(accepted, f"{address[0]}:{address[1]}")
+        """Whose turn it is, or whoever connects next."""
+        caller = self._lobby.next()
+        return _Visitor(caller.socket, f"{caller.host}:{caller.port}")
+
+    def wanted(self) -> bool:
+        """Whether somebody waits who has said something."""
+        return self._lobby.look()
 
     def close(self) -> None:
         """Stop listening."""
+        self._lobby.close()
         self._socket.close()
 
 
@@ -108,6 +130,10 @@ class TerminalDoor:
         while any(event & select.POLLHUP for _, event in self._poll.poll(0)):
             time.sleep(_LOOK_S)
         return _TerminalPeer(self._fd, self.name)
+
+    def wanted(self) -> bool:
+        """Nobody waits for what one has open: all who open it share it."""
+        return False
 
     def close(self) -> None:
         """Take the link away, if it is still ours."""

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
+from nclient.access import LOOPBACK_NAME
 from nclient.errors import NomadError
-from nserver_emu.server.admission.access import LOOPBACK_NAME
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Addresses that mean all: somewhere out there to find the way out (RFC 5737, 3849: nobody), and the one way in."""

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from nclient.access import LOOPBACK_NAME, is_loopback
 from nclient.errors import ConnectionLost
-from nserver_emu.server.admission.access import LOOPBACK_NAME, is_loopback
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.entrance import (
     REFUSED,
@@ -105,7 +105,6 @@ class Viewing:
         try:
             assert self._runner.server is not None
             self._reception = Reception(self._door, self._runner.server)
-            HTTP_LOG.addFilter(self._reception.worth_saying)
             loop = asyncio.get_running_loop()
             self._server = await loop.create_server(self._reception.keeper, host, port)
         except OSError as error:
@@ -114,6 +113,7 @@ class Viewing:
             raise ConnectionLost(
                 f"cannot serve the page on {host}:{port}: {error.strerror or error}; {remedy}"
             ) from error
+        HTTP_LOG.addFilter(self._reception.worth_saying)  # not where the page is not served: nobody would take it back
         self._clock = asyncio.create_task(self._run_clock())
         return int(self._server.sockets[0].getsockname()[1])
 

@@ -105,6 +105,15 @@ def test_a_terminal_that_is_gone_ends_it_as_asked(tmp_path: Path) -> None:
         assert place.startswith("127.0.0.1:")
 
 
+def test_a_port_open_to_the_network_is_warned_of(tmp_path: Path) -> None:
+    drive(connect(f"sim:thesis_room?record={tmp_path / 'run.log'}"))
+    open_to_all = ("--listen", "0", "--bind", "0.0.0.0")
+    with program("nomad", "play", str(tmp_path / "run.log"), *open_to_all) as (_, process):
+        assert "anybody who reaches it may have the recording answer; --allow" in process.err()
+    with program(*NSERVER) as (far, _), program("nomad", "bridge", f"nserver://{far}", *open_to_all) as (_, process):
+        assert "anybody who reaches it may drive the robots; --allow" in process.err()
+
+
 def serial_recording(path: Path, answer_after_s: float) -> None:
     header = {"format": "nomad recording", "version": 1, "wire": "serial", "model": "n150"}
     lines = [header, {"t": 1.0, "dir": "out", "bytes": GS.hex()},

@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from nserver_emu.server.admission.access import Access
+from nclient.access import NOT_ALLOWED, Access
 from nserver_emu.server.admission.limits import Limits
 
 log = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ class Door:
     def refusal(self, host: str, present: Collection[str]) -> str:
         """Why a newcomer from this address may not come in; empty: he may. `present`: addresses of those who are."""
         if not self.access.admits(host):
-            return "that address is not allowed (--allow)"
+            return NOT_ALLOWED
         if len(present) >= self.limits.connections:
             return f"there are {len(present)} connections already (--limit-connections)"
         if sum(one == host for one in present) >= self.limits.per_address:

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 from nclient.protocol.tcp_frame import MAX_UNKNOWN_WORDS
 from nclient.recording.log import LONGEST_LINE
+from nclient.silence import SILENT_S
 from worlds.texts import MOST_BYTES
 
 _LIMIT: Final = "limit"
@@ -139,12 +140,19 @@ def page() -> Iterator[str]:
         "refused by name. Of a", f"snapshot {SNAPSHOT_BYTES >> 20} MiB, and `--save` writes none that is longer. A "
         "recording is read line by line, however long it", f"is, and a line up to {LONGEST_LINE >> 20} Mi characters.",
         "",
+        "## Of `nomad bridge` and `nomad play`", "",
+        "One visitor at a time has the line, and a few may wait their turn: where there are more, who says nothing is "
+        "closed.", f"`--limit-silent` (default {SILENT_S:g} seconds, 0: none) is for the one who has the line. As long "
+        "as he talks, or waits for an", "answer that takes its time (`ws`, `zr`), nobody takes it from him. When he "
+        "has said nothing for so long, and another", "has something to say, `nomad stop` perhaps, he is closed for "
+        "that one; until then he stays.", "",
         "## Who may connect", "",
         "The original protocol has no authentication and no encryption: whoever connects may drive the robots. So the "
         "daemon", "listens on loopback unless `--bind` says otherwise, and warns when it does. "
         "`--allow ADDRESS[/BITS]`, as often as needed,", "lets in these addresses and this machine alone, at every "
-        "port over TCP, the page's too; anybody else is closed at", "once (the page: HTTP 403). An address can be "
-        "forged by who shares the network, so over one that others use take a tunnel:", "",
+        "port over TCP, the page's too; anybody else is closed at", "once (the page: HTTP 403). `nomad bridge` and "
+        "`nomad play` have the same `--bind`, `--allow` and warning. An address can be", "forged by who shares the "
+        "network, so over one that others use take a tunnel:", "",
         "```", "ssh -N -L 7019:127.0.0.1:7019 robot-host      # then: nserver://localhost:7019/1", "```",
     )  # fmt: skip
 

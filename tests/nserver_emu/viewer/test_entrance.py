@@ -13,8 +13,8 @@ import pytest
 from viewed_daemon import HOST, served
 from wire_client import simulation
 
+from nclient.access import is_loopback
 from nserver_emu import cli
-from nserver_emu.server.admission.access import is_loopback
 from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer import entrance

@@ -11,8 +11,8 @@ import pytest
 from viewed_daemon import HOST, served
 from wire_client import simulation
 
+from nclient.access import Access
 from nclient.errors import ConnectionLost
-from nserver_emu.server.admission.access import Access
 from nserver_emu.server.admission.limits import Limits
 from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.ports.daemon import Daemon
@@ -359,7 +359,7 @@ def test_who_only_asks_for_a_websocket_takes_no_place() -> None:
 
 
 def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nserver_emu.server.admission.access.is_loopback", lambda _host: False)
+    monkeypatch.setattr("nclient.access.is_loopback", lambda _host: False)
 
     async def scenario() -> None:
         async with served(an_emulator()) as here:

@@ -15,10 +15,10 @@ import pytest
 from daemon_house import Client, House, with_daemon
 from wire_client import simulation
 
+from nclient.access import Access
 from nclient.protocol import language
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
-from nserver_emu.server.admission.access import Access
 from nserver_emu.server.admission.door import Door
 from nserver_emu.server.admission.limits import TABLE, Limits, add_options, limits_of, page
 from nserver_emu.server.handling.handlers import Emulator

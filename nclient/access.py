@@ -1,4 +1,4 @@
-"""Who may connect, by address: `--allow ADDRESS[/BITS]`, as often as needed. Pure.
+"""Who may connect, by address: `--allow ADDRESS[/BITS]`, as often as needed; for all that let others in. Pure.
 
 Rules: without a rule, whoever reaches the port; with one, these networks and this machine itself. What is no address (a
 socket of the machine's own) is this machine. An IPv4 address that came by IPv6 is the IPv4 address.
@@ -13,6 +13,10 @@ from typing import Final
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 LOOPBACK_NAME: Final = "localhost"
+NOT_ALLOWED: Final = "that address is not allowed (--allow)"
+"""Why somebody is turned away."""
+DRIVES: Final = "may drive the robots"
+"""What most ports are for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +55,14 @@ def is_loopback(host: str) -> bool:
     return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
-def warning(host: str, access: Access) -> str:
-    """What to say of listening on this address; empty on loopback."""
+def warning(host: str, access: Access, may: str = DRIVES) -> str:
+    """What to say of listening on this address, and of what those who come may do; empty on loopback."""
     if is_loopback(host):
         return ""
     who = f"whoever comes from {', '.join(map(str, access.allowed))}" if access.allowed else "anybody who reaches it"
     remedy = "" if access.allowed else " --allow ADDRESS/BITS lets in fewer;"
-    return (f"open to the network at {host}: the protocol has no authentication and no encryption, and {who} may drive "
-            f"the robots;{remedy} ssh -L brings a port on loopback elsewhere (docs/limits.md)")
+    return (f"open to the network at {host}: the protocol has no authentication and no encryption, and {who} {may};"
+            f"{remedy} ssh -L brings a port on loopback elsewhere (docs/limits.md)")
 
 
 def _network(text: str) -> Network:

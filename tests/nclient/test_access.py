@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 
 import pytest
-from daemon_house import House, with_daemon
 
-from nserver_emu import cli
-from nserver_emu.server.admission.access import Access, access_of, add_options, is_loopback, warning
+from nclient.access import Access, access_of, add_options, is_loopback, warning
 
 
 def parsed(*words: str) -> Access:
@@ -43,26 +40,6 @@ def test_loopback_is_not_worth_a_word_and_the_network_is() -> None:
     told = warning("0.0.0.0", parsed("--allow", "10.1.0.0/16"))
     assert "whoever comes from 10.1.0.0/16 may drive" in told
     assert "--allow" not in told
+    assert "anybody who reaches it may listen;" in warning("0.0.0.0", Access(), "may listen")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("robot.example")
-
-
-def test_who_is_not_let_in_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def visit(house: House) -> None:
-        inside = await house.call()
-        with monkeypatch.context() as patched:
-            patched.setattr("nserver_emu.server.admission.access.is_loopback", lambda _host: False)
-            house.daemon.door.access = parsed("--allow", "192.0.2.0/24")
-            outsider = await house.knock()
-            assert await outsider.reader.read() == b""
-        assert house.daemon.door.turned_away == 1
-        assert (await inside.ask("gs")).kind == "state"
-        assert (await (await house.call()).ask("gs")).kind == "state"
-
-    with_daemon(visit)
-
-
-def test_the_daemon_says_so_at_its_start(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "stop_on_signals", lambda stop: asyncio.get_running_loop().call_later(0.05, stop.set))
-    assert cli.main(["--port", "0", "--bind", "0.0.0.0"]) == 0
-    assert "open to the network at 0.0.0.0" in caplog.text
