@@ -18,6 +18,7 @@ from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.entrance import from_here, known_host
 from nserver_emu.viewer.protocol import DEAD_MAN_S
+from nserver_emu.viewer.reception import HTTP_LOG
 from nserver_emu.viewer.web import PERIOD_S, Viewing, next_due
 
 
@@ -278,6 +279,7 @@ def test_where_it_cannot_be_served_the_remedy_fits(host: str, remedy: str) -> No
             await Viewing(Daemon(an_emulator())).open(host, 0)
 
     asyncio.run(scenario())
+    assert HTTP_LOG.filters == []
 
 
 def test_a_host_that_is_none_is_refused() -> None:
