@@ -42,7 +42,7 @@ def test_robots_differ_and_err_as_told() -> None:
 
 
 def test_a_run_whole(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--", "--sonars", "cones", "--laps", "0", "--square", "5,5,80"]
+    words = ["--", "--sonars", "cones", "--laps", "1", "--square", "5,5,30", "--spins", "0"]
     assert calibration.main(["--seeds", "1", "--first", "4", "--json", *words]) == 0
     (outcome,) = json.loads(capsys.readouterr().out)
     assert outcome["seed"] == 4
