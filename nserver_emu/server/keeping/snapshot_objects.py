@@ -32,7 +32,11 @@ _ROOMS: Final = (
 )  # fmt: skip
 _json: Final = json.JSONEncoder(separators=(",", ":")).encode
 _PLAIN: Final = (type(None), bool, int, float, str)
-_NUMBERS: Final = "biuf"
+_NUMBERS: Final = {
+    kept.str: kept
+    for kind in (np.bool_, np.int32, np.int64, np.float64) for kept in (np.dtype(kind), np.dtype(kind).newbyteorder())
+}  # fmt: skip
+"""Arrays of these alone, by what numpy calls them. Its own reader of such texts evaluates what stands in them."""
 _MOST_NESTED: Final = 200
 
 Data = dict[str, Any]
@@ -147,13 +151,15 @@ def _is_record(kind: type) -> bool:
 
 
 def _numbers_data(thing: Any, _value: Value) -> Data:
+    if thing.dtype.str not in _NUMBERS:
+        raise SnapshotError(f"a snapshot cannot keep an array of {thing.dtype}")
     locked = isinstance(thing, np.ndarray) and not thing.flags.writeable
     return {"dtype": thing.dtype.str, "shape": list(thing.shape), "locked": locked, "of": thing.ravel().tolist()}
 
 
 def _numbers(data: Data, _value: Value) -> Any:
-    kept = np.dtype(data["dtype"])
-    if kept.kind not in _NUMBERS:
+    kept = _NUMBERS.get(data["dtype"])
+    if kept is None:
         raise SnapshotError("is damaged: an array of no numbers")
     numbers = np.array(data["of"], dtype=kept).reshape(data["shape"])
     numbers.setflags(write=not data["locked"])

@@ -10,6 +10,7 @@ from array import array
 from base64 import b64decode
 from pathlib import Path
 
+import numpy as np
 import pytest
 from wire_client import WireClient, meet, simulation
 
@@ -246,7 +247,9 @@ def test_what_is_no_snapshot_is_refused(text: str, match: str) -> None:
         ({"is": "dict", "of": [["simulation", 1], ["graphics", 1], ["transcript", 1], ["arms", 1]]}, "simulation is"),
         ({"is": "list", "of": [{"ref": 0}]}, "nested too deeply"),
         ({"is": "list", "of": [[1]]}, "a value that is none"),
-        ({"is": "array", "dtype": "O", "shape": [1], "locked": False, "of": ["x"]}, "no numbers"),
+        *(({"is": "array", "dtype": kind, "shape": [1], "locked": False, "of": [1]}, "no numbers")
+          for kind in ("O", "<c16", "<f8,<f8", "<f8," + "9" * 5000 + "<f8", "", None)),
+        ({"is": "array", "dtype": ["<f8"], "shape": [1], "locked": False, "of": [1]}, "is damaged: TypeError"),
     ],
 )  # fmt: skip
 def test_a_strangers_snapshot_is_refused(first_object: dict[str, object], match: str) -> None:
@@ -261,10 +264,11 @@ def test_what_the_rooms_do_not_know_is_not_kept() -> None:
         snapshot.dumps(emulator)
 
 
-def test_an_array_of_no_doubles_is_not_kept() -> None:
+@pytest.mark.parametrize(("kept", "kind"), [(array("i"), "'i'"), (np.zeros(2, np.complex128), "complex128")])
+def test_an_array_of_other_numbers_is_not_kept(kept: object, kind: str) -> None:
     emulator, _ = busy()
-    emulator.graphics.redrawn = array("i")  # type: ignore[assignment]
-    with pytest.raises(SnapshotError, match="cannot keep an array of 'i'"):
+    emulator.graphics.redrawn = kept  # type: ignore[assignment]
+    with pytest.raises(SnapshotError, match=f"cannot keep an array of {kind}"):
         snapshot.dumps(emulator)
 
 
