@@ -29,6 +29,8 @@ MOST_GROWN_KB: Final = 100_000
 """libFuzzer's own corpus and tables are some ten thousand."""
 MOST_GROWN_BLOCKS: Final = 20_000
 """Objects of Python's: a tenth of one for each input would be a hundred times as many in a long run."""
+_SHOWN: Final = 2000
+"""Characters of an input that a report holds: where only the report is left of a run, it says what was found."""
 _POLL_S: Final = 0.1
 _TOLD_EVERY_S: Final = 1.0
 _CLEAN, _FOUND, _USAGE, _INTERRUPTED = 0, 1, 2, 130
@@ -231,10 +233,13 @@ def _wrong(progress: Progress, status: int, work: Path) -> Iterator[str]:
 
     for path in progress.found:
         yield f"found: scripts/fuzz --again {Path(path).relative_to(FOUND.parents[1])}"
+        with contextlib.suppress(FileNotFoundError):  # one of a run before this, mended since
+            yield f"  which is {Path(path).read_bytes()!r:.{_SHOWN}}"
     if status:
-        yield f"ended with {os.waitstatus_to_exitcode(status)} (a hang, all memory, or a crash): the end of its log is"
+        yield f"ended with {os.waitstatus_to_exitcode(status)} (a hang, all memory, or a crash)"
+    if status or progress.found:
         log = (work / f"{progress.reader}.log").read_text(errors="replace").splitlines()
-        yield from (f"  {line}" for line in log[-12:])
+        yield from ("the end of its log is", *(f"  {line}" for line in log[-12:]))
     for what, (before, after), most in (("KB of memory", progress.rss_kb, MOST_GROWN_KB),
                                         ("objects", progress.blocks, MOST_GROWN_BLOCKS)):
         if after - before > most:

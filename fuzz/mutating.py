@@ -28,7 +28,7 @@ NUMBERS = (
     b"7" * 5000, b"0x" + b"f" * 300, b"0x" + b"f" * 3600, b"1_000", b"0.1", b"1979-05-27T07:32:00Z",
 )  # fmt: skip
 TEXTS = (
-    b'""', b"''", b'"x"', b"true", b"false", b"[]", b"{}", b"[[]]", b"[" * 1500, b"]" * 1500, b"{a=" * 400,
+    b'""', b"''", b'" "', rb'"\n\t"', b'"x"', b"true", b"false", b"[]", b"{}", b"[[]]", b"[" * 1500, b"]" * 1500, b"{a=" * 400,
     b'"\\ud800"', b'"\\u0000"', "٣".encode(), b"\xff", b"\xef\xbb\xbf", b"\x00",
     b'"' + b"a" * 300 + b'"', "ﬁ²½".encode(), b"\r",
     b"\\",
@@ -36,7 +36,7 @@ TEXTS = (
 _TOKEN = re.compile(rb'"[^"\n]*"|\'[^\'\n]*\'|[\w.+-]+|\s+|.', re.DOTALL)
 _VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 255, 2**31, -(2**31) - 1, 2**63, 10**400, 0.5, 1e308, -1e308, 5e-324,
-    float("nan"), float("inf"), float("-inf"), "", "x",
+    float("nan"), float("inf"), float("-inf"), "", " ", "\n\t", "\x85", "x",
     "\0", "\ud800", "nan", "1e400", "9" * 5000, [], {}, [[]], [0], [None],
     {"": 0}, {"ref": 0}, "a" * 300,
 )  # fmt: skip

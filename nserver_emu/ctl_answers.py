@@ -24,7 +24,7 @@ def said_in(answer: bytes) -> Said:
     try:
         told = json.loads(answer)
         refused, said = not told["ok"], told.get("said")
-        error = _printable(str(told["error"])) if refused else ""
+        error = _printable(str(told["error"])).strip() if refused else ""
     except _NONSENSE as nonsense:
         raise ControlError(f"{NO_ANSWER} ({nonsense!r:.80})") from None
     if refused:

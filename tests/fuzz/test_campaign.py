@@ -99,10 +99,15 @@ def test_half_of_the_changes_are_ours(tmp_path: Path) -> None:
 
 def test_growth_and_crashes_are_told(tmp_path: Path) -> None:
     (tmp_path / "toy.log").write_text("libFuzzer: timeout")
+    campaign.FOUND.mkdir()
+    (campaign.FOUND / "toy-1").write_bytes(b"bad\0")
     grown = Progress("toy", 10, 1.0, rss_kb=(0, 200_000), blocks=(0, 30_000), found=[str(campaign.FOUND / "toy-1")])
     told = "\n".join(command._wrong(grown, 70 << 8, tmp_path))
-    for words in ("--again fuzz/found/toy-1", "ended with 70", "libFuzzer: timeout", "200000 KB", "30000 objects"):
+    for words in ("--again fuzz/found/toy-1", r"which is b'bad\x00'", "ended with 70", "libFuzzer: timeout",
+                  "200000 KB", "30000 objects"):  # fmt: skip
         assert words in told
+    (campaign.FOUND / "toy-1").unlink()
+    assert "which is" not in "\n".join(command._wrong(grown, 0, tmp_path))
     assert not list(command._wrong(Progress("toy"), 0, tmp_path))
     assert "10" in command._row(grown)
 

@@ -23,8 +23,9 @@ def test_what_is_no_answer_is_told(answer: bytes) -> None:
 def test_a_refusal_says_why_or_that_it_does_not() -> None:
     with pytest.raises(ControlError, match="it cannot be"):
         said_in(b'{"ok": false, "error": "it cannot be"}')
-    with pytest.raises(ControlError, match="without a word"):
-        said_in(b'{"ok": 0, "error": ""}')
+    for wordless in (b"", b" ", rb"\n\t"):
+        with pytest.raises(ControlError, match="without a word"):
+            said_in(b'{"ok": 0, "error": "%s"}' % wordless)
     with pytest.raises(ControlError, match=r"\\ud800"):
         said_in(b'{"ok": false, "error": "\\ud800"}')
 
