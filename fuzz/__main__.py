@@ -32,6 +32,8 @@ MOST_GROWN_BLOCKS: Final = 20_000
 _SHOWN: Final = 2000
 """Characters of an input that a report holds: where only the report is left of a run, it says what was found."""
 _POLL_S: Final = 0.1
+_LEAST_S: Final = 0.2
+"""For less, no process is begun anew."""
 _TOLD_EVERY_S: Final = 1.0
 _CLEAN, _FOUND, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 
@@ -43,6 +45,14 @@ class Goals(NamedTuple):
     runs: int | None
     seconds: float | None
     blind: bool
+
+    def after(self, seconds: float) -> Goals:
+        """What is left of them for one that began so long ago."""
+        return self if self.seconds is None else self._replace(seconds=max(_LEAST_S, self.seconds - seconds))
+
+    def more(self, progress: Progress) -> bool:
+        """Whether there is more to do for a reader that ended well and is so far: it was at the end of a spell."""
+        return progress.executions < self.runs if self.runs else (self.seconds or 0.0) > _LEAST_S
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -161,14 +171,17 @@ def _all(readers: list[Reader], goals: Goals, jobs: int) -> bool:
     folder()
     print(f"{'reader':16} {'executions':>11} {'/s':>7} {'taken':>6} {'slowest':>8} {'RSS MB':>13} {'objects':>8}")
     waiting, running, bad, work = list(readers), dict[int, "Reader"](), False, goals.work
+    begun_s: dict[str, float] = {}
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
                 reader = waiting.pop(0)
-                running[_begun(reader, goals)] = reader
+                since_s = time.monotonic() - begun_s.setdefault(reader.name, time.monotonic())
+                running[_begun(reader, goals.after(since_s))] = reader
             for pid, status in _ended(running):
                 reader = running.pop(pid)
-                if not status and _progress(work, reader).executions < (goals.runs or 0):
+                since_s = time.monotonic() - begun_s[reader.name]
+                if not status and goals.after(since_s).more(_progress(work, reader)):
                     waiting.insert(0, reader)
                 else:
                     bad |= _told(reader, work, status)

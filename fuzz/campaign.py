@@ -99,7 +99,7 @@ class Campaign:
         self._runs, self._seconds = runs, seconds
         self.progress = Progress.read(work, reader.name)
         self._before = self.progress.executions, self.progress.seconds
-        self._most = min(runs, self._before[0] + SPELL) if runs else _NO_END
+        self._most = min(runs or _NO_END, self._before[0] + SPELL)
         self._begun_s = self._told_s = time.perf_counter()
         self._warm = self._blind = False
         self._ended = False
@@ -208,9 +208,8 @@ class Campaign:
 
     def _share(self, seconds: float) -> float:
         """Of the run, by inputs or by time, that is behind."""
-        if self._runs:
-            return (self.progress.executions - self._before[0]) / max(1, self._most - self._before[0])
-        return seconds / self._seconds if self._seconds else 0.0
+        inputs = (self.progress.executions - self._before[0]) / max(1, self._most - self._before[0])
+        return max(inputs, seconds / self._seconds if self._seconds else 0.0)
 
     def _tell(self, seconds: float, over: bool) -> None:
         progress = self.progress

@@ -46,8 +46,8 @@ def read(data: bytes) -> None:
 READER = Reader("toy", "a toy", read, (WireError,), lambda: [b"yes"], lambda data, _: data + b"!")
 
 
-def run(tmp_path: Path, *inputs: bytes, runs: int = 1000) -> Progress:
-    toy = Campaign(READER, tmp_path, runs, None)
+def run(tmp_path: Path, *inputs: bytes, runs: int | None = 1000, seconds: float | None = None) -> Progress:
+    toy = Campaign(READER, tmp_path, runs, seconds)
 
     def until_it_ends() -> None:
         for data in itertools.cycle(inputs):
@@ -153,3 +153,22 @@ def test_objects_are_counted_where_nothing_is_instrumented(tmp_path: Path, monke
 def test_a_long_run_has_spells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "SPELL", 300)
     assert [run(tmp_path, b"yes").executions for _ in range(4)] == [300, 600, 900, 1000]
+
+
+def test_a_run_by_time_has_spells_too_and_no_more_time_than_it_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(campaign, "SPELL", 300)
+    told = run(tmp_path, b"yes", runs=None, seconds=3600.0)
+    assert told.executions == 300
+    goals = command.Goals(tmp_path, None, 60.0, False)
+    assert goals.after(20.0).seconds == 40.0
+    assert goals.after(20.0).more(told)
+    assert not goals.after(60.0).more(told)
+
+
+def test_a_run_by_inputs_goes_on_until_it_has_them_whatever_the_time(tmp_path: Path) -> None:
+    goals = command.Goals(tmp_path, 1000, None, False)
+    assert goals.after(1e6) == goals
+    assert goals.more(Progress("toy", 999))
+    assert not goals.more(Progress("toy", 1000))
