@@ -44,7 +44,8 @@ def check_writable(*files: Path | None) -> None:
     there. Raises OutputFileError."""
     for file in filter(None, files):
         make_folder(file.parent)
-        if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
+        real = Path(os.path.realpath(file))
+        if real.is_dir() or not os.access(real if real.exists() else real.parent, os.W_OK):
             raise OutputFileError(f"{str(file)!r}: cannot be written there: name a file in a folder that may be "
                                   "written to")
 

@@ -1,8 +1,8 @@
 """Results on disk, a JSON file each: what is there already is not worked out again.
 
 A file is named by a digest of all that decides its numbers, the code's fingerprint among it: nothing stale is ever
-read, and a change leaves old files alone. Rules: files only. A file is written under another name first, so that one
-cut short is never taken for a result.
+read, and a change leaves old files alone. Rules: files only. A file is whole: one cut short is never taken for a
+result.
 """
 
 from __future__ import annotations
@@ -12,6 +12,9 @@ from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
+
+from nclient.errors import OutputFileError
+from nclient.whole_file import write_whole
 
 
 class Kept:
@@ -36,8 +39,6 @@ class Kept:
         return found
 
     def put(self, path: Path, result: Mapping[str, Any]) -> None:
-        """Keep a result there."""
+        """Keep a result there. Raises OutputFileError where that cannot be."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(".part")
-        unfinished.write_text(json.dumps(result) + "\n", encoding="utf-8")
-        unfinished.replace(path)
+        write_whole(path, json.dumps(result) + "\n", OutputFileError)

@@ -3,8 +3,8 @@
     {"format": "nomad estimate 1", "world", "walls", "body", "clock_s", "encoders": [x_in, y_in, steering_rad],
      "turret_rad", "mean": [n numbers], "cov": [n rows of n numbers]}
 
-Rules: the only file here that touches the disk. Written under another name first: a file is whole, or it is the old
-one. Whatever is wrong is an EstimateFileError that names the file and the key.
+Rules: the only file here that touches the disk; a file is whole, or it is the old one. Whatever is wrong is an
+EstimateFileError that names the file and the key.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from localization.keeping.kept import Kept, Site
 from localization.live.odometry import EncoderPose
 from nclient.errors import EstimateFileError
 from nclient.file_text import read_text
-from nclient.unwritable import unwritable
+from nclient.whole_file import write_whole
 
 FORMAT: Final = "nomad estimate 1"
 KEYS: Final = ("format", "world", "walls", "body", "clock_s", "encoders", "turret_rad", "mean", "cov")
@@ -44,12 +44,7 @@ def save(path: Path, kept: Kept) -> None:
         "mean": kept.belief.mean.tolist(),
         "cov": kept.belief.cov.tolist(),
     }
-    unfinished = path.with_name(f"{path.name}.part")
-    try:
-        unfinished.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-        unfinished.replace(path)
-    except OSError as error:
-        raise EstimateFileError(unwritable(path, error)) from error
+    write_whole(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
 
 
 def load(path: Path) -> Kept:

@@ -26,7 +26,7 @@ from nserver_emu.server.keeping import snapshot
 log = logging.getLogger(__name__)
 
 LEAST_S, MOST_S = 1.0, 86_400.0
-_SUFFIX: Final = ".saving"
+_ENDING: Final = "saving"
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +47,6 @@ class SaveFile:
 
     def __init__(self, emulator: Emulator, path: Path) -> None:
         self._emulator, self._path = emulator, path
-        self._unfinished = path.with_name(f".{path.name}{_SUFFIX}")
         self._numbers = itertools.count(1)
         self._written = 0
         self._lock = threading.Lock()
@@ -76,7 +75,7 @@ class SaveFile:
     def _write(self, number: int, text: str) -> None:
         with self._lock:
             if number > self._written:
-                snapshot.write(text, self._path, self._unfinished)
+                snapshot.write(text, self._path, _ENDING)
                 self._written = number
 
 

@@ -8,16 +8,14 @@ the same. Writing takes little more memory than the text: it is done again and a
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 from pathlib import Path
 from typing import Final
 
 from nclient.distribution import version
 from nclient.errors import SnapshotError
 from nclient.file_text import read_text
-from nclient.unwritable import unwritable
+from nclient.whole_file import write_whole
 from nserver_emu.server.admission.limits import SNAPSHOT_BYTES
 from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.keeping.snapshot_objects import Reader, Writer
@@ -30,8 +28,6 @@ KEPT: Final = ("simulation", "pace", "graphics", "traces", "transcript", "arms")
 _NONE: Final = "is no snapshot of an nserver"
 _HEAD: Final = 100
 """Characters among which one says what it is."""
-_PIECE: Final = 65_536
-"""Characters that are made bytes at once."""
 _DAMAGED: Final = (
     ValueError, TypeError, LookupError, AttributeError, ArithmeticError, AssertionError, RecursionError, MemoryError,
 )  # fmt: skip
@@ -40,45 +36,18 @@ _DAMAGED: Final = (
 
 def save(emulator: Emulator, path: Path) -> None:
     """Write a snapshot. Raises SnapshotError where it cannot be written."""
-    write(dumps(emulator), path, path.with_name(f".{path.name}.{os.getpid()}"))
+    write(dumps(emulator), path)
 
 
-def write(text: str, path: Path, unfinished: Path) -> None:
-    """Put a snapshot's text into a file: whoever reads it meanwhile, or after the power failed, has the old one or the
-    new one, never half of one. `unfinished`: what it is called until it is whole, in the same folder.
+def write(text: str, path: Path, ending: str = "") -> None:
+    """Put a snapshot's text into a file. `ending`: as write_whole has it.
 
     Raises SnapshotError where it cannot be written, or could not be read again; the old one is still there.
     """
     if len(text) > SNAPSHOT_BYTES:  # all of it ASCII
         raise SnapshotError(f"{path}: cannot be written: {len(text)} bytes, and no more than {SNAPSHOT_BYTES} are read "
                             "again; lower --limit-graphics or --limit-obstacles")
-    try:
-        if path.exists() and not path.is_file():  # a device, a pipe: nothing may take its place
-            path.write_text(text, encoding="utf-8")
-            return
-        with unfinished.open("w", encoding="utf-8") as file:
-            for begin in range(0, len(text), _PIECE):
-                file.write(text[begin : begin + _PIECE])
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-        _settle(path.parent)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        raise SnapshotError(unwritable(path, error)) from error
-    except ValueError as error:  # a name with a zero byte in it
-        raise SnapshotError(f"{str(path)!r}: cannot be written: {error}") from error
-
-
-def _settle(folder: Path) -> None:
-    """The new name is on the disk, too, where the system opens folders."""
-    with contextlib.suppress(OSError):
-        fd = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(fd)
-        finally:
-            os.close(fd)
+    write_whole(path, text, SnapshotError, ending)
 
 
 def restore(emulator: Emulator, path: Path) -> None:
