@@ -1,7 +1,8 @@
 """Who may connect, by address: `--allow ADDRESS[/BITS]`, as often as needed; for all that let others in. Pure.
 
-Rules: without a rule, whoever reaches the port; with one, these networks and this machine itself. What is no address (a
-socket of the machine's own) is this machine. An IPv4 address that came by IPv6 is the IPv4 address.
+Rules: without a rule, whoever reaches the port; with one, these networks and this machine itself, by whichever of its
+addresses. What is no address (a socket of the machine's own) is this machine. An IPv4 address that came by IPv6 is the
+IPv4 address.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ class Access:
 
     allowed: tuple[Network, ...] = ()
 
-    def admits(self, host: str) -> bool:
-        """Whether who comes from this address may."""
-        if not self.allowed or not host or is_loopback(host):
+    def admits(self, host: str, at: str = "") -> bool:
+        """Whether who comes from this address may; `at`: the one of ours that he came to."""
+        if not self.allowed or is_this_machine(host, at):
             return True
         address = ipaddress.ip_address(host.partition("%")[0])
         mapped = getattr(address, "ipv4_mapped", None) or address
@@ -44,6 +45,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def access_of(options: argparse.Namespace) -> Access:
     """What the options say."""
     return Access(tuple(options.allow))
+
+
+def is_this_machine(host: str, at: str) -> bool:
+    """Whether who comes from the address `host` to our `at` is on this machine: the system sends nothing of others that
+    says it comes from where it goes to."""
+    return not host or host == at or is_loopback(host)
 
 
 def is_loopback(host: str) -> bool:

@@ -77,8 +77,8 @@ def _port_door(options: argparse.Namespace, may: str) -> TcpDoor:
             told.add(reason)
             tell(f"{host}: turned away: {reason} (of further ones nothing is said)")
 
-    door = TcpDoor(options.bind, options.listen, lambda host: "" if rule.admits(host) else access.NOT_ALLOWED,
-                   turned_away)
+    door = TcpDoor(options.bind, options.listen,
+                   lambda host, at: "" if rule.admits(host, at) else access.NOT_ALLOWED, turned_away)
     if open_to := access.warning(options.bind, rule, may):
         tell(open_to)
     return door

@@ -58,7 +58,7 @@ class TcpDoor:
         self,
         host: str,
         port: int,
-        refusal: Callable[[str], str] = lambda _: "",
+        refusal: Callable[[str, str], str] = lambda _, __: "",
         turned_away: Callable[[str, str], None] = lambda _, __: None,
     ) -> None:
         try:

@@ -38,12 +38,12 @@ class _Said(enum.Enum):
 class Lobby:
     """Before the port that `listening` listens at.
 
-    `refusal`: why somebody from that address may not come in; empty: he may. `turned_away` is told of each who may not,
-    with the reason.
+    `refusal`: why somebody from that address may not come in to that one of ours; empty: he may. `turned_away` is told
+    of each who may not, with the reason.
     """
 
     def __init__(
-        self, listening: socket.socket, refusal: Callable[[str], str], turned_away: Callable[[str, str], None]
+        self, listening: socket.socket, refusal: Callable[[str, str], str], turned_away: Callable[[str, str], None]
     ) -> None:
         self._listening = listening
         self._refusal, self._turned_away = refusal, turned_away
@@ -84,7 +84,7 @@ class Lobby:
         accepted, address = self._listening.accept()
         accepted.setblocking(False)
         caller = Caller(accepted, str(address[0]), int(address[1]))
-        if not (reason := self._refusal(caller.host)):
+        if not (reason := self._refusal(caller.host, str(accepted.getsockname()[0]))):
             return [caller]
         accepted.close()
         self._turned_away(caller.host, reason)

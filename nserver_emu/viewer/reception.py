@@ -38,8 +38,9 @@ class Reception:
         """Whose request this is has asked something."""
         self._silent.discard(request.protocol)
 
-    def refusal(self, host: str, present: Collection[str]) -> str:
-        """Why a newcomer may not come in; empty: he may."""
+    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
+        """Why a newcomer may not come in; empty: he may. By the address he is asked with his request, in words."""
+        del at
         limits = self._door.limits
         if len(present) >= limits.page_connections:
             return f"there are {len(present)} connections to the page already (--limit-viewers)"

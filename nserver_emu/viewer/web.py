@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nclient.access import LOOPBACK_NAME, is_loopback
+from nclient.access import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_this_machine
 from nclient.errors import ConnectionLost
 from nserver_emu.viewer.desk import Desk
 from nserver_emu.viewer.entrance import (
@@ -163,8 +163,8 @@ class Viewing:
         if self._reception is not None:
             self._reception.heard(request)
         host = request.remote or ""
-        if not self._door.access.admits(host):
-            self._door.turn_away(host, "that address is not allowed (--allow)")
+        if not self._door.access.admits(host, _our_end(request)):
+            self._door.turn_away(host, NOT_ALLOWED)
             return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not let in\n")
         try:
             return await handler(request)
@@ -192,7 +192,7 @@ class Viewing:
 
     def _may_know(self, request: web.Request) -> None:
         """Raises HTTPForbidden for who may not know how the daemon does."""
-        if not is_loopback(request.remote or "") or not known_host(request.host, self._known):
+        if not is_this_machine(request.remote or "", _our_end(request)) or not known_host(request.host, self._known):
             self._may(request)
 
     async def _health(self, request: web.Request) -> web.StreamResponse:
@@ -285,6 +285,12 @@ def _forget_where(error: BaseException | None) -> None:
     """Who keeps an error keeps the frames in which it arose, and they keep him, until garbage is looked for."""
     while error is not None:
         error.__traceback__, error = None, error.__context__
+
+
+def _our_end(request: web.Request) -> str:
+    """The address that a request came to."""
+    own = request.transport and request.transport.get_extra_info("sockname")
+    return str(own[0]) if own else ""
 
 
 async def _no_icon(_request: web.Request) -> web.StreamResponse:

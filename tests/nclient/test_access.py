@@ -25,6 +25,14 @@ def test_a_rule_lets_in_its_networks_and_this_machine(host: str, let_in: bool) -
     assert parsed().admits(host)
 
 
+def test_whoever_comes_from_the_address_he_comes_to_is_on_this_machine() -> None:
+    rule = parsed("--allow", "10.9.9.0/24")
+    assert rule.admits("192.0.2.2", "192.0.2.2")
+    assert rule.admits("fd00::2", "fd00::2")
+    assert not rule.admits("192.0.2.3", "192.0.2.2")
+    assert not rule.admits("192.0.2.3", "")
+
+
 @pytest.mark.parametrize("text", ["nowhere", "192.168.1.7/24", "1.2.3.4/33"])
 def test_what_is_no_network_is_wrong_usage(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):

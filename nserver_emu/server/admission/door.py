@@ -27,9 +27,10 @@ class Door:
     access: Access = field(default_factory=Access)
     turned_away: int = 0
 
-    def refusal(self, host: str, present: Collection[str]) -> str:
-        """Why a newcomer from this address may not come in; empty: he may. `present`: addresses of those who are."""
-        if not self.access.admits(host):
+    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
+        """Why a newcomer from this address may not come in; empty: he may. `present`: addresses of those who are;
+        `at`: the one of ours that he came to."""
+        if not self.access.admits(host, at):
             return NOT_ALLOWED
         if len(present) >= self.limits.connections:
             return f"there are {len(present)} connections already (--limit-connections)"
@@ -47,7 +48,7 @@ class Door:
 class Rules(Protocol):
     """Whose port it is: whether a newcomer may come in, and who is told where not."""
 
-    def refusal(self, host: str, present: Collection[str]) -> str:
+    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
         """As Door has it."""
         ...
 
@@ -65,9 +66,9 @@ class Doorkeeper(asyncio.Protocol):
         self._door, self._present, self._who = door, present, who
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        peer = transport.get_extra_info("peername")
+        peer, own = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
         host = peer[0] if peer else ""
-        reason = self._door.refusal(host, self._present())
+        reason = self._door.refusal(host, self._present(), own[0] if own else "")
         if reason:
             self._door.turn_away(host, reason)
             transport.close()

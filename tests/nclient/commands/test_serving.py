@@ -57,7 +57,7 @@ def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
     with open_door(options("--listen", "0", "--allow", "192.0.2.0/24"), "bridge") as door:
         port = int(door.name.rpartition(":")[2])
         for _ in range(2):
-            with socket.create_connection(("127.0.0.1", port), 10) as outsider:
+            with socket.create_connection(("127.0.0.1", port), 10, ("127.0.0.2", 0)) as outsider:
                 ends = Deadline.after(10)
                 outsider.settimeout(0.01)
                 while True:
@@ -68,7 +68,7 @@ def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
                         break
                     except TimeoutError:
                         continue
-    assert capsys.readouterr().err.count("127.0.0.1: turned away: that address is not allowed (--allow)") == 1
+    assert capsys.readouterr().err.count("127.0.0.2: turned away: that address is not allowed (--allow)") == 1
 
 
 def test_a_pseudo_terminal_is_wanted_by_nobody_else(tmp_path: Path) -> None:

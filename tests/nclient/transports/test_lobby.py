@@ -31,7 +31,7 @@ def _reasons() -> dict[str, str]:
 
 @pytest.fixture(name="door")
 def _door(told: list[tuple[str, str]], reasons: dict[str, str]) -> Iterator[TcpDoor]:
-    door = TcpDoor("127.0.0.1", 0, lambda host: reasons.get(host, ""), lambda *what: told.append(what))
+    door = TcpDoor("127.0.0.1", 0, lambda host, _at: reasons.get(host, ""), lambda *what: told.append(what))
     yield door
     door.close()
 

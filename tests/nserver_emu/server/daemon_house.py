@@ -48,8 +48,8 @@ class House:
         self.daemon, self.port = daemon, port
         self._writers: list[asyncio.StreamWriter] = []
 
-    async def knock(self, host: str = "127.0.0.1") -> Client:
-        reader, writer = await asyncio.open_connection(host, self.port)
+    async def knock(self, host: str = "127.0.0.1", of: str | None = None) -> Client:
+        reader, writer = await asyncio.open_connection(host, self.port, local_addr=None if of is None else (of, 0))
         self._writers.append(writer)
         return Client(reader, writer)
 

@@ -6,7 +6,7 @@ import asyncio
 import re
 
 import pytest
-from viewed_daemon import served
+from viewed_daemon import elsewhere, served
 from wire_client import simulation
 
 from nclient.protocol import language
@@ -74,17 +74,19 @@ def test_what_clients_did_is_counted_after_they_are_gone() -> None:
 @pytest.mark.parametrize("path", ["/metrics", "/health"])
 def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with served(Emulator(simulation())) as here, elsewhere() as outsider:
             while not here.daemon.ticked_s:
                 await asyncio.sleep(0.005)
-            async with here.web.get(here.origin + path) as answer:
-                assert answer.status == 200
+            async with outsider.get(here.origin + path) as answer:
+                assert answer.status == 200  # on loopback all addresses are this machine's
             async with here.web.get(here.origin + path, headers={"Host": "evil.example"}) as answer:
                 assert answer.status == 403
-            monkeypatch.setattr("nserver_emu.viewer.web.is_loopback", lambda _host: False)
+            monkeypatch.setattr("nclient.access.is_loopback", lambda _host: False)
             async with here.web.get(here.origin + path) as answer:
+                assert answer.status == 200  # from the address that he asks
+            async with outsider.get(here.origin + path) as answer:
                 assert answer.status == 403
-            async with here.web.get(here.origin + path, params={"token": here.viewing.watch_token}) as answer:
+            async with outsider.get(here.origin + path, params={"token": here.viewing.watch_token}) as answer:
                 assert answer.status == 200
 
     asyncio.run(scenario())

@@ -8,7 +8,7 @@ import socket
 
 import aiohttp
 import pytest
-from viewed_daemon import HOST, served
+from viewed_daemon import HOST, elsewhere, served
 from wire_client import simulation
 
 from nclient.access import Access
@@ -364,11 +364,13 @@ def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("nclient.access.is_loopback", lambda _host: False)
 
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
+        async with served(an_emulator()) as here, elsewhere() as outsider:
             here.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
             for path in ("/", "/ws", "/page/main.js", "/health"):
-                async with here.web.get(f"{here.origin}{path}", params={"token": here.viewing.token}) as answer:
+                async with outsider.get(f"{here.origin}{path}", params={"token": here.viewing.token}) as answer:
                     assert (answer.status, await answer.text()) == (403, "this address is not let in\n")
             assert here.daemon.door.turned_away == 4
+            async with here.web.get(f"{here.origin}/", params={"token": here.viewing.token}) as answer:
+                assert answer.status == 200  # from the address that he asks: on this machine
 
     asyncio.run(scenario())

@@ -65,6 +65,11 @@ class Served(NamedTuple):
             yield Page(socket)
 
 
+def elsewhere() -> aiohttp.ClientSession:
+    """Who asks from another address than the one he asks."""
+    return aiohttp.ClientSession(connector=aiohttp.TCPConnector(local_addr=("127.0.0.2", 0)))
+
+
 @asynccontextmanager
 async def served(emulator: Emulator) -> AsyncIterator[Served]:
     """Daemon and page, running."""

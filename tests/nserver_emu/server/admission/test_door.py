@@ -18,8 +18,9 @@ def test_who_is_not_let_in_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) ->
         with monkeypatch.context() as patched:
             patched.setattr("nclient.access.is_loopback", lambda _host: False)
             house.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
-            outsider = await house.knock()
+            outsider = await house.knock(of="127.0.0.2")
             assert await outsider.reader.read() == b""
+            assert (await (await house.call()).ask("gs")).kind == "state"  # from the address that he calls
         assert house.daemon.door.turned_away == 1
         assert (await inside.ask("gs")).kind == "state"
         assert (await (await house.call()).ask("gs")).kind == "state"

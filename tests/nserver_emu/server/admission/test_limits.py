@@ -9,6 +9,7 @@ import struct
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
@@ -115,6 +116,9 @@ def test_from_another_address_there_is_room() -> None:
 def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     door = Door(access=Access(()))
     assert not door.refusal("10.0.0.1", [])
+    fenced = Door(access=Access((ip_network("10.9.9.0/24"),)))
+    assert "--allow" in fenced.refusal("10.0.0.1", [], "10.0.0.2")
+    assert not fenced.refusal("10.0.0.1", [], "10.0.0.1")
     door.turn_away("10.0.0.1", "because")
     door.turn_away("10.0.0.2", "because")
     assert [record.getMessage()[:8] for record in caplog.records if record.levelname == "WARNING"] == ["10.0.0.1"]
