@@ -24,7 +24,7 @@ from typing import Any, Protocol
 from nclient import outputs
 from nclient.arguments import Parser
 from nclient.distribution import version
-from nclient.errors import ExtraMissing, NomadError
+from nclient.errors import NomadError
 from nclient.exit_codes import ExitCode, in_short
 from nclient.extras import remedy
 from nclient.leaving import Left, left_in_order
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     except NomadError as error:
         print(f"nomad: {error}", file=sys.stderr)
-        return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
+        return ExitCode.USAGE if error.usage else ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
     except Left as left:

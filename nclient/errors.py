@@ -26,6 +26,8 @@ Rules: a message names the guilty and the remedy. Only capi turns these into FAL
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 REFUSALS = {
     1: "unknown message type",
     2: "wrong number or range of values",
@@ -38,11 +40,15 @@ REFUSALS = {
 
 
 class NomadError(Exception):
-    """The root of every error of this project."""
+    """The root of every error of this project. `usage`: of what was typed, so that the same again is no use."""
+
+    usage: ClassVar[bool] = False
 
 
 class AddressError(NomadError, ValueError):
     """An address that cannot be read, or whose scheme nobody here serves."""
+
+    usage = True
 
 
 class ConnectionLost(NomadError, ConnectionError):
@@ -109,6 +115,8 @@ class StartError(NomadError, ValueError):
 class VariableError(NomadError, ValueError):
     """An environment variable has a value that is none of its words: which variable, which value, which words."""
 
+    usage = True
+
 
 class SetupFileError(NomadError, ValueError):
     """An old robot.setup or world.setup that cannot be used; the message names file, line and what was expected."""
@@ -150,3 +158,5 @@ class RecordingError(NomadError, ValueError):
 
 class ExtraMissing(NomadError, ImportError):
     """What was asked for wants an extra of this distribution; the message says how to install it."""
+
+    usage = True

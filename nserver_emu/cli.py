@@ -25,7 +25,7 @@ from pathlib import Path
 from nclient import outputs
 from nclient.access import access_of, warning
 from nclient.arguments import Parser
-from nclient.errors import ExtraMissing, NomadError, SnapshotError
+from nclient.errors import NomadError, SnapshotError
 from nclient.exit_codes import ExitCode
 from nclient.recording.log import read_recording
 from nserver_emu import ctl, ctl_completion, logs
@@ -102,7 +102,7 @@ def _daemon(words: list[str]) -> int:
         return asyncio.run(_serve(options))
     except NomadError as error:
         logs.tell_failure(options, error)
-        return ExitCode.USAGE if isinstance(error, ExtraMissing) else ExitCode.FAILED
+        return ExitCode.USAGE if error.usage else ExitCode.FAILED
     except KeyboardInterrupt:  # not while it serves: that ends as it should (stop_on_signals)
         return ExitCode.INTERRUPTED
 

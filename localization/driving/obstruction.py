@@ -60,7 +60,8 @@ class Obstruction:
         where = f"{clock_s - mark.clock_s:.0f} s long, {left_in:.1f} in before ({goal[0]:g}, {goal[1]:g})"
         if state.touching:
             return f"it presses against something {where}: bumpers {', '.join(map(str, state.bumpers))} touch"
-        return f"it makes no way {where}, though it is told to drive"
+        return (f"it makes no way {where}, though it is told to drive: is it held (nserver ctl status tells), or its "
+                "emergency button pressed?")
 
     @staticmethod
     def _makes_way(mark: _Mark, state: RobotState, encoders: Floats, left_in: float) -> bool:

@@ -70,6 +70,7 @@ class Helm:
         self._localizer = begin(robot, known, belief, method)
         state = robot.refresh()
         self.sight = Sight(self._localizer.update(state), state)
+        self._obeyed_s = self.clock_s
 
     def __enter__(self) -> Self:
         return self
@@ -85,6 +86,11 @@ class Helm:
         """The robot's clock at the last estimate."""
         return self.sight.estimate.clock_s
 
+    @property
+    def unmoved_s(self) -> float:
+        """For how long it was told to move now and stands, touching nothing."""
+        return self.clock_s - self._obeyed_s
+
     def fence(self, edges: Floats) -> None:
         """Keep inside of these edges (k, 4) as if they were walls, from the next plan on."""
         self.planner = Planner(np.concatenate((self.planner.walls, edges)), self.body.radius_in)
@@ -99,6 +105,8 @@ class Helm:
                 translation_in_s=share * command.translation_in_s, steering_rad_s=share * command.steering_rad_s
             )
         self.sight = self._look(next_state(self.robot, before, after, self._wait))
+        if command == STAND or self.sight.state.touching or _moved(before, self.sight.state):
+            self._obeyed_s = self.clock_s
         for watcher in self.watchers:
             watcher(self.sight)
         return self.sight
@@ -108,6 +116,10 @@ class Helm:
         estimate = self._localizer.update(spared(self.unmapped, self.sight.estimate, state, angles))
         take_in(self.unmapped, estimate, state, angles)
         return Sight(estimate, state)
+
+
+def _moved(before: RobotState, after: RobotState) -> bool:
+    return (before.x_in, before.y_in, before.steering_rad) != (after.x_in, after.y_in, after.steering_rad)
 
 
 def _walls(known: Surroundings) -> Floats:

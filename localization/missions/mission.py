@@ -41,6 +41,8 @@ HALT_S: Final = 2.0
 """An axis at its top speed stands within this."""
 RING_S: Final = 1.0
 """All sixteen sonars have fired once in this time."""
+UNMOVED_S: Final = 5.0
+"""Told to move for so long, a robot that can move has moved."""
 DOCK_IN: Final = 12.0
 DOCK_IN_S: Final = 2.0
 DOCKED_IN: Final = 0.5
@@ -85,6 +87,7 @@ class Mission:
         if self._fence is not None:
             helm.fence(self._fence)
         self._step: Step | None = None
+        self._told_unmoved = False
         self._encoders = self._place_of(helm.sight)
         helm.watchers.append(self._watch)
 
@@ -313,14 +316,28 @@ class Mission:
         self._encoders = place
         now_s = sight.estimate.clock_s
         if now_s - self._began_s > self.settings.time_limit_s:
-            raise MissionOver("timeout", f"the mission's time is over: {self.settings.time_limit_s:g} s")
+            raise MissionOver(
+                "timeout", f"the mission's time is over: {self.settings.time_limit_s:g} s{self._unmoved()}"
+            )
         x, y, _ = sight.estimate.pose
         known = sight.estimate.verdict.trust is not Trust.LOST
         if self._fence is not None and known and not inside((x, y), self._fence):
             raise MissionOver("fence", f"({x:.1f}, {y:.1f}) is outside of the fence")
         if now_s > self._step_ends_s:
             self._step_ends_s = inf
-            raise StepFailed("timeout", "the step's time is over")
+            raise StepFailed("timeout", f"the step's time is over{self._unmoved()}")
+        if self._helm.unmoved_s < UNMOVED_S:
+            self._told_unmoved = False
+        elif not self._told_unmoved:
+            self._told_unmoved = True
+            self._note(self._unmoved().lstrip("; "))
+
+    def _unmoved(self) -> str:
+        """What there is to say of a robot that does not do what it is told: nobody tells a program that it is held."""
+        if self._helm.unmoved_s < UNMOVED_S:
+            return ""
+        return (f"; it is told to drive and stands, {self._helm.unmoved_s:.0f} s now: is it held (nserver ctl status "
+                "tells), or its emergency button pressed?")
 
     def _place_of(self, sight: Sight) -> Point:
         return sight.state.x_in, sight.state.y_in

@@ -76,7 +76,7 @@ def watch(
 
 
 def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
-    """The address among the words, which has a colon, and the parts. Raises AddressError, ShellError."""
+    """The address among the words, which has a colon, and the parts. Raises AddressError for what is neither."""
     addresses = [word for word in words if ":" in word]
     parts = [word for word in words if ":" not in word]
     if len(addresses) > 1:
@@ -85,7 +85,7 @@ def _sorted_words(words: list[str]) -> tuple[str | None, list[str]]:
         glance.check(parts)
     except ShellError as error:
         schemes = ", ".join(f"{scheme}:" for scheme in known_schemes())
-        raise ShellError(f"{error}; an address begins with one of {schemes}") from None
+        raise AddressError(f"{error}; an address begins with one of {schemes}") from None
     return (addresses[0] if addresses else None), parts
 
 

@@ -32,13 +32,23 @@ def test_the_shipped_worlds_are_listed(capsys: pytest.CaptureFixture[str]) -> No
         (["--start", "500,0,0,0"], "outside"),
         (["--start=500,0,0,0"], "outside"),
         (["thesis_rom"], "thesis_room"),
-        (["--start", "x"], "a start is X,Y,STEER,TURRET"),
     ],
 )
 def test_what_cannot_start_says_why_and_exits_1(
     argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(argv) == 1
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("argv", "words"), [
+    (["--start", "x"], "a start is X,Y,STEER,TURRET"), (["--start", "1,2,a,b"], "got '1,2,a,b'"),
+    (["--real", "foo"], "'foo' is no address: "),
+])  # fmt: skip
+def test_what_is_wrong_as_it_is_typed_exits_2_and_is_not_tried_again(
+    argv: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(argv) == 2
     assert words in capsys.readouterr().err
 
 
@@ -53,11 +63,11 @@ def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]
     assert "usage: nserver" in capsys.readouterr().err
 
 
-def test_a_word_for_machine_code_that_is_none_exits_1_and_names_those_there_are(
+def test_a_word_for_machine_code_that_is_none_exits_2_and_names_those_there_are(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("NOMAD_COMPILED", "yes")
-    assert cli.main(["--port", "0"]) == 1
+    assert cli.main(["--port", "0"]) == 2
     assert capsys.readouterr().err == "nserver: NOMAD_COMPILED is 'yes'; it can be always, crowd, never\n"
 
 

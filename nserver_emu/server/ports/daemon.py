@@ -105,7 +105,8 @@ class Daemon:
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
             self.host.hold(robot_id, by)
-        log.info("held by %s: robots %s", by, robot_ids)
+        log.warning("stopped and held by %s: %s, until somebody lets go, at the page or by nserver ctl release",
+                    by, _named(robot_ids))
         self.changed({"hold": {"robots": robot_ids, "by": by}})
 
     def release(self, robot_ids: Iterable[int]) -> None:
@@ -113,7 +114,7 @@ class Daemon:
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
             self.emulator.holds.release(robot_id)
-        log.info("released: robots %s", robot_ids)
+        log.warning("released: %s", _named(robot_ids))
         self.changed({"release": robot_ids})
 
     def changed(self, what: Mapping[str, Any]) -> None:
@@ -213,6 +214,10 @@ class Daemon:
             connection.close()
         await asyncio.sleep(0)
         self.recorder.close()
+
+
+def _named(robot_ids: Iterable[int]) -> str:
+    return ", ".join(f"robot {robot_id}" for robot_id in robot_ids) or "no robot"
 
 
 def stop_on_signals(stop: asyncio.Event) -> None:

@@ -1,4 +1,4 @@
-"""Robots that somebody stopped for good: held, they stand until they are released, whatever a client says. Pure.
+"""Robots that somebody stopped for good: held, they stand until they are released, whatever a client says.
 
     what moves a robot    is taken for st: the answer is the state, as ever, and the velocities are 0
     what moves its arm    ERROR 5, as is a user packet, which may move anything
@@ -6,14 +6,18 @@
 
 Rules: as with the emergency button on a robot's head, it makes no difference who pressed it: he is held as well. It
 belongs to the people who watch, not to the simulation: no snapshot has it. A recording does, for it changes answers.
+No program is told, so the log says when the first motion came to nothing. Otherwise pure.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any, Final
 
 from nclient.protocol.commands import Call
+
+log = logging.getLogger(__name__)
 
 ARM_MOTIONS: Final = frozenset({"arm_zr", "arm_mv"})
 MOTIONS: Final = frozenset({"vm", "pr", "pa", "mv", "zr"}) | ARM_MOTIONS
@@ -71,5 +75,9 @@ class Holds:
             return call
         if call.name == "mv" and not moves(call):
             return call
-        hold.ignored += any(call.args) or not call.args
+        told_to_move = any(call.args) or not call.args
+        hold.ignored += told_to_move
+        if told_to_move and hold.ignored == 1:
+            log.warning("robot %s is told to move (%s) and stands: it is held by %s until somebody releases it, at the "
+                        "page or by nserver ctl release (further ones are counted)", robot_id, call.name, hold.by)
         return STOP if call.name in _STOPPED else None

@@ -33,7 +33,10 @@ def test_pressing_is_told_with_the_bumpers_though_wheels_slip() -> None:
 
 def test_wheels_that_stand_are_told_though_nothing_touches() -> None:
     reasons = told(Obstruction(5.0), 6.0, lambda _: state(3.0))
-    assert reasons[9:11] == ["", "it makes no way 5 s long, 20.0 in before (20, 0), though it is told to drive"]
+    assert reasons[9:11] == [
+        "", "it makes no way 5 s long, 20.0 in before (20, 0), though it is told to drive: is it held (nserver ctl "
+        "status tells), or its emergency button pressed?",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("at", [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable
-from math import degrees, hypot
+from math import degrees, hypot, inf
 from typing import Any
 
 import pytest
@@ -123,6 +123,36 @@ def test_a_step_has_its_time_and_the_mission_has_its(helm_at: MakeHelm) -> None:
     with pytest.raises(MissionOver, match="the mission's time is over: 6 s"):
         mission.look(60.0)
     assert mission.seen.clock_s == pytest.approx(6.1, abs=0.15)
+
+
+def test_a_robot_that_somebody_holds_is_told_of_and_goes_on_once_released(
+    helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    helm = helm_at("thesis_room")
+    mission, until_s = Mission(helm, Settings(time_limit_s=40.0)), helm.clock_s + 12.0
+    drive = helm.robot.drive
+
+    def held(**velocities: float) -> Any:
+        """What would move it is taken for st (nserver_emu.server.stage.holds)."""
+        return helm.robot.stop() if helm.clock_s < until_s else drive(**velocities)
+
+    monkeypatch.setattr(helm.robot, "drive", held)
+    mission.go_to(20, 0)
+    (step,) = mission.report.steps
+    told = [words for _, words in step.notes if "is it held (nserver ctl status tells), or its emerg" in words]
+    assert len(told) == 1
+    assert told[0].startswith("it is told to drive and stands, 5 s now: ")
+    until_s = inf
+    with pytest.raises(StepFailed, match=r"the step's time is over; it is told to drive and stands, 1[01] s now: is"):
+        mission.go_to(40, 0, limit_s=11.0)
+    with pytest.raises(MissionOver, match=r"the mission's time is over: 40 s; it is told to drive and stands, .* held"):
+        mission.go_to(40, 0)
+
+
+def test_who_looks_stands_and_nothing_is_said_of_it(helm_at: MakeHelm) -> None:
+    mission = Mission(helm_at("thesis_room"))
+    mission.look(8.0)
+    assert mission.report.steps[0].notes == []
 
 
 def test_a_fence_is_planned_within_and_left_by_nobody(helm_at: MakeHelm) -> None:

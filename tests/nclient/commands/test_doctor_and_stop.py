@@ -51,7 +51,7 @@ def test_a_report_as_an_object(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(("words", "code"), [
-    (("doctor", "nserver://127.0.0.1:1"), 1), (("doctor", "sim:nowhere"), 1), (("stop", "usb:1"), 1),
+    (("doctor", "nserver://127.0.0.1:1"), 1), (("doctor", "sim:nowhere"), 1), (("stop", "usb:1"), 2),
 ])
 def test_nobody_to_examine(capsys: pytest.CaptureFixture[str], words: tuple[str, ...], code: int) -> None:
     assert cli.main(list(words)) == code

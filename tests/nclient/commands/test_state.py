@@ -65,7 +65,7 @@ def test_objects_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     (["sim:", "nserver://lab"], "one robot at a time, not sim: and nserver://lab"),
 ])
 def test_words_that_are_neither(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["state", *words]) == 1
+    assert cli.main(["state", *words]) == 2
     assert told in capsys.readouterr().err
 
 

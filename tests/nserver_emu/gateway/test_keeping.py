@@ -144,15 +144,17 @@ def test_wrong_usage_says_what_is_right(words: list[str], said: str, capsys: pyt
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "said", "code"),
     [
-        (["--real", "simm:thesis_room"], "did you mean sim:"),
-        (["--real", "nserver://127.0.0.1:1/1"], "127.0.0.1"),
-        (["--real", "sim:thesis_room?robot=n200", "--robot", "n150"], "really a n200"),
+        (["--real", "simm:thesis_room"], "did you mean sim:", 2),
+        (["--real", "nserver://127.0.0.1:1/1"], "127.0.0.1", 1),
+        (["--real", "sim:thesis_room?robot=n200", "--robot", "n150"], "really a n200", 2),
     ],
 )
-def test_what_cannot_be_reached_exits_1(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--port", "0", *words]) == 1
+def test_what_cannot_be_reached_exits_1_and_what_is_no_such_address_2(
+    words: list[str], said: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["--port", "0", *words]) == code
     assert said in capsys.readouterr().err
 
 

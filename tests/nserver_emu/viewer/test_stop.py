@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 
+import pytest
 from viewed_daemon import HOST, Message, Page, served
 from wire_client import simulation
 
@@ -124,6 +125,19 @@ def test_one_robot_may_be_held_and_the_other_go_on_and_all_be_stopped_at_once() 
             assert (await page.answer(4))["error"] == "there is no robot 7; there are 1, 2"
 
     asyncio.run(scenario())
+
+
+def test_who_stops_and_who_releases_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    async def scenario() -> None:
+        async with served(Emulator(simulation())) as here:
+            here.daemon.hold([1], "nserver ctl")
+            here.daemon.release([1])
+
+    asyncio.run(scenario())
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "stopped and held by nserver ctl: robot 1, until somebody lets go, at the page or by nserver ctl release",
+        "released: robot 1",
+    ]
 
 
 def test_who_only_looks_neither_stops_nor_releases() -> None:

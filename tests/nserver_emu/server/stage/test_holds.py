@@ -107,6 +107,17 @@ def test_the_arm_stops_and_is_refused() -> None:
     assert 0.0 < at < 5.0
 
 
+def test_the_first_motion_that_comes_to_nothing_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    emulator = held()
+    client, _ = meet(emulator)
+    for name, args in (("vm", (0, 0, 0)), ("gs", ()), ("pr", (100, 0, 0)), ("vm", (50, 0, 0))):
+        client.ask(name, *args)
+    told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(told) == 1
+    assert told[0].startswith("robot 1 is told to move (pr) and stands: it is held by viewer 1 until")
+    assert "nserver ctl release" in told[0]
+
+
 def test_another_robot_goes_on() -> None:
     emulator = held()
     emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N200, IDEAL)
