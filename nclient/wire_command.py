@@ -14,12 +14,13 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
+from textwrap import fill
 from typing import Any
 
 from nclient.errors import WireError
 from nclient.exit_codes import ExitCode
 from nclient.protocol import language
-from nclient.protocol.commands import Call
+from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.mask import EVERYTHING, Mask
 from nclient.protocol.models import MODELS, model_named
 from nclient.protocol.terms import line_terms
@@ -38,7 +39,12 @@ motion_check in thousandths; the text of tk in quotes. Options go before the cal
     nomad wire encode special_request 1 2 3 --packet-type 200
     nomad wire encode tk "Where am I?" --line serial --model n200
 
-On a robot's own line place_robot is two frames, dp and da."""
+On a robot's own line place_robot is two frames, dp and da.
+
+The calls:
+
+""" + fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
+_LIST = "nomad wire encode --help lists them all"
 _DECODE = """Print one frame as a JSON object; exit code 1 and {"error": ...} when it is no good frame.
 
     nomad wire decode 000c000300000064ffffffce00000000
@@ -123,7 +129,7 @@ def _encode(options: argparse.Namespace) -> int:
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
     """The calls as the table has them, out of the arguments of the C call."""
-    row = language.row_named(options.call)
+    row = _row(options.call)
     if row.name == "tk":
         yield Call(row.name, (" ".join(options.args),))
         return
@@ -154,7 +160,7 @@ def _decode(options: argparse.Namespace) -> int:
     if options.laser_mode is not None:
         transcript.terms.note_laser_mode(options.laser_mode)
     if options.call:
-        transcript.expect(options.call)
+        transcript.expect(_row(options.call).name)
     found = transcript.read((">" if options.to == "robot" else "<") + "".join(options.hex))
     print(json.dumps(found))
     return ExitCode.FAILED if "error" in found else ExitCode.DONE
@@ -165,6 +171,12 @@ def _dump(options: argparse.Namespace) -> int:
     for line in sys.stdin.buffer:
         print(json.dumps(transcript.read(line.decode("utf-8", "replace"))), flush=True)
     return ExitCode.DONE
+
+
+def _row(name: str) -> Command:
+    if name not in BY_NAME:
+        raise WireError(f"{language.no_command(name)}; {_LIST}")
+    return BY_NAME[name]
 
 
 def _number(word: str) -> float:
