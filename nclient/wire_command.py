@@ -5,7 +5,8 @@
     nomad wire decode --to host --call get_rc HEX     what the client holds after that reply
     nomad wire dump --line serial --model n200        reads `> hex` and `< hex` lines, prints an object for each
 
-Rules: arguments and printing only; what bytes mean is nclient.protocol's.
+Rules: arguments and printing only; what bytes mean is nclient.protocol's. On stdout is what was asked for: a frame that
+is none has its reason on stderr, but in a dump, where each line has its object.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ The calls:
 
 """ + fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
 _LIST = "nomad wire encode --help lists them all"
-_DECODE = """Print one frame as a JSON object; exit code 1 and {"error": ...} when it is no good frame.
+_DECODE = """Print one frame as a JSON object; exit code 1 and nothing on stdout when it is no good frame.
 
     nomad wire decode 000c000300000064ffffffce00000000
     nomad wire decode --line serial 0108000564003280 0000245c
@@ -77,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     encode.add_argument("--packet-type", type=int, help="the packet type of special_request")
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="ct's 44 numbers (default: all on)")
     decode = _add_verb(verbs, "decode", _DECODE)
-    decode.add_argument("hex", nargs="+", help="the bytes of one frame")
+    decode.add_argument("hex", nargs="+", action=_Hex, help="the bytes of one frame")
     decode.add_argument("--to", choices=("robot", "host"), default="robot", help="where it went (default: robot)")
     decode.add_argument("--call", help="the call that the reply answers")
     decode.add_argument("--mask", type=_mask, help="the 44 numbers of Smask in force")
@@ -161,9 +162,11 @@ def _decode(options: argparse.Namespace) -> int:
         transcript.terms.note_laser_mode(options.laser_mode)
     if options.call:
         transcript.expect(_row(options.call).name)
-    found = transcript.read((">" if options.to == "robot" else "<") + "".join(options.hex))
+    found = transcript.request(options.hex) if options.to == "robot" else transcript.reply(options.hex)
+    if "error" in found:
+        raise WireError(found["error"])
     print(json.dumps(found))
-    return ExitCode.FAILED if "error" in found else ExitCode.DONE
+    return ExitCode.DONE
 
 
 def _dump(options: argparse.Namespace) -> int:
@@ -177,6 +180,17 @@ def _row(name: str) -> Command:
     if name not in BY_NAME:
         raise WireError(f"{language.no_command(name)}; {_LIST}")
     return BY_NAME[name]
+
+
+class _Hex(argparse.Action):
+    """Words of hex, which may be cut anywhere, as the bytes that they are together."""
+
+    def __call__(self, parser: object, namespace: Any, values: Any, option_string: object = None) -> None:
+        del parser, option_string
+        try:
+            setattr(namespace, self.dest, bytes.fromhex("".join(values)))
+        except ValueError:
+            raise argparse.ArgumentError(self, f"no hex, two digits a byte: {' '.join(values):.60}") from None
 
 
 def _number(word: str) -> float:

@@ -85,12 +85,15 @@ def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, 
     ("encode ct --mask 1,2", "a mask has 44 numbers"), ("encode ct --mask on", "invalid literal"),
     ("decode 00 --line usb", "argument --line: no 'usb'; there are tcp, tcp64, serial"),
     ("decode 00 --model n300", "no 'n300'; there are n150, n200, scout; did you mean n200?"),
-    ("", "encode|decode|dump"),
+    ("", "encode|decode|dump"), ("encode", "the following arguments are required: call\n"),
+    ("decode zz", "argument hex: no hex, two digits a byte: zz"), ("decode 00 0", "two digits a byte: 00 0"),
 ])
 def test_arguments_that_make_no_sense(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:
     with pytest.raises(SystemExit, match="2"):
         cli.main(["wire", *words.split()])
-    assert wrong in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert wrong in told.err
 
 
 @pytest.mark.parametrize("typed", ["vn", "prr", "drive", "get_sonar", "connect", "zzz"])
@@ -107,11 +110,17 @@ def test_the_shell_and_the_wire_mean_the_same_by_a_word_that_is_none(
 @pytest.mark.parametrize(("words", "found"), [
     (VM_TCP, {"to": "robot", "call": "vm", "args": [100, -50, 0]}),
     (f"--line serial {VM_LINE[:12]} {VM_LINE[12:]}", {"to": "robot", "call": "vm", "args": [100, -50, 0]}),
-    ("000c", {"error": "truncated: 2 bytes are no whole message"}),
+    (f"{VM_TCP[:5]} {VM_TCP[5:]}", {"to": "robot", "call": "vm", "args": [100, -50, 0]}),
 ])
 def test_decode_a_request(nomad: Nomad, words: str, found: dict[str, Any]) -> None:
     code, printed = nomad("decode", *words.split())
-    assert (code, json.loads(printed)) == (int("error" in found), found)
+    assert (code, json.loads(printed)) == (0, found)
+
+
+@pytest.mark.parametrize("words", ["000c", "--to host 000c"])
+def test_what_is_no_good_frame_has_its_reason_on_stderr_alone(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["wire", "decode", *words.split()]) == 1
+    assert capsys.readouterr() == ("", "nomad: truncated: 2 bytes are no whole message\n")
 
 
 def test_decode_a_reply_of_the_call_that_is_named(nomad: Nomad) -> None:
