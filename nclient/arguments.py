@@ -3,8 +3,10 @@
     nomad --hlep                    no option --hlep; did you mean --help?
     nomad wire --line seriall       argument --line: no 'seriall'; there are tcp, tcp64, serial; did you mean serial?
 
+    nomad completion                the following arguments are required: shell
+
 Rules: whatever argparse says is said by it; an option that nobody knows is named before all else that is wrong, since
-it is what the others come from.
+it is what the others come from; nothing that may be left out is asked for.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does; ends with a suggestion where a long option is unknown."""
+        self._ask_for_no_more_than_must_be()
         given: Sequence[str] = () if args is None else tuple(args)
         known = self._options()
         if self._subparsers is None:
@@ -40,6 +43,12 @@ class Parser(argparse.ArgumentParser):
         if left:
             self.error(f"too many arguments: {' '.join(left)}")
         return options
+
+    def _ask_for_no_more_than_must_be(self) -> None:
+        """To argparse, up to a late Python 3.13, words of which there may be none are required."""
+        for action in self._actions:
+            if action.nargs == argparse.ZERO_OR_MORE and not action.option_strings:
+                action.required = False
 
     def _refuse(self, name: str) -> NoReturn:
         known = {option.strip("-"): option for option in self._options()}  # all have dashes: those make none alike

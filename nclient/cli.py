@@ -149,7 +149,7 @@ def summary(point: EntryPoint) -> str:
 
 
 def _unknown(name: str, commands: dict[str, EntryPoint]) -> str:
-    near = nearest(name, (*commands, HELP), likeness=0.5)
+    near = nearest(name, (*commands, HELP))
     hint = f"did you mean {near}?" if near else f"there are: {', '.join(sorted(commands))}"
     return f"no command {name!r}; {hint}"
 

@@ -1,6 +1,7 @@
 """Did you mean ...? The end of a message about a word that is unknown: the known one that looks most like it.
 
-Rules: pure, and on the ground floor, so that every command line and every reader of files says it the same way.
+Rules: pure, and on the ground floor, so that every command line and every reader of files says it the same way. How
+like a word has to be is decided here alone: nobody who asks can have it otherwise.
 """
 
 from __future__ import annotations
@@ -10,16 +11,23 @@ from difflib import get_close_matches
 
 LIKENESS = 0.6
 """How like it has to be, 0 to 1 (difflib's ratio), to be worth a question."""
+_LIKENESS_OF_TWO = 0.5
+"""The same of words of two letters, as many of C's names are: one right letter is half of such a one."""
+_LEAST_OF_A_BEGINNING = 3
+"""Letters with which the only known word that begins so is meant, however much longer it is."""
 
 
-def nearest(word: str, known: Iterable[str], likeness: float = LIKENESS) -> str:
-    """The known word that looks most like this one; "" where none does."""
-    return next(iter(get_close_matches(word, list(known), n=1, cutoff=likeness)), "")
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known word that looks most like this one, or the only one that begins with it; "" where none does."""
+    words = list(known)
+    alike = get_close_matches(word, words, n=1, cutoff=_LIKENESS_OF_TWO if len(word) == 2 else LIKENESS)
+    if alike:
+        return alike[0]
+    longer = [known_word for known_word in words if known_word.startswith(word)]
+    return longer[0] if len(word) >= _LEAST_OF_A_BEGINNING and len(longer) == 1 else ""
 
 
-def did_you_mean(
-    word: str, known: Iterable[str], before: str = "; ", after: str = "?", likeness: float = LIKENESS
-) -> str:
+def did_you_mean(word: str, known: Iterable[str], before: str = "; ", after: str = "?") -> str:
     """`; did you mean WORD?` with the nearest known word; "" where none is near."""
-    near = nearest(word, known, likeness)
+    near = nearest(word, known)
     return f"{before}did you mean {near}{after}" if near else ""

@@ -5,7 +5,8 @@
     nomad wire decode --to host --call get_rc HEX     what the client holds after that reply
     nomad wire dump --line serial --model n200        reads `> hex` and `< hex` lines, prints an object for each
 
-Rules: arguments and printing only; what bytes mean is nclient.protocol's.
+Rules: arguments and printing only; what bytes mean is nclient.protocol's. On stdout is what was asked for: a frame that
+is none has its reason on stderr, but in a dump, where each line has its object.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator
+from textwrap import fill
 from typing import Any
 
 from nclient.errors import WireError
 from nclient.exit_codes import ExitCode
 from nclient.protocol import language
-from nclient.protocol.commands import Call
+from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.mask import EVERYTHING, Mask
 from nclient.protocol.models import MODELS, model_named
 from nclient.protocol.terms import line_terms
@@ -38,8 +40,13 @@ motion_check in thousandths; the text of tk in quotes. Options go before the cal
     nomad wire encode special_request 1 2 3 --packet-type 200
     nomad wire encode tk "Where am I?" --line serial --model n200
 
-On a robot's own line place_robot is two frames, dp and da."""
-_DECODE = """Print one frame as a JSON object; exit code 1 and {"error": ...} when it is no good frame.
+On a robot's own line place_robot is two frames, dp and da.
+
+The calls:
+
+""" + fill(" ".join(BY_NAME), 100, initial_indent="    ", subsequent_indent="    ")
+_LIST = "nomad wire encode --help lists them all"
+_DECODE = """Print one frame as a JSON object; exit code 1 and nothing on stdout when it is no good frame.
 
     nomad wire decode 000c000300000064ffffffce00000000
     nomad wire decode --line serial 0108000564003280 0000245c
@@ -71,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     encode.add_argument("--packet-type", type=int, help="the packet type of special_request")
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="ct's 44 numbers (default: all on)")
     decode = _add_verb(verbs, "decode", _DECODE)
-    decode.add_argument("hex", nargs="+", help="the bytes of one frame")
+    decode.add_argument("hex", nargs="+", action=_Hex, help="the bytes of one frame")
     decode.add_argument("--to", choices=("robot", "host"), default="robot", help="where it went (default: robot)")
     decode.add_argument("--call", help="the call that the reply answers")
     decode.add_argument("--mask", type=_mask, help="the 44 numbers of Smask in force")
@@ -123,7 +130,7 @@ def _encode(options: argparse.Namespace) -> int:
 
 def _calls(options: argparse.Namespace) -> Iterator[Call]:
     """The calls as the table has them, out of the arguments of the C call."""
-    row = language.row_named(options.call)
+    row = _row(options.call)
     if row.name == "tk":
         yield Call(row.name, (" ".join(options.args),))
         return
@@ -154,10 +161,12 @@ def _decode(options: argparse.Namespace) -> int:
     if options.laser_mode is not None:
         transcript.terms.note_laser_mode(options.laser_mode)
     if options.call:
-        transcript.expect(options.call)
-    found = transcript.read((">" if options.to == "robot" else "<") + "".join(options.hex))
+        transcript.expect(_row(options.call).name)
+    found = transcript.request(options.hex) if options.to == "robot" else transcript.reply(options.hex)
+    if "error" in found:
+        raise WireError(found["error"])
     print(json.dumps(found))
-    return ExitCode.FAILED if "error" in found else ExitCode.DONE
+    return ExitCode.DONE
 
 
 def _dump(options: argparse.Namespace) -> int:
@@ -165,6 +174,23 @@ def _dump(options: argparse.Namespace) -> int:
     for line in sys.stdin.buffer:
         print(json.dumps(transcript.read(line.decode("utf-8", "replace"))), flush=True)
     return ExitCode.DONE
+
+
+def _row(name: str) -> Command:
+    if name not in BY_NAME:
+        raise WireError(f"{language.no_command(name)}; {_LIST}")
+    return BY_NAME[name]
+
+
+class _Hex(argparse.Action):
+    """Words of hex, which may be cut anywhere, as the bytes that they are together."""
+
+    def __call__(self, parser: object, namespace: Any, values: Any, option_string: object = None) -> None:
+        del parser, option_string
+        try:
+            setattr(namespace, self.dest, bytes.fromhex("".join(values)))
+        except ValueError:
+            raise argparse.ArgumentError(self, f"no hex, two digits a byte: {' '.join(values):.60}") from None
 
 
 def _number(word: str) -> float:

@@ -99,7 +99,8 @@ def _add_keeping(parser: Parser) -> None:
     parser.add_argument("--record", type=Path, metavar="FILE",
                         help="write down all that is said, with what it takes to have it said again")
     parser.add_argument("--replay", type=Path, metavar="FILE",
-                        help="ask what a recording asked once more, compare every byte, and stop")
+                        help="ask what a recording asked once more, compare every byte, and stop; world, robots, seed "
+                        "and setup are its own")
 
 
 def _add_setup(parser: Parser) -> None:

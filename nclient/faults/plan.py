@@ -15,6 +15,7 @@ from enum import Enum
 from nclient.errors import FaultPlanError
 from nclient.faults.kinds import Fault, check_number, check_whole, fail
 from nclient.protocol.commands import BY_NAME
+from nclient.protocol.language import no_command
 from nclient.suggesting import did_you_mean
 
 GREETING = "hello"
@@ -163,8 +164,7 @@ def _check_command(rule: str, command: str) -> None:
     if row is not None and row.packet_type is not None:
         raise FaultPlanError(f"rule {rule!r}: command: on the wire {command} is a special_request; write that")
     if row is None and command != GREETING:
-        hint = did_you_mean(command, (*BY_NAME, GREETING))
-        raise FaultPlanError(f"rule {rule!r}: command: no command {command!r}{hint}")
+        raise FaultPlanError(f"rule {rule!r}: command: {no_command(command, [GREETING])}")
 
 
 def _check_line(rule: str, line: str) -> None:

@@ -8,6 +8,7 @@ Both ends call `note` for each request they sent or took, so that mask and laser
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from construct import ConstructError
@@ -43,7 +44,12 @@ def row_named(name: str) -> Command:
     try:
         return BY_NAME[name]
     except KeyError:
-        raise WireError(f"no command {name!r}{did_you_mean(name, BY_NAME)}") from None
+        raise WireError(no_command(name)) from None
+
+
+def no_command(name: str, beside: Iterable[str] = ()) -> str:
+    """That there is no such command, and which was probably meant; `beside`: what else may have been."""
+    return f"no command {name!r}{did_you_mean(name, (*BY_NAME, *beside))}"
 
 
 def note(call: Call, terms: Terms) -> None:

@@ -18,10 +18,7 @@ from nclient.protocol.terms import Terms
 from nclient.shell.language import ARRAYS, Order, Value
 from nclient.shell.own_words import OWN
 from nclient.shell.reference import Parameter, available, parameters, usage
-from nclient.suggesting import did_you_mean
 
-_LIKENESS = 0.5
-"""Of names, many of which are two letters long: one right letter is half of such a one."""
 _END = 255
 """What ends a firing order."""
 _THOUSANDTHS = 1000
@@ -46,8 +43,7 @@ def call_of(order: Order, terms: Terms, smask: Sequence[int], pid: int) -> Call:
 
 def no_command(name: str, beside: Iterable[str] = ()) -> str:
     """That there is no such command, and which was probably meant; `beside`: what else may have been."""
-    hint = did_you_mean(name, (*BY_NAME, *OWN, *beside), likeness=_LIKENESS)
-    return f"no command {name!r}{hint}; help lists them all"
+    return f"{language.no_command(name, (*OWN, *beside))}; help lists them all"
 
 
 def _row(name: str, terms: Terms) -> Command:

@@ -28,7 +28,8 @@ from worlds.files import DEFAULT_WORLD
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1
-_OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s", "line")
+OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s", "line")
+"""What may stand behind the ? of an address, by name; docs/addresses.md has them too."""
 _FOR_EACH = ("robot", "start")
 """Options that may come again, for robot 2 and so on."""
 _FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
@@ -109,9 +110,9 @@ def open_address(address: str) -> InProcess:
     path, _, query = address.removeprefix(f"{SCHEME}:").partition("?")
     given = parse_qs(query, keep_blank_values=True)
     for name, values in given.items():
-        if name not in _OPTIONS:
-            hint = did_you_mean(name, _OPTIONS)
-            raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(_OPTIONS)}.")
+        if name not in OPTIONS:
+            hint = did_you_mean(name, OPTIONS)
+            raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(OPTIONS)}.")
         if len(values) > 1 and name not in _FOR_EACH:
             raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")
     options = {name: values[-1] for name, values in given.items()}

@@ -49,6 +49,14 @@ def test_what_is_unknown_comes_with_the_nearest(
     assert refused(parser, *words, capsys=capsys).startswith(f"tool: error: {told}")
 
 
+@pytest.mark.parametrize("count", ["*", "?"])
+def test_what_may_be_left_out_is_not_asked_for(count: str, parser: Parser, capsys: pytest.CaptureFixture[str]) -> None:
+    parser.add_argument("others", nargs=count)
+    assert refused(parser, capsys=capsys) == "tool: error: the following arguments are required: file"
+    assert refused(parser, "--line", "tcp", capsys=capsys).endswith("required: file")
+    assert parser.parse_args(["x"]).others in (None, [])
+
+
 @pytest.mark.parametrize("words", [["x", "--line", "tcp"], ["--li=tcp", "x"], ["--line", "tcp", "--", "x"]])
 def test_what_is_known_is_read_as_ever(words: list[str], parser: Parser) -> None:
     assert parser.parse_args(words) == argparse.Namespace(file="x", line="tcp", verbose=False)

@@ -12,9 +12,15 @@ def test_the_nearest_word_is_offered_or_none() -> None:
     assert nearest("zzz", KNOWN) == nearest("points_in", ()) == ""
 
 
-def test_how_like_it_has_to_be_is_the_askers() -> None:
-    assert nearest("points", ("pair",)) == ""
-    assert nearest("points", ("pair",), likeness=0.3) == "pair"
+def test_one_right_letter_of_two_is_enough_and_of_more_it_is_not() -> None:
+    assert nearest("vn", ("vm", "sonar")) == "vm"
+    assert nearest("vn", ("pr", "lp")) == ""
+    assert nearest("drive", ("bridge", "draw_line")) == "", "half of its letters are not enough"
+
+
+def test_the_only_word_that_begins_so_is_meant_however_long_it_is() -> None:
+    assert nearest("loc", ("localize", "map")) == "localize"
+    assert nearest("loc", ("localize", "locations")) == nearest("lo", ("localize",)) == ""
 
 
 def test_a_question_ends_a_message() -> None:

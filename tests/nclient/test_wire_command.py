@@ -12,6 +12,8 @@ from typing import Any
 import pytest
 
 from nclient import cli
+from nclient.protocol.commands import BY_NAME
+from nclient.shell.calls import no_command
 
 VM_TCP, VM_LINE = "000c000300000064ffffffce00000000", "01080005640032800000245c"
 Nomad = Callable[..., tuple[int, str]]
@@ -63,7 +65,8 @@ def test_encode_a_mask(nomad: Nomad) -> None:
 
 
 @pytest.mark.parametrize(("words", "wrong"), [
-    ("fly 1", "no command 'fly'"), ("vmm 1 2 3", "no command 'vmm'; did you mean vm?"),
+    ("fly 1", "no command 'fly'; nomad wire encode --help lists them all"),
+    ("vn 1 2 3", "no command 'vn'; did you mean vm?; nomad wire encode --help lists them all"),
     ("vm 1 2", "vm takes 3 numbers"), ("vm 1 2 up", "a number is wanted, not 'up'"),
     ("ct 1", "give the mask with --mask"), ("special_request 1", "needs its --packet-type"),
     ("pa 1 2 3 --line serial", "does not exist on the line of a n150"),
@@ -82,22 +85,42 @@ def test_what_cannot_be_encoded(capsys: pytest.CaptureFixture[str], words: str, 
     ("encode ct --mask 1,2", "a mask has 44 numbers"), ("encode ct --mask on", "invalid literal"),
     ("decode 00 --line usb", "argument --line: no 'usb'; there are tcp, tcp64, serial"),
     ("decode 00 --model n300", "no 'n300'; there are n150, n200, scout; did you mean n200?"),
-    ("", "encode|decode|dump"),
+    ("", "encode|decode|dump"), ("encode", "the following arguments are required: call\n"),
+    ("decode zz", "argument hex: no hex, two digits a byte: zz"), ("decode 00 0", "two digits a byte: 00 0"),
 ])
 def test_arguments_that_make_no_sense(capsys: pytest.CaptureFixture[str], words: str, wrong: str) -> None:
     with pytest.raises(SystemExit, match="2"):
         cli.main(["wire", *words.split()])
-    assert wrong in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert wrong in told.err
+
+
+@pytest.mark.parametrize("typed", ["vn", "prr", "drive", "get_sonar", "connect", "zzz"])
+def test_the_shell_and_the_wire_mean_the_same_by_a_word_that_is_none(
+    typed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["wire", "encode", typed]) == 1
+    by_wire = capsys.readouterr().err.removeprefix("nomad: ").partition("; nomad wire")[0]
+    assert cli.main(["wire", "decode", "00", "--call", typed]) == 1
+    assert capsys.readouterr().err.startswith(f"nomad: {by_wire}; ")
+    assert by_wire == no_command(typed).removesuffix("; help lists them all")
 
 
 @pytest.mark.parametrize(("words", "found"), [
     (VM_TCP, {"to": "robot", "call": "vm", "args": [100, -50, 0]}),
     (f"--line serial {VM_LINE[:12]} {VM_LINE[12:]}", {"to": "robot", "call": "vm", "args": [100, -50, 0]}),
-    ("000c", {"error": "truncated: 2 bytes are no whole message"}),
+    (f"{VM_TCP[:5]} {VM_TCP[5:]}", {"to": "robot", "call": "vm", "args": [100, -50, 0]}),
 ])
 def test_decode_a_request(nomad: Nomad, words: str, found: dict[str, Any]) -> None:
     code, printed = nomad("decode", *words.split())
-    assert (code, json.loads(printed)) == (int("error" in found), found)
+    assert (code, json.loads(printed)) == (0, found)
+
+
+@pytest.mark.parametrize("words", ["000c", "--to host 000c"])
+def test_what_is_no_good_frame_has_its_reason_on_stderr_alone(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["wire", "decode", *words.split()]) == 1
+    assert capsys.readouterr() == ("", "nomad: truncated: 2 bytes are no whole message\n")
 
 
 def test_decode_a_reply_of_the_call_that_is_named(nomad: Nomad) -> None:
@@ -143,6 +166,12 @@ def test_dump_as_a_process_answers_each_line_at_once() -> None:
     assert first == {"to": "robot", "call": "vm", "args": [100, -50, 0]}
     assert json.loads(rest)["reply"] == "nak"
     assert process.returncode == 0
+
+
+def test_help_lists_the_calls(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["wire", "encode", "--help"])
+    assert set(BY_NAME) <= set(capsys.readouterr().out.partition("The calls:")[2].split())
 
 
 @pytest.mark.parametrize("words", ["wire", "wire encode", "wire decode", "wire dump"])

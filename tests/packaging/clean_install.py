@@ -8,6 +8,7 @@ Run as a program (scripts/package-check) it does so for every Python there is an
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import shutil
 import subprocess
@@ -102,9 +103,25 @@ class Environment:
             return subprocess.CompletedProcess(command, 124, str(error.stdout), str(error.stderr))
 
 
+def tracked() -> set[str]:
+    """The files that git tracks here, or would if they were added: no build outputs. Empty without git."""
+    if not (ROOT / ".git").exists():
+        return set()
+    command = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    names = map(os.fsdecode, done.stdout.split(b"\0"))
+    return {name for name in names if name and (ROOT / name).is_file()}
+
+
 def built(folder: Path) -> tuple[Path, Path]:
-    """Wheel and sdist, the wheel made from the sdist as a distributor would."""
-    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    """Wheel and sdist, the wheel made from the sdist as a distributor would; of a fresh copy of what git tracks, since
+    setuptools adds to an sdist whatever an earlier one held."""
+    tree = ROOT
+    for name in tracked():
+        tree = folder / "tree"
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tree / name)
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), str(tree)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     (wheel,), (sdist,) = folder.glob("*.whl"), folder.glob("*.tar.gz")

@@ -1,6 +1,7 @@
-"""Options beside --restore: what a snapshot decides cannot be said again, and the pace can.
+"""Options beside --restore and --replay: what a file decides cannot be said again; beside a snapshot the pace can.
 
     --restore FILE                  FILE is there, or it is an error; it decides world, robots, seed and setup
+    --replay FILE                   the same; it decides what snapshot it began with, too, and leaves no file behind
     --save FILE --restore FILE      a run that is kept: the first time there is no FILE, and it begins as the options
                                     say; from then on FILE decides, and they are passed over
 
@@ -24,7 +25,8 @@ from worlds.files import DEFAULT_WORLD
 log = logging.getLogger(__name__)
 
 DECIDED: Final = ("robot", "robots", "model_file", "start", "seed", "setup", "noisy")
-"""Options, by their names in the namespace, that a snapshot has decided."""
+"""Options, by their names in the namespace, that a snapshot or a recording has decided."""
+_WRITES: Final = ("save", "autosave", "record")
 
 PACE: Final = ("speed", "paused", "lockstep")
 
@@ -32,18 +34,34 @@ _NOT_SAID: Final = "\0not said"
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str]) -> None:
-    """Wrong usage where a snapshot is restored and something is said that it decides. Does not come back then."""
-    if options.restore is None or _is_kept(options):
-        return
-    against = [f"--{name.replace('_', '-')}" for name in said(parser, words, DECIDED)]
+    """Wrong usage where something is said that a snapshot or a recording decides. Does not come back then."""
+    if options.replay is not None:
+        _refuse_beside(parser, options, words, "replay", "recording", (*DECIDED, "restore"))
+        if written := _long(said(parser, words, _WRITES)):
+            parser.error(f"argument --replay: it compares and stops, and writes no file: leave out "
+                         f"{', '.join(written)}")
+    elif options.restore is not None and not _is_kept(options):
+        _refuse_beside(parser, options, words, "restore", "snapshot", DECIDED)
+
+
+def _refuse_beside(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, words: Sequence[str], option: str, file: str,
+    decided: Iterable[str],
+) -> None:
+    against = _long(said(parser, words, decided))
     if len(options.files) > len(options.setups):
         against.append(f"the world {options.world}")
     with contextlib.suppress(NomadError):  # whoever reads them for good says what is wrong with them
         if read_setups(options.setups).robot:
             against.append("the robot of a setup file")
     if against:
-        parser.error(f"argument --restore: the snapshot has a world, robots, a seed and a setup of its own: leave out "
+        parser.error(f"argument --{option}: the {file} has a world, robots, a seed and a setup of its own: leave out "
                      f"{', '.join(against)}")
+
+
+def _long(names: Iterable[str]) -> list[str]:
+    """Options as they are written, by their names in the namespace."""
+    return [f"--{name.replace('_', '-')}" for name in names]
 
 
 def settle(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:

@@ -96,6 +96,12 @@ def test_scripts_of_all_programs_or_of_those_named(
     assert [name for name in ("nomad", "nserver") if f"_{name}_whole_words {name}\n" in told] == made
 
 
+def test_without_a_shell_that_is_asked_for_and_no_program(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["completion"])
+    assert capsys.readouterr().err.endswith("error: the following arguments are required: shell\n")
+
+
 def test_a_program_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         cli.main(["completion", "bash", "nsever"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from wire_client import WireClient
 
 from nclient.errors import AddressError, StartError, WorldFileError
 from nclient.protocol import models
-from nserver_emu.server.in_process import InProcess, open_address
+from nserver_emu.server.in_process import OPTIONS, InProcess, open_address
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.instants import PS_PER_S
 
@@ -175,3 +176,16 @@ def test_to_wait_while_time_stands_is_refused_and_the_conversation_goes_on(name:
     assert client.ask("gs").kind == "state"
     client.ask("sim_control", 2, 0)
     assert client.ask("ws", 1, 1, 1, 1).kind == "state"
+
+
+def test_the_page_of_addresses_and_what_is_said_here_have_every_option_and_no_other() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "addresses.md").read_text()
+    (told,) = re.findall(r"^\| `sim:WORLD` \|.*options of its own besides \(([^)]*)\)", page, re.MULTILINE)
+    assert tuple(told.split(", ")) == OPTIONS
+    with pytest.raises(AddressError) as refused:
+        open_address("sim:?nothing=1")
+    assert str(refused.value).endswith(f" There are {', '.join(OPTIONS)}.")
+    for name in OPTIONS:
+        with pytest.raises((AddressError, StartError, WorldFileError)) as known:
+            open_address(f"sim:?{name}=~")
+        assert "no option" not in str(known.value)

@@ -1,4 +1,4 @@
-"""What may stand beside --restore, and at whose pace a restored simulation goes on."""
+"""What may stand beside --restore and --replay, and at whose pace a restored simulation goes on."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from wire_client import meet, simulation
 
+from nclient import connect
 from nclient.errors import SnapshotError
 from nserver_emu import cli
 from nserver_emu.server.handling.handlers import Emulator
@@ -21,6 +22,14 @@ SAVED_PACE = Pace(factor=3.0, lockstep_s=0.25)
 def saved(tmp_path: Path) -> Path:
     path = tmp_path / "saved.json"
     snapshot.save(Emulator(simulation(seed=4), pace=SAVED_PACE), path)
+    return path
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    with connect(f"sim:thesis_room?record={path}") as robot:
+        robot.refresh()
     return path
 
 
@@ -53,14 +62,52 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[Emulator]:
         (["thesis_room"], "the world thesis_room"),
     ],
 )
-def test_what_the_snapshot_decides_is_refused(
-    words: list[str], named: str, saved: Path, started: list[Emulator], capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize(("option", "file"), [("--restore", "snapshot"), ("--replay", "recording")])
+def test_what_the_file_decides_is_refused(
+    option: str, file: str, words: list[str], named: str, saved: Path, started: list[Emulator],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     with pytest.raises(SystemExit) as stop:
-        cli.main([*words, "--restore", str(saved)])
+        cli.main([*words, option, str(saved)])
     assert stop.value.code == 2
-    assert f"of its own: leave out {named}\n" in capsys.readouterr().err
+    why = f"argument {option}: the {file} has a world, robots, a seed and a setup of its own"
+    assert f"{why}: leave out {named}\n" in capsys.readouterr().err
     assert not started
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["several_walls", "--robots", "3", "--noisy", "--start", "5,5"],
+         "of its own: leave out --robots, --start, --noisy, the world several_walls\n"),
+        (["--restore", "saved.json"], "of its own: leave out --restore\n"),
+        (["--save", "kept.json", "--restore", "kept.json"], "of its own: leave out --restore\n"),
+        (["--save", "kept.json", "--autosave", "60"], "and writes no file: leave out --save, --autosave\n"),
+        (["--record", "again.log"], "it compares and stops, and writes no file: leave out --record\n"),
+    ],
+)  # fmt: skip
+def test_a_replay_takes_its_beginning_from_the_recording_and_leaves_no_file(
+    words: list[str], told: str, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main([*words, "--replay", str(recorded)])
+    said = capsys.readouterr()
+    assert (said.out, said.err[-len(told) :]) == ("", told)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [], ["--port", "7100"], ["--bind", "127.0.0.1"], ["--speed", "max"], ["--paused"], ["--lockstep", "0.5"],
+        ["--viewer"], ["--allow-quit", "--allow-control"], ["--limit-connections", "9"], ["--log-level", "debug"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_what_a_daemon_is_told_besides_may_stand_beside_a_replay(
+    words: list[str], recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*words, "--replay", str(recorded)]) == 0
+    assert "as recorded" in capsys.readouterr().out
 
 
 def test_a_robot_of_a_setup_file_is_refused_and_its_port_is_not(
