@@ -136,7 +136,7 @@ async def _serve_with(
     try:
         port = await daemon.listen(options.bind, port)
         if open_to := warning(options.bind, daemon.door.access):
-            log.warning("%s", open_to)
+            log.warning("--bind: %s", open_to)
         if options.record:
             numbers = {"port": port, "requests_a_turn": REQUESTS_A_TURN, "real_robots": len(sides)}
             daemon.record(options.record, header(beginning, _now(), **numbers))
@@ -188,7 +188,7 @@ def _replay(path: Path) -> int:
     """Ask a fresh emulator what a recording asked; FAILED where it says something else."""
     recording = read_recording(path)
     if recording.cut:
-        log.warning("%s", recording.cut)
+        log.warning("--replay: %s", recording.cut)
     outcome = replay(recording)
     print(f"{outcome.answers} answers, {outcome.size} bytes as recorded{', then not' if outcome.difference else ''}")
     if outcome.difference:

@@ -105,7 +105,7 @@ class Lines(logging.StreamHandler[TextIO]):
 def tell_failure(options: argparse.Namespace, error: Exception) -> None:
     """Why the daemon ends, as its last line."""
     if options.log_format == JSON:
-        logging.getLogger(__package__).critical("%s", error)
+        logging.getLogger(__package__).critical("nserver: %s", error)
     else:
         print(f"nserver: {error}", file=sys.stderr)
 

@@ -175,7 +175,10 @@ static int join(enum command_id how, long robot_id)
     long port = reply ? reply->values[0] : 0;
 
     if (reply && port == 0)
-        nomad_complain("%s: the server has no robot number %ld", nomad_commands[how].name, robot_id);
+        nomad_complain(how == CMD_CREATE_ROBOT ? "%s: the server makes no robot number %ld: no room for one more, or no "
+                                                 "more are made (nserver -v)"
+                                               : "%s: the server has no robot number %ld",
+                       nomad_commands[how].name, robot_id);
     return (int)port;
 }
 

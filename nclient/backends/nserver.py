@@ -34,7 +34,11 @@ CLICK_S = 120.0
 """get_robot_conf may wait for a click in the server's window."""
 SPEED_SLOT, REAL_TIME = 0, 10
 _NO_ANSWER = Reply("none")
-_CONNECTS = frozenset({"connect_robot", "create_robot"})
+_REFUSED_PORT: Final = {
+    "connect_robot": "the server has no robot number {}",
+    "create_robot": "the server makes no robot number {}: no room for one more, or no more are made (nserver -v)",
+}
+"""What port 0 means."""
 
 _request = lru_cache(maxsize=256)(language.tcp_request)
 """Programs ask the same few things again and again."""
@@ -144,11 +148,11 @@ class NserverBackend:
             ) from None
         except WireError as error:
             self._finish(f"{call.name} was answered by what makes no sense")
-            hint = _NO_NSERVER if call.name in _CONNECTS else ""
+            hint = _NO_NSERVER if call.name in _REFUSED_PORT else ""
             raise ConnectionLost(f"{call.name}: {error}; the connection was closed{hint}") from error
         except ConnectionLost as error:
             self._finish(str(error))
-            hint = _TURNED_AWAY if call.name in _CONNECTS else ""
+            hint = _TURNED_AWAY if call.name in _REFUSED_PORT else ""
             raise ConnectionLost(f"{call.name}: {self._over}{hint}") from error
         finally:
             if not sent:
@@ -191,14 +195,14 @@ class NserverBackend:
         """Raise what the other end refused; remember how fast its time runs."""
         if reply.kind == "error":
             raise RobotRefused(call.name, reply.values[0])
-        if call.name in _CONNECTS:
+        if call.name in _REFUSED_PORT:
             self._connected(call, reply.values[0])
         elif reply.slots.get(SPEED_SLOT, 0) > 0:
             self._slowness = max(1.0, REAL_TIME / reply.slots[SPEED_SLOT])
 
     def _connected(self, call: Call, port: int) -> None:
         if not port:
-            raise RobotRefused(call.name, None, f"the server has no robot number {call.args[0]}")
+            raise RobotRefused(call.name, None, _REFUSED_PORT[call.name].format(call.args[0]))
         self.robot_id = call.args[0]
 
     def _patience_s(self, row: Command, call: Call) -> float:

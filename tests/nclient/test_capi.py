@@ -307,7 +307,14 @@ def test_modes_that_clients_refuse_are_not_sent(server: ScriptedServer, mode: in
 def test_no_robot_of_that_number(server: ScriptedServer) -> None:
     server.answers["connect_robot"] = simple(0)
     assert capi.connect_robot(9) == capi.FALSE
+    assert str(capi.last_error()).endswith("the server has no robot number 9")
     assert capi.gs() == capi.FALSE
+
+
+def test_no_robot_is_made(server: ScriptedServer) -> None:
+    server.answers["create_robot"] = simple(0)
+    assert capi.create_robot(9) == capi.FALSE
+    assert "the server makes no robot number 9: no room for one more, or no more are made" in str(capi.last_error())
 
 
 def test_no_server() -> None:

@@ -5,6 +5,7 @@ Rules: what the setup does not allow is ERROR 5. There is no real robot behind a
 
 from __future__ import annotations
 
+import logging
 from typing import Final
 
 from nclient.protocol.replies import Reply
@@ -13,6 +14,9 @@ from nserver_emu.server.handling.ground import done
 from nserver_emu.server.setting_up.places import FreePlaces
 from nserver_emu.server.stage.pace import FASTEST, SLOWEST
 from nserver_emu.server.stage.stage import Stage
+from nserver_emu.simulation.simulation import Simulation
+
+log = logging.getLogger(__name__)
 
 MOST_ROBOTS: Final = 100
 """Robots that clients can make; the next is refused."""
@@ -40,13 +44,24 @@ def create_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
 
     Port 0 where it cannot be: no id, too many robots, or nowhere room for it.
     """
-    simulation, robot_id = stage.simulation, args[0]
-    if robot_id not in simulation.robots and 1 <= robot_id <= HIGHEST_ID and len(simulation.robots) < MOST_ROBOTS:
-        first = simulation.robots[min(simulation.robots)]
-        place = FreePlaces(simulation).next(first.model.body.radius_in)
-        if place is not None:
-            simulation.add_robot(robot_id, place, first.model, first.setup)
+    robot_id = args[0]
+    if robot_id not in stage.simulation.robots and (obstacle := _made(stage.simulation, robot_id)):
+        log.info("robot %s is not made: %s", robot_id, obstacle)
     return connect_robot(stage, visit, args)
+
+
+def _made(simulation: Simulation, robot_id: int) -> str:
+    """Make a robot of that number; what was in the way."""
+    if not 1 <= robot_id <= HIGHEST_ID:
+        return f"a robot's number is 1 to {HIGHEST_ID}"
+    if len(simulation.robots) >= MOST_ROBOTS:
+        return f"there are {len(simulation.robots)} robots already, the most there can be"
+    first = simulation.robots[min(simulation.robots)]
+    place = FreePlaces(simulation).next(first.model.body.radius_in)
+    if place is None:
+        return f"no room around the starts of {simulation.world.name}, beside {len(simulation.robots)} robots"
+    simulation.add_robot(robot_id, place, first.model, first.setup)
+    return ""
 
 
 def disconnect_robot(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 
 import pytest
@@ -33,14 +34,19 @@ def test_a_created_robot_stands_beside_the_others_and_obeys_its_maker() -> None:
 
 
 @pytest.mark.parametrize("robot_id", [-1, 0x8000])
-def test_what_is_no_robot_id_is_not_made(robot_id: int) -> None:
+def test_what_is_no_robot_id_is_not_made(robot_id: int, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     client, emulator = allowed()
     assert client.ask("create_robot", robot_id, 1).values == (0,)
     assert client.ask("gs").kind == "state"
     assert len(emulator.simulation.robots) == 1
+    assert caplog.messages == [f"robot {robot_id} is not made: a robot's number is 1 to 32767"]
 
 
-def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
     client, emulator = allowed()
     ports = [client.ask("create_robot", number, 1).values[0] for number in range(2, 40)]
     assert 0 in ports
@@ -50,9 +56,13 @@ def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(monkeypatc
     gaps = [math.dist(one[:2], other[:2]) for k, one in enumerate(robots) for other in robots[:k]]
     assert min(gaps) > 2 * 9.72
     assert min(emulator.simulation.world.clearance(*robot[:2]) for robot in robots) > 9.72
+    assert caplog.messages[-1] == (
+        f"robot 39 is not made: no room around the starts of thesis_room, beside {len(robots)} robots"
+    )
     monkeypatch.setattr(hosting, "MOST_ROBOTS", 2)
     client, _ = allowed()
     assert [client.ask("create_robot", number, 1).values[0] for number in (2, 3)] == [7019, 0]
+    assert caplog.messages[-1] == "robot 3 is not made: there are 2 robots already, the most there can be"
 
 
 def test_a_simulation_has_no_real_robot() -> None:
