@@ -108,7 +108,8 @@ def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.Captu
     else:
         told = json.loads(line)
         assert told["level"] == "critical"
-        assert told["message"].startswith("no_such_world.toml: no such file")
+        assert told["message"].startswith("nserver: no_such_world.toml: no such file")
+        assert told["template"] == "nserver: %s"
 
 
 def test_a_program_that_hosts_the_daemon_keeps_its_own_way(capsys: pytest.CaptureFixture[str]) -> None:
