@@ -115,15 +115,20 @@ def _stds(outcomes: list[Outcome]) -> list[str]:
             f"{degrees(ring):.2f} deg"]  # fmt: skip
 
 
-def main(words: list[str] | None = None) -> int:
-    """The command."""
+def options_parser() -> argparse.ArgumentParser:
+    """Of what stands before `--`."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="how many robots (default %(default)s)")
     parser.add_argument("--first", type=int, default=1, metavar="SEED", help="the first seed (default %(default)s)")
     parser.add_argument("--json", action="store_true", help="print each outcome as JSON, alone on stdout")
+    return parser
+
+
+def main(words: list[str] | None = None) -> int:
+    """The command."""
     words = list(sys.argv[1:] if words is None else words)
     cut = words.index("--") if "--" in words else len(words)
-    options = parser.parse_args(words[:cut])
+    options = options_parser().parse_args(words[:cut])
     outcomes = []
     for seed in range(options.first, options.first + options.seeds):
         outcomes.append(calibrated(seed, words[cut + 1 :]))

@@ -158,7 +158,8 @@ def test_a_c_program(tmp_path: Path) -> None:
     make, compiled, started = commands("c-programs.md")
     run(make, tmp_path)
     run(compiled, tmp_path)
-    with daemon("nserver thesis_room") as port:
+    (start,) = re.findall(r"^With `(nserver [^`]+)` running:$", (DOCS / "c-programs.md").read_text(), re.MULTILINE)
+    with daemon(start) as port:
         assert run(started.replace("7019", port), tmp_path) == "at 240, 0 tenths of an inch\n"
 
 

@@ -33,7 +33,6 @@ def run(command: str, folder: Path) -> str:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_page_runs(command: str, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
     told = run(command, tmp_path)
     if "--json" in command:
         assert json.loads(told)["ending"] == "done"

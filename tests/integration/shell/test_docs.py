@@ -1,8 +1,11 @@
-"""docs/shell.md says what is so: its conversation and its script are done again."""
+"""docs/shell.md says what is so: its conversation, its script and what it has for a shell are done again."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,3 +39,12 @@ def test_the_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["shell", "sim:thesis_room", "--script", str(script)]) == 0
     pose = capsys.readouterr().out.splitlines()[-1]
     assert re.fullmatch(r"pose +x 0\.0 in  y -?0\.0 in  steering 270\.0 deg  turret 0\.0 deg", pose)
+
+
+def test_what_is_typed_into_a_shell_completes_both_commands() -> None:
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    typed = block("sh") + "complete -p nomad nserver"
+    done = subprocess.run(["bash", "-c", typed], env=os.environ | {"PATH": path}, capture_output=True, text=True,
+                          timeout=60, check=False)  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert [line.split()[-1] for line in done.stdout.splitlines()] == ["nomad", "nserver"]

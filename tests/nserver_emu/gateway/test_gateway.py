@@ -308,6 +308,21 @@ def test_the_time_out_is_the_gateways_until_a_client_sets_one() -> None:
     assert len(robot.calls) == 2
 
 
+def test_an_owner_gone_dumb_has_a_robot_that_stands_however_much_others_ask() -> None:
+    house, line = on_line()
+    real = line.emulator.simulation.robots[1]
+    owner, watcher = house.guest(), house.guest()
+    owner.ask("conf_tm", 2)
+    owner.ask("vm", 10, 0, 0)
+    watcher.ask("gs")
+    assert not real.still((0,))
+    for _ in range(50):
+        watcher.ask("gs")
+        house.gateway.tick()
+    house.work()
+    assert real.still((0,))
+
+
 def test_an_owner_gone_dumb_has_its_robot_stopped_however_much_others_ask(caplog: pytest.LogCaptureFixture) -> None:
     house, robot = scripted()
     owner, watcher = house.guest(), house.guest()
