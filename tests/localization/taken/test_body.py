@@ -40,7 +40,7 @@ def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     ["calibrate", "sim:thesis_room?robot=n200", "--world", "thesis_room"],
 ])  # fmt: skip
 def test_every_command_that_drives_refuses_another_body(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*words, "--body", "n150"]) == 1
+    assert main([*words, "--body", "n150"]) == 2
     told = capsys.readouterr()
     assert told.out == ""
     assert "is of model n200; leave --body out" in told.err
