@@ -45,10 +45,9 @@ def _write(path: Path, unfinished: Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)
-    except OSError:
+    finally:  # Ctrl-C as well
         with contextlib.suppress(OSError):
             unfinished.unlink()
-        raise
     _settle(path.parent)
 
 

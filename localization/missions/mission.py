@@ -316,27 +316,27 @@ class Mission:
         self._encoders = place
         now_s = sight.estimate.clock_s
         if now_s - self._began_s > self.settings.time_limit_s:
-            raise MissionOver(
-                "timeout", f"the mission's time is over: {self.settings.time_limit_s:g} s{self._unmoved()}"
-            )
+            raise MissionOver("timeout", self._over(f"the mission's time is over: {self.settings.time_limit_s:g} s"))
         x, y, _ = sight.estimate.pose
         known = sight.estimate.verdict.trust is not Trust.LOST
         if self._fence is not None and known and not inside((x, y), self._fence):
             raise MissionOver("fence", f"({x:.1f}, {y:.1f}) is outside of the fence")
         if now_s > self._step_ends_s:
             self._step_ends_s = inf
-            raise StepFailed("timeout", f"the step's time is over{self._unmoved()}")
+            raise StepFailed("timeout", self._over("the step's time is over"))
         if self._helm.unmoved_s < UNMOVED_S:
             self._told_unmoved = False
         elif not self._told_unmoved:
             self._told_unmoved = True
-            self._note(self._unmoved().lstrip("; "))
+            self._note(self._unmoved())
+
+    def _over(self, words: str) -> str:
+        """That a time is over, and what may be why."""
+        return words if self._helm.unmoved_s < UNMOVED_S else f"{words}; {self._unmoved()}"
 
     def _unmoved(self) -> str:
-        """What there is to say of a robot that does not do what it is told: nobody tells a program that it is held."""
-        if self._helm.unmoved_s < UNMOVED_S:
-            return ""
-        return (f"; it is told to drive and stands, {self._helm.unmoved_s:.0f} s now: is it held (nserver ctl status "
+        """What to say of a robot that does not do what it is told: nobody tells a program that it is held."""
+        return (f"it is told to drive and stands, {self._helm.unmoved_s:.0f} s now: is it held (nserver ctl status "
                 "tells), or its emergency button pressed?")
 
     def _place_of(self, sight: Sight) -> Point:

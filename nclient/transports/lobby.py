@@ -63,7 +63,8 @@ class Lobby:
         self._gather()
         self._listening.setblocking(True)
         while not self._waiting:
-            self._waiting += self._come()
+            with contextlib.suppress(ConnectionAbortedError):
+                self._waiting += self._come()
         caller = self._first_to_speak() or self._waiting[0]
         self._waiting.remove(caller)
         return caller

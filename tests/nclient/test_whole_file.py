@@ -78,6 +78,23 @@ def test_a_disk_that_is_full_at_the_end_leaves_the_old_one_and_no_more(
     assert names(tmp_path) == ["file"]
 
 
+@pytest.mark.parametrize("text", ["half a \ud800", "whole"])
+def test_whatever_ends_it_leaves_the_old_one_and_no_more(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("old")
+
+    def interrupted(_fd: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises((EstimateFileError, KeyboardInterrupt)) as ended:
+        write_whole(tmp_path / "file", text, EstimateFileError)
+    assert ended.type is (KeyboardInterrupt if text == "whole" else EstimateFileError)
+    assert (tmp_path / "file").read_text() == "old"
+    assert names(tmp_path) == ["file"]
+
+
 def test_a_folder_that_is_not_there_and_a_name_that_cannot_be_are_told(tmp_path: Path) -> None:
     with pytest.raises(EstimateFileError, match="file: cannot be written: No such file or directory; name a file in"):
         write_whole(tmp_path / "none" / "file", "text", EstimateFileError)

@@ -45,13 +45,13 @@ def create_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     Port 0 where it cannot be: no id, too many robots, or nowhere room for it.
     """
     robot_id = args[0]
-    if robot_id not in stage.simulation.robots and (obstacle := _made(stage.simulation, robot_id)):
-        log.info("robot %s is not made: %s", robot_id, obstacle)
+    if robot_id not in stage.simulation.robots and (reason := _make(stage.simulation, robot_id)):
+        log.info("robot %s is not made: %s", robot_id, reason)
     return connect_robot(stage, visit, args)
 
 
-def _made(simulation: Simulation, robot_id: int) -> str:
-    """Make a robot of that number; what was in the way."""
+def _make(simulation: Simulation, robot_id: int) -> str:
+    """Make a robot of that number; why it cannot be, or ""."""
     if not 1 <= robot_id <= HIGHEST_ID:
         return f"a robot's number is 1 to {HIGHEST_ID}"
     if len(simulation.robots) >= MOST_ROBOTS:
