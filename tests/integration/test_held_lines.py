@@ -36,6 +36,23 @@ def listening(*words: str) -> Iterator[list[str]]:
     assert process.returncode == 0
 
 
+@contextlib.contextmanager
+def a_bridge(limit_silent: str) -> Iterator[tuple[str, socket.socket]]:
+    """Where it listens, and the port at its far end."""
+    with socket.create_server(("127.0.0.1", 0)) as far:
+        far.settimeout(10)
+        address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
+        with listening("nomad", "bridge", address, "--listen", "0", "--limit-silent", limit_silent) as (near,):
+            yield near, far
+
+
+def next_end(far: socket.socket) -> socket.socket:
+    """The far end of the next visitor's conversation."""
+    end, _ = far.accept()
+    end.settimeout(10)
+    return end
+
+
 def called(place: str) -> socket.socket:
     host, _, port = place.rpartition(":")
     return socket.create_connection((host, int(port)), 10)
@@ -77,83 +94,53 @@ def test_who_holds_a_bridge_and_says_nothing_keeps_no_stop_from_a_robot(own_line
 
 
 def test_who_talks_keeps_the_line_and_who_waits_has_his_turn_then() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as far:
-        far.settimeout(10)
-        address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
-        with (
-            listening("nomad", "bridge", address, "--listen", "0", "--limit-silent", "0.5") as (near,),
-            called(near) as talker,
-            called(near) as newcomer,
-        ):
-            end, _ = far.accept()
-            end.settimeout(10)
-            ends = Deadline.after(2.5)
-            while ends.remaining():
-                talker.sendall(GS)
-                assert received(end, len(GS)) == GS
-                newcomer.sendall(b"another,")
-                end.sendall(STATE)
-                assert received(talker, len(STATE)) == STATE
-                time.sleep(0.05)
-            newcomer.settimeout(0.05)
-            with pytest.raises(TimeoutError):
-                newcomer.recv(1)
-            talker.close()
-            assert is_closed(end)
-            end.close()
-            end, _ = far.accept()
-            with end:
-                end.settimeout(10)
-                assert received(end, 8) == b"another,"
+    with a_bridge("0.5") as (near, far), called(near) as talker, called(near) as newcomer:
+        end = next_end(far)
+        ends = Deadline.after(2.5)
+        while ends.remaining():
+            talker.sendall(GS)
+            assert received(end, len(GS)) == GS
+            newcomer.sendall(b"another,")
+            end.sendall(STATE)
+            assert received(talker, len(STATE)) == STATE
+            time.sleep(0.05)
+        newcomer.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            newcomer.recv(1)
+        talker.close()
+        assert is_closed(end)
+        end.close()
+        with next_end(far) as end:
+            assert received(end, 8) == b"another,"
 
 
 def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
     ws = language.tcp_request(Call("ws", (1, 1, 1, 100)))
-    with socket.create_server(("127.0.0.1", 0)) as far:
-        far.settimeout(10)
-        address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
-        with (
-            listening("nomad", "bridge", address, "--listen", "0", "--limit-silent", "0.3") as (near,),
-            called(near) as waiting,
-            called(near) as newcomer,
-        ):
-            end, _ = far.accept()
-            end.settimeout(10)
-            waiting.sendall(ws)
-            assert received(end, len(ws)) == ws
-            newcomer.sendall(b"another")
-            waiting.settimeout(1.5)
-            with pytest.raises(TimeoutError):
-                waiting.recv(1)
-            waiting.settimeout(10)
-            answer = language.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_terms(N150))
-            end.sendall(answer)
-            assert received(waiting, len(answer)) == answer
-            assert is_closed(waiting)
-            end.close()
-            end, _ = far.accept()
-            with end:
-                end.settimeout(10)
-                assert received(end, 7) == b"another"
+    with a_bridge("0.3") as (near, far), called(near) as waiting, called(near) as newcomer:
+        end = next_end(far)
+        waiting.sendall(ws)
+        assert received(end, len(ws)) == ws
+        newcomer.sendall(b"another")
+        waiting.settimeout(1.5)
+        with pytest.raises(TimeoutError):
+            waiting.recv(1)
+        waiting.settimeout(10)
+        answer = language.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_terms(N150))
+        end.sendall(answer)
+        assert received(waiting, len(answer)) == answer
+        assert is_closed(waiting)
+        end.close()
+        with next_end(far) as end:
+            assert received(end, 7) == b"another"
 
 
 def test_who_is_silent_and_alone_stays() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as far:
-        far.settimeout(10)
-        address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
-        with (
-            listening("nomad", "bridge", address, "--listen", "0", "--limit-silent", "0.1") as (near,),
-            called(near) as alone,
-            called(near),  # who has nothing to say, either
-        ):
-            end, _ = far.accept()
-            with end:
-                end.settimeout(10)
-                alone.settimeout(1)
-                with pytest.raises(TimeoutError):
-                    alone.recv(1)
-                alone.sendall(b"still here")
-                assert received(end, 10) == b"still here"
+    with a_bridge("0.1") as (near, far), called(near) as alone, called(near), next_end(far) as end:  # another has nothing to say
+        alone.settimeout(1)
+        with pytest.raises(TimeoutError):
+            alone.recv(1)
+        alone.sendall(b"still here")
+        assert received(end, 10) == b"still here"
 
 
 def test_a_recording_is_played_to_who_asks_for_it_not_to_who_is_silent(tmp_path: Path) -> None:

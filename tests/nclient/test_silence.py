@@ -23,6 +23,13 @@ class Clock:
         return self.now_s
 
 
+def conversation(line: str) -> tuple[Clock, Silence, Overheard]:
+    """Who may be silent for 5 s, and is listened to."""
+    clock = Clock()
+    silence = Silence(5.0, clock)
+    return clock, silence, Overheard(silence, line, N150)
+
+
 def said(line: str, name: str, *args: int) -> bytes:
     call = Call(name, args)
     return language.tcp_request(call) if line == TCP else language.line_request(call, line_terms(N150))
@@ -64,9 +71,7 @@ def test_without_a_limit_it_is_never_too_long() -> None:
 def test_who_waits_for_an_answer_is_not_silent_until_it_came(
     line: str, name: str, args: tuple[int, ...], seconds: int
 ) -> None:
-    clock = Clock()
-    silence = Silence(5.0, clock)
-    overheard = Overheard(silence, line, N150)
+    clock, silence, overheard = conversation(line)
     for part in (said(line, name, *args)[:3], said(line, name, *args)[3:]):
         overheard.to_robot(part)
     assert lasts_s(silence, clock) == seconds
@@ -78,16 +83,13 @@ def test_who_waits_for_an_answer_is_not_silent_until_it_came(
 
 
 def test_a_click_in_the_window_may_be_long_in_coming() -> None:
-    clock = Clock()
-    silence = Silence(5.0, clock)
-    Overheard(silence, TCP, N150).to_robot(said(TCP, "get_robot_conf"))
+    clock, silence, overheard = conversation(TCP)
+    overheard.to_robot(said(TCP, "get_robot_conf"))
     assert lasts_s(silence, clock) == 125
 
 
 def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
-    clock = Clock()
-    silence = Silence(5.0, clock)
-    overheard = Overheard(silence, SERIAL, N150)
+    clock, silence, overheard = conversation(SERIAL)
     overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
     overheard.to_robot(said(SERIAL, "gs"))
     assert lasts_s(silence, clock) == 45
@@ -95,9 +97,7 @@ def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
 
 @pytest.mark.parametrize("line", [TCP, SERIAL])
 def test_noise_is_talk_of_his_and_no_answer_to_him(line: str) -> None:
-    clock = Clock()
-    silence = Silence(5.0, clock)
-    overheard = Overheard(silence, line, N150)
+    clock, silence, overheard = conversation(line)
     clock.now_s += 3.0
     overheard.to_host(answer(line, "gs"))
     assert lasts_s(silence, clock) == 2
@@ -106,9 +106,7 @@ def test_noise_is_talk_of_his_and_no_answer_to_him(line: str) -> None:
 
 
 def test_half_an_answer_leaves_him_waiting() -> None:
-    clock = Clock()
-    silence = Silence(5.0, clock)
-    overheard = Overheard(silence, SERIAL, N150)
+    clock, silence, overheard = conversation(SERIAL)
     overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
     overheard.to_host(b"\xff\x00\x13" + answer(SERIAL, "ws")[:-1])
     assert lasts_s(silence, clock) == 45

@@ -55,6 +55,15 @@ def until(happens: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
+def first_word(door: TcpDoor) -> bytes:
+    """Of whose turn it is; his turn is over then."""
+    peer = door.peer()
+    try:
+        return peer.receive(Deadline.after(10))
+    finally:
+        peer.close()
+
+
 def is_closed(caller: socket.socket) -> bool:
     try:
         return caller.recv(1) == b""
@@ -85,9 +94,7 @@ def test_who_says_something_is_asked_for_and_comes_before_those_that_do_not(door
     call(), call(), call(b"one"), call(b"two")
     until(door.wanted)
     for word in (b"one", b"two"):
-        peer = door.peer()
-        assert peer.receive(Deadline.after(10)) == word
-        peer.close()
+        assert first_word(door) == word
     assert not door.wanted()
 
 
@@ -115,9 +122,7 @@ def test_who_may_not_come_in_is_closed_at_once_and_told_of(
     assert told == [("127.0.0.1", "because")] * 2
     reasons.clear()
     call(b"mine")
-    peer = door.peer()
-    assert peer.receive(Deadline.after(10)) == b"mine"
-    peer.close()
+    assert first_word(door) == b"mine"
 
 
 def test_a_crowd_of_silent_ones_keeps_nobody_out_who_speaks(
@@ -129,9 +134,7 @@ def test_a_crowd_of_silent_ones_keeps_nobody_out_who_speaks(
     until(door.wanted)
     assert is_closed(crowd[0])
     assert told == [("127.0.0.1", CROWDED)]
-    peer = door.peer()
-    assert peer.receive(Deadline.after(10)) == b"stop"
-    peer.close()
+    assert first_word(door) == b"stop"
 
 
 def test_where_all_who_wait_have_spoken_the_newcomer_is_turned_away(
