@@ -68,14 +68,17 @@ def test_a_robot_that_is_not_there(client: str) -> None:
         connected, asked, left, _ = held([client, str(port)], "connect_robot 9\ngs\ndisconnect_robot 9\n")
     assert [connected["return"], asked["return"], left["return"]] == [0, 0, 0]
     assert connected["error"] == "connect_robot: the server has no robot number 9"
+    assert asked["error"] == "gs: no robot is connected; connect_robot comes first"
+
+
+def test_no_robot_is_made(client: str) -> None:
     server = ScriptedServer({"create_robot": simple(0)})
     with on_socket(by_script(server, 1)) as port:
-        created, *_ = held([client, str(port)], "create_robot 9\n")
+        (created, *_) = held([client, str(port)], "create_robot 9\n")
     assert created["return"] == 0
     assert created["error"] == (
         "create_robot: the server makes no robot number 9: no room for one more, or no more are made (nserver -v)"
     )
-    assert asked["error"] == "gs: no robot is connected; connect_robot comes first"
 
 
 @pytest.mark.usefixtures("quick")

@@ -93,10 +93,10 @@ def test_who_holds_a_bridge_and_says_nothing_keeps_no_stop_from_a_robot(own_line
             assert is_closed(silent[0])
 
 
-def test_who_talks_keeps_the_line_and_who_waits_has_his_turn_then() -> None:
-    with a_bridge("0.5") as (near, far), called(near) as talker, called(near) as newcomer:
+def test_who_talks_keeps_the_line_and_the_next_has_his_turn_then() -> None:
+    with a_bridge("1.5") as (near, far), called(near) as talker, called(near) as newcomer:
         end = next_end(far)
-        ends = Deadline.after(2.5)
+        ends = Deadline.after(4)
         while ends.remaining():
             talker.sendall(GS)
             assert received(end, len(GS)) == GS
@@ -135,7 +135,12 @@ def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
 
 
 def test_who_is_silent_and_alone_stays() -> None:
-    with a_bridge("0.1") as (near, far), called(near) as alone, called(near), next_end(far) as end:  # another has nothing to say
+    with (
+        a_bridge("0.1") as (near, far),
+        called(near) as alone,
+        called(near),  # who has nothing to say, either
+        next_end(far) as end,
+    ):
         alone.settimeout(1)
         with pytest.raises(TimeoutError):
             alone.recv(1)

@@ -314,11 +314,11 @@ def test_a_robot_goes_and_turns_no_faster_than_its_address_lets_it(model: str) -
         lambda robot: drives(robot, 10), lambda robot: robot.move(translation_in=40), turns,
     )  # fmt: skip
     address = f"sim:thesis_room?line=1&robot={model}&step_s=0.1"
-    with connect(address) as free, connect(f"{address}&max_speed_in_s=2&max_turn_deg_s=10") as held:
+    with connect(address) as free, connect(f"{address}&max_speed_in_s=2&max_turn_deg_s=10") as capped:
         (driven_in_s, _), (moved_in_s, _), (_, turned_deg_s) = (fastest(free, ask) for ask in asked)
         assert min(driven_in_s, moved_in_s) > 5
         assert turned_deg_s > 20
-        (driven_in_s, _), (moved_in_s, _), (_, turned_deg_s) = (fastest(held, ask) for ask in asked)
+        (driven_in_s, _), (moved_in_s, _), (_, turned_deg_s) = (fastest(capped, ask) for ask in asked)
         assert 1 < min(driven_in_s, moved_in_s) <= max(driven_in_s, moved_in_s) < 2.01
         assert 3 < turned_deg_s < 10.1
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import stat
+import sys
 from pathlib import Path
 
 import pytest
@@ -61,6 +63,27 @@ def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
     assert (tmp_path / "pipe").is_fifo()
     assert (tmp_path / "link").is_symlink()
     assert names(tmp_path) == ["link", "pipe"]
+
+
+def a_full_device(folder: Path) -> Path:
+    """One of our own where we may make it: nothing of the system's is lost, should it be replaced after all."""
+    try:
+        os.mknod(folder / "device", stat.S_IFCHR | 0o666, os.makedev(1, 7))
+        (folder / "device").open("w").close()
+    except OSError:
+        (folder / "device").unlink(missing_ok=True)
+        return Path("/dev/full")
+    return folder / "device"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a device that is full is Linux's")
+def test_a_device_that_takes_nothing_is_told_of_and_keeps_its_place(tmp_path: Path) -> None:
+    device = a_full_device(tmp_path)
+    (tmp_path / "link").symlink_to(device)
+    with pytest.raises(EstimateFileError, match="link: cannot be written: No space left on device; make room"):
+        write_whole(tmp_path / "link", "text", EstimateFileError)
+    assert (tmp_path / "link").is_symlink()
+    assert device.is_char_device()
 
 
 def test_a_disk_that_is_full_at_the_end_leaves_the_old_one_and_no_more(

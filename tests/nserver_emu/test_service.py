@@ -62,6 +62,7 @@ def test_the_watchdog_is_fed_where_it_is_asked_for(environment: dict[str, str], 
     assert Manager(environment).feed_s == feed_s
 
 
+PATIENCE_S = 10.0
 FED = {"WATCHDOG_USEC": "2000"}
 
 
@@ -71,7 +72,7 @@ def test_a_manager_that_is_not_there_costs_one_word_and_is_told_when_it_comes(
     place = str(tmp_path / "nobody")
 
     async def scenario() -> None:
-        async with announced(Manager({"NOTIFY_SOCKET": place} | FED)):
+        async with asyncio.timeout(PATIENCE_S), announced(Manager({"NOTIFY_SOCKET": place} | FED)):
             await asyncio.sleep(0.02)
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
                 listener.setblocking(False)
@@ -98,7 +99,7 @@ def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
 
     async def scenario() -> None:
         hear = partial(asyncio.get_running_loop().sock_recv, manager, 100)
-        async with announced(Manager({"NOTIFY_SOCKET": place} | environment)):
+        async with asyncio.timeout(PATIENCE_S), announced(Manager({"NOTIFY_SOCKET": place} | environment)):
             await asyncio.sleep(0.02)
             while (told := await hear()).startswith(b"STATUS="):
                 pass

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -25,9 +26,9 @@ def options(*words: str) -> argparse.Namespace:
 
 
 @both
-def test_both_have_the_options(command: object) -> None:
+def test_both_have_the_options(command: ModuleType) -> None:
     parser = argparse.ArgumentParser()
-    (bridge if command is bridge else play).add_arguments(parser)
+    command.add_arguments(parser)
     given = parser.parse_args(["x", "--listen", "0", "--allow", "10.0.0.0/8", "--allow", "::1"])
     assert [str(network) for network in given.allow] == ["10.0.0.0/8", "::1/128"]
     assert given.limit_silent == SILENT_S
@@ -76,7 +77,7 @@ def test_a_pseudo_terminal_is_wanted_by_nobody_else(tmp_path: Path) -> None:
         assert not door.wanted()
 
 
-class Wanted:
+class Newcomer:
     """Whether another waits, and how often that was looked at."""
 
     def __init__(self) -> None:
@@ -88,7 +89,7 @@ class Wanted:
 
 
 def test_a_turn_is_over_for_who_is_silent_at_rest_and_wanted_away(capsys: pytest.CaptureFixture[str]) -> None:
-    now_s, wanted = [time.monotonic()], Wanted()
+    now_s, wanted = [time.monotonic()], Newcomer()
     turn = Turn(5.0, wanted, lambda: now_s[0])
     assert not turn.over(at_rest=True)
     now_s[0] += 5.0
@@ -131,7 +132,7 @@ def test_who_makes_room_is_not_the_last_of_once() -> None:
 
 
 def test_who_else_has_come_is_looked_at_now_and_then() -> None:
-    now_s, wanted = [0.0], Wanted()
+    now_s, wanted = [0.0], Newcomer()
     turn = Turn(5.0, wanted, lambda: now_s[0])
     for _ in range(10):
         turn.over(at_rest=False)
