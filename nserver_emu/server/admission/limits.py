@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 from nclient.protocol.tcp_frame import MAX_UNKNOWN_WORDS
 from nclient.recording.log import LONGEST_LINE
 from nclient.silence import SILENT_S
-from nclient.transports.lobby import MOST_WAITING
 from worlds.texts import MOST_BYTES
 
 _LIMIT: Final = "limit"
@@ -142,11 +141,11 @@ def page() -> Iterator[str]:
         "recording is read line by line, however long it", f"is, and a line up to {LONGEST_LINE >> 20} Mi characters.",
         "",
         "## Of `nomad bridge` and `nomad play`", "",
-        f"One visitor at a time has the line, and {MOST_WAITING} may wait their turn: of one more, the first who says "
-        "nothing is closed,", "or the newcomer where all have said something.", "",
-        f"`--limit-silent` (default {SILENT_S:g} seconds, 0: none) is for the one who has the line. As long as he talks, "
-        "or waits for an", "answer that takes its time (`ws`, `zr`), nobody takes it from him. When he has said nothing "
-        "for so long, and another", "has something to say, `nomad stop` perhaps, he is closed for that one; until then "
+        "One visitor at a time has the line, and a few may wait their turn: of one too many the first who says nothing "
+        "is closed,", "or the newcomer where all have said something.", "",
+        f"`--limit-silent` (default {SILENT_S:g} seconds, 0: none) is for the one who has the line. As long as he "
+        "talks, or waits for", "an answer that takes its time (`ws`, `zr`), nobody takes it from him. When he has said "
+        "nothing for so long, and another", "has something to say, `nomad stop` perhaps, he is closed for that one; until then "
         "he stays.", "",
         "## Who may connect", "",
         "The original protocol has no authentication and no encryption: whoever connects may drive the robots. So the "
