@@ -145,8 +145,8 @@ def page() -> Iterator[str]:
         "is closed,", "or the newcomer where all have said something.", "",
         f"`--limit-silent` (default {SILENT_S:g} seconds, 0: none) is for the one who has the line. As long as he "
         "talks, or waits for", "an answer that takes its time (`ws`, `zr`), nobody takes it from him. When he has said "
-        "nothing for so long, and another", "has something to say, `nomad stop` perhaps, he is closed for that one; until then "
-        "he stays.", "",
+        "nothing for so long, and another", "has something to say, `nomad stop` perhaps, he is closed for that "
+        "one; until then he stays.", "",
         "## Who may connect", "",
         "The original protocol has no authentication and no encryption: whoever connects may drive the robots. So the "
         "daemon", "listens on loopback unless `--bind` says otherwise, and warns when it does. "
