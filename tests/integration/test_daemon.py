@@ -29,8 +29,6 @@ from nserver_emu.server.stage.pace import Pace
 from nserver_emu.server.stage.stage import Allowed
 from worlds.world import StartPose
 
-pytestmark = pytest.mark.long
-
 GS = language.tcp_request(Call("gs"))
 
 
