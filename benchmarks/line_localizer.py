@@ -25,7 +25,7 @@ from localization.command_line.outset import START_STD
 from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from localization.estimation.belief import independent
 from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
-from localization.runs.run import Moment, Run, Sighting
+from localization.runs.run import Run, RunMoment, Sighting
 from nclient import Robot, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world
@@ -64,7 +64,7 @@ def localized(address: str, eye: Robot) -> Run:
             told = progress.state
             odometry = (told.x_in, told.y_in, told.steering_rad)
             truth = before.towards(seen, progress.estimate.clock_s)
-            done.add(Moment(progress.estimate, odometry, truth, progress.passed))
+            done.add(RunMoment(progress.estimate, odometry, truth, progress.passed))
             if done.duration_s > TIME_LIMIT_S:
                 break
     return done

@@ -22,7 +22,7 @@ from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Progress,
 from localization.driving.obstruction import Obstruction
 from localization.driving.steadying import SteadyPose
 from localization.filters.table import DEFAULT_METHOD, FINDER, finder
-from localization.runs.run import Moment, Run
+from localization.runs.run import Run, RunMoment
 from localization.runs.witness import Witness
 from localization.taken.body import body_of
 from localization.taken.walls import add_map, world_of
@@ -157,11 +157,11 @@ def _drive(
             break
 
 
-def _moment(progress: Progress, witness: Witness) -> Moment:
+def _moment(progress: Progress, witness: Witness) -> RunMoment:
     state = progress.state
     truth = witness.at(progress.estimate.clock_s)
     odometry = (state.x_in, state.y_in, state.steering_rad)
-    return Moment(progress.estimate, odometry, truth, progress.passed, state.turret_rad)
+    return RunMoment(progress.estimate, odometry, truth, progress.passed, state.turret_rad)
 
 
 def _publish(publisher: Publisher, done: Run, navigator: Navigator, robot_id: int) -> None:

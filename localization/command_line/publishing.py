@@ -20,7 +20,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from localization.runs.run import Moment
+from localization.runs.run import RunMoment
 from nclient.errors import AddressError, ConnectionLost
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,9 @@ MOST_PLACES: Final = 20
 Points = list[tuple[float, float]]
 
 
-def message(robot: int, moment: Moment, turret_rad: float, waypoints: Sequence[tuple[float, float]]) -> dict[str, Any]:
+def message(
+    robot: int, moment: RunMoment, turret_rad: float, waypoints: Sequence[tuple[float, float]]
+) -> dict[str, Any]:
     """What is published of a moment; `turret_rad`: the turret's direction against the steering's."""
     estimate = moment.estimate
     return {

@@ -19,7 +19,7 @@ CLOCK_STEP_S = 0.0164
 _TINY = 1e-9
 
 
-class Firing(NamedTuple):
+class FiringTime(NamedTuple):
     """A sonar that fired, and when by the robot's clock."""
 
     sonar: int
@@ -44,7 +44,7 @@ class FiringSchedule:
         """Seconds until the same sonar fires again."""
         return self.interval_s * len(self.order)
 
-    def readable(self, after_s: float, now_s: float) -> list[Firing]:
+    def readable(self, after_s: float, now_s: float) -> list[FiringTime]:
         """Firings later than `after_s` whose echoes a state of clock `now_s` shows for certain, in order of time."""
         since_start = (after_s - self.start_s) / self.interval_s
         first = max(0, math.floor(since_start + _TINY) + 1) if after_s >= self.start_s else 0
@@ -52,5 +52,6 @@ class FiringSchedule:
         first = max(first, math.floor((overwritten_s - self.start_s) / self.interval_s + _TINY) + 1)
         last = math.floor((now_s - CLOCK_STEP_S - self.start_s) / self.interval_s + _TINY)
         return [
-            Firing(self.order[k % len(self.order)], self.start_s + k * self.interval_s) for k in range(first, last + 1)
+            FiringTime(self.order[k % len(self.order)], self.start_s + k * self.interval_s)
+            for k in range(first, last + 1)
         ]

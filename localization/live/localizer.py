@@ -24,7 +24,7 @@ from localization.filters.surroundings import Surroundings
 from localization.filters.table import DEFAULT_METHOD, make
 from localization.filters.watch import ALL_WELL, Verdict
 from localization.live import calibrated
-from localization.live.echoes import Firing, FiringSchedule
+from localization.live.echoes import FiringSchedule, FiringTime
 from localization.live.lag import with_lag
 from localization.live.odometry import EncoderPose, PoseHistory
 from localization.live.told import Told
@@ -121,7 +121,7 @@ class Localizer:
         places = self._searching.places if self._searching else ()
         return Estimate(latest.clock_s, lagged, echoes, self._filter.verdict, smoothed, places)
 
-    def _hear(self, firing: Firing, reading_in: float) -> Echo:
+    def _hear(self, firing: FiringTime, reading_in: float) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""
         assert self._settled is not None
         there = self._history.at(firing.instant_s)

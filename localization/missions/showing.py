@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from localization.command_line.publishing import Publisher, message
 from localization.missions.helm import Sight
 from localization.missions.settings import Point
-from localization.runs.run import Moment
+from localization.runs.run import RunMoment
 from localization.runs.witness import Witness
 
 
@@ -27,6 +27,6 @@ class Showing:
     def __call__(self, sight: Sight) -> None:
         estimate, state = sight
         odometry = (state.x_in, state.y_in, state.steering_rad)
-        moment = Moment(estimate, odometry, self._witness.at(estimate.clock_s), 0, state.turret_rad)
+        moment = RunMoment(estimate, odometry, self._witness.at(estimate.clock_s), 0, state.turret_rad)
         turned = state.turret_rad - state.steering_rad
         self._publisher.tell(message(self._witness.robot_id, moment, turned, self._goals))

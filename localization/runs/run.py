@@ -46,7 +46,7 @@ class Sighting(NamedTuple):
         return float(x), float(y), float(heading)
 
 
-class Moment(NamedTuple):
+class RunMoment(NamedTuple):
     """One period of a run: estimate, what the encoders say (`turret_rad` apart), the truth at that clock if known,
     way-points behind."""
 
@@ -73,11 +73,11 @@ class Run:
     `sonars`: for what they are taken."""
 
     waypoints: list[tuple[float, float]]
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[RunMoment] = field(default_factory=list)
     stopped: str = ""
     sonars: Taken = AS_CONES
 
-    def add(self, moment: Moment) -> None:
+    def add(self, moment: RunMoment) -> None:
         """The next moment."""
         self.moments.append(moment)
 

@@ -23,14 +23,14 @@ from localization.estimation.systematic import with_constants
 from localization.filters.method import Place
 from localization.filters.watch import Trust, Verdict
 from localization.live.localizer import Echo, Estimate
-from localization.runs.run import Moment
+from localization.runs.run import RunMoment
 from nclient.errors import AddressError, ConnectionLost
 
 
-def a_moment(truth: tuple[float, float, float] | None = None) -> Moment:
+def a_moment(truth: tuple[float, float, float] | None = None) -> RunMoment:
     belief = Belief(np.array([1.0, 2.0, 0.5]), np.diag([0.1, 0.2, 0.3]))
     echoes = (Echo(3, 1.2, 40, Refusal.NONE, -0.5, 2.5), Echo(4, 1.3, 255, Refusal.LIMIT, 0.0))
-    return Moment(Estimate(1.4, belief, echoes), (1.1, 2.1, 0.4), truth, 1)
+    return RunMoment(Estimate(1.4, belief, echoes), (1.1, 2.1, 0.4), truth, 1)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from localization.estimation.belief import independent
 from localization.filters.watch import Trust, Verdict
 from localization.keeping import kept_file
 from localization.live.localizer import Estimate
-from localization.runs.run import Moment, Run
+from localization.runs.run import Run, RunMoment
 from nclient import Robot, cli, connect
 from nclient.errors import EstimateFileError
 from worlds.files import load_world
@@ -119,7 +119,7 @@ def test_another_world_is_refused(localize: Localize, tmp_path: Path) -> None:
 def test_what_is_lost_is_not_saved(tmp_path: Path) -> None:
     file = tmp_path / "here.json"
     lost = Estimate(1.0, independent(np.zeros(3), np.ones(3)), (), Verdict(Trust.LOST, "searching"))
-    done = Run([], [Moment(lost, (0.0, 0.0, 0.0), None, 0)])
+    done = Run([], [RunMoment(lost, (0.0, 0.0, 0.0), None, 0)])
     with pytest.raises(EstimateFileError, match="is lost: searching"):
         resuming.save(argparse.Namespace(save=file, body="n150"), load_world("thesis_room"), done)
     assert not file.exists()

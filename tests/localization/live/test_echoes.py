@@ -6,16 +6,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from localization.live.echoes import CLOCK_STEP_S, Firing, FiringSchedule
+from localization.live.echoes import CLOCK_STEP_S, FiringSchedule, FiringTime
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 
 
-def written_out(schedule: FiringSchedule, until_s: float) -> list[Firing]:
+def written_out(schedule: FiringSchedule, until_s: float) -> list[FiringTime]:
     """Every firing of the ring up to an instant, one after another."""
     count = int((until_s - schedule.start_s) / schedule.interval_s) + 2
     order = schedule.order
     instants = [schedule.start_s + k * schedule.interval_s for k in range(count)]
-    return [Firing(order[k % len(order)], instant) for k, instant in enumerate(instants) if instant <= until_s + 1e-9]
+    firings = (FiringTime(order[k % len(order)], instant) for k, instant in enumerate(instants))
+    return [firing for firing in firings if firing.instant_s <= until_s + 1e-9]
 
 
 def test_the_default_ring_fires_every_60_ms_and_goes_round_in_960() -> None:
@@ -51,7 +52,7 @@ def test_polled_anyhow_each_readable_echo_comes_once(
     start_s: float, rate: int, order: tuple[int, ...], gaps_s: list[float]
 ) -> None:
     schedule = FiringSchedule(start_s, rate, order)
-    heard: list[Firing] = []
+    heard: list[FiringTime] = []
     last_s, now_s = start_s - 1.0, start_s
     for gap_s in gaps_s:
         now_s += gap_s

@@ -10,7 +10,7 @@ import pytest
 from localization.estimation.belief import independent
 from localization.estimation.observation import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.runs.run import Moment, Run, Sighting
+from localization.runs.run import Run, RunMoment, Sighting
 
 ECHOES = (
     Echo(0, 0.1, 40, Refusal.NONE, 0.2),
@@ -25,7 +25,7 @@ def run(with_truth: bool) -> Run:
     for k, (x, y, heading) in enumerate([(0.0, 0.0, 0.0), (3.0, 4.0, 3.1)]):
         belief = independent([x, y, heading], [0.1, 0.2, 0.01])
         truth = (x + 0.3, y - 0.4, heading + 0.1) if with_truth else None
-        done.add(Moment(Estimate(10.0 + k, belief, ECHOES), (x + 1.3, y - 0.4, heading), truth, k + 1))
+        done.add(RunMoment(Estimate(10.0 + k, belief, ECHOES), (x + 1.3, y - 0.4, heading), truth, k + 1))
     return done
 
 
