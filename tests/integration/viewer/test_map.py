@@ -22,6 +22,7 @@ def test_the_robot_moves_on_the_canvas_as_state_says(browser: Browser) -> None:
     with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
         for layer in ("sonar", "grid", "encoder"):
             page.page.evaluate(f"document.getElementById('layer-{layer}').click()")
+        page.wait("(nserver.map.draw(), true)")  # without them, not a frame later
         body = page.pixel(20 - 4, 30 - 7)
         floor = page.pixel(90, 90)
         assert not near(body, (floor[0], floor[1], floor[2] - 60))
