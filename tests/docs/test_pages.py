@@ -129,7 +129,7 @@ def test_the_program_of_the_sensors_page_repeats(capsys: pytest.CaptureFixture[s
     exec(compile(program, "sensors.md", "exec"), {})
     first, again, other = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
     assert first == again != other
-    assert all(line.startswith("encoders 60.0 in, really ") for line in (first, other))
+    assert all(line.startswith("encoders 60.0 in, true ") for line in (first, other))
 
 
 def test_localization_explained(tmp_path: Path) -> None:
