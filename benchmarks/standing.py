@@ -17,8 +17,8 @@ from typing import Any, Final
 import numpy as np
 
 from localization.estimation.belief import Floats, difference, independent
+from localization.estimation.systematic import pose_of
 from localization.experiments.live.scenario import SCENARIOS, START_STD, Scenario
-from localization.filters.sense import pose_of
 from localization.filters.surroundings import Surroundings
 from localization.filters.table import METHODS, make
 from localization.live.echoes import FiringSchedule

@@ -1,8 +1,8 @@
 """The chi-square distribution: how large a squared, normalised error may be before it says something is wrong.
 
 Rules: scalars, standard library only (the filter must not need scipy).
-cdf(x, k) = P(k/2, x/2), the lower regularised incomplete gamma function, by its power series below x = k + 2 and by
-the continued fraction above (Abramowitz and Stegun 6.5.29 and 6.5.31); the quantile by bisection.
+chi_square_cdf(x, k) = P(k/2, x/2), the lower regularised incomplete gamma function, by its power series below
+x = k + 2 and by the continued fraction above (Abramowitz and Stegun 6.5.29 and 6.5.31); the quantile by bisection.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _SMALLEST_TERM: Final = 1e-16
 """Terms this small against the sum no longer change a double."""
 
 
-def cdf(value: float, dof: float) -> float:
+def chi_square_cdf(value: float, dof: float) -> float:
     """The probability that a chi-square variable of `dof` > 0 degrees of freedom is at most `value`."""
     if dof <= 0:
         raise ValueError(f"degrees of freedom must be positive, not {dof}")
@@ -29,18 +29,18 @@ def cdf(value: float, dof: float) -> float:
 
 
 @lru_cache(maxsize=256)
-def quantile(probability: float, dof: float) -> float:
+def chi_square_quantile(probability: float, dof: float) -> float:
     """The value a chi-square variable of `dof` degrees of freedom stays below with `probability` in (0, 1)."""
     if not 0.0 < probability < 1.0:
         raise ValueError(f"a probability must lie between 0 and 1, not at {probability}")
     low, high = 0.0, max(1.0, dof)
-    while cdf(high, dof) < probability:
+    while chi_square_cdf(high, dof) < probability:
         low, high = high, 2.0 * high
     while True:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             return middle
-        if cdf(middle, dof) < probability:
+        if chi_square_cdf(middle, dof) < probability:
             low = middle
         else:
             high = middle

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -56,3 +57,28 @@ class Observation:
     def reasons(self) -> tuple[Refusal, ...]:
         """The refusals of a single robot's beams, as words."""
         return tuple(Refusal(int(code)) for code in self.refusals.reshape(-1))
+
+
+SPAN_IN: Final = 249.0
+"""Bad readings lie anywhere from 6 to 255 inches."""
+MOSTLY_BAD: Final = 0.5
+"""A reading that is bad with more than this probability is told of as refused by the gate; its NIS says nothing."""
+
+
+class Judgement(NamedTuple):
+    """What became of a reading: why it said nothing (NONE: it did), reading less expectation (0 where nothing was
+    expected) with its normalised square, and how likely it was a bad one."""
+
+    refusal: Refusal
+    innovation_in: float
+    nis: float
+    bad_share: float
+
+
+def told_as(bad_share: float) -> Refusal:
+    """What became of a reading that was so likely a bad one: refused by the gate, or taken."""
+    return Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
+
+
+TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
+"""What becomes of readings that tell whether the belief is right; others are left out whatever they say."""

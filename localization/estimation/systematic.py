@@ -165,3 +165,8 @@ def _by_constants(step: Floats, count: int) -> Floats:
     by_constants[..., 1, Constant.DRIFT - POSE] = way
     wanted: Floats = by_constants[..., : count - POSE]
     return wanted
+
+
+def pose_of(belief: Belief) -> Belief:
+    """The part of a belief (..., n) that is about the pose."""
+    return Belief(belief.mean[..., :POSE], belief.cov[..., :POSE, :POSE])

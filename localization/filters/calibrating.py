@@ -24,14 +24,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from localization.estimation import chi_square
 from localization.estimation.belief import HEADING, Belief, Floats, add
+from localization.estimation.chi_square import chi_square_quantile
+from localization.estimation.hearing import Sense
 from localization.estimation.motion import step_variance
-from localization.estimation.observation import Refusal
+from localization.estimation.observation import TELLING, Judgement, Refusal, told_as
 from localization.estimation.systematic import LARGEST, POSE, move_states, step_jacobians
-from localization.filters.method import TELLING, Judgement, told_as
-from localization.filters.sense import Sense, sense_of
-from localization.filters.surroundings import Surroundings
+from localization.filters.surroundings import Surroundings, sense_of
 from localization.filters.watch import Verdict, Watch
 from localization.sonar.aim import Aiming, Look
 from localization.sonar.cone import ConeModel
@@ -67,7 +66,7 @@ class CalibratingFilter:
         if isinstance(known.sonar, ConeModel):
             self._aiming = Aiming(known.walls, known.body, known.sonar)
         self._watch = Watch()
-        self._threshold = chi_square.quantile(GATE_PROBABILITY, 1)
+        self._threshold = chi_square_quantile(GATE_PROBABILITY, 1)
 
     @property
     def verdict(self) -> Verdict:

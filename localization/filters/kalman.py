@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from localization.estimation.belief import Belief, Floats
+from localization.estimation.hearing import Hearing
 from localization.estimation.motion import OdometryNoise
-from localization.estimation.observation import Refusal
+from localization.estimation.observation import TELLING, Judgement, Refusal
 from localization.estimation.repeats import Repeats
 from localization.estimation.systematic import predict
-from localization.filters.hearing import Hearing
-from localization.filters.method import TELLING, Judgement
 from localization.filters.watch import Verdict, Watch
 
 Predict = Callable[[Belief, Floats, OdometryNoise], Belief]

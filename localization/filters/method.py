@@ -9,30 +9,11 @@ a seed. No robot, no clock, no map file. Echoes come in order of time, each with
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from localization.estimation.belief import Belief, Floats
-from localization.estimation.observation import Refusal
-from localization.filters.watch import MOSTLY_BAD, Verdict
-
-
-class Judgement(NamedTuple):
-    """What became of a reading: why it said nothing (NONE: it did), reading less expectation (0 where nothing was
-    expected) with its normalised square, and how likely it was a bad one."""
-
-    refusal: Refusal
-    innovation_in: float
-    nis: float
-    bad_share: float
-
-
-def told_as(bad_share: float) -> Refusal:
-    """What became of a reading that was so likely a bad one: refused by the gate, or taken."""
-    return Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
-
-
-TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
-"""What becomes of readings that tell whether the belief is right; others are left out whatever they say."""
+from localization.estimation.observation import Judgement
+from localization.filters.watch import Verdict
 
 
 class Filter(Protocol):

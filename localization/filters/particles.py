@@ -20,11 +20,10 @@ import numpy as np
 
 from localization.estimation.belief import HEADING, Belief, Floats, difference, wrap_angle
 from localization.estimation.motion import OdometryNoise, step_variance
-from localization.estimation.observation import Refusal
+from localization.estimation.observation import Judgement, Refusal, told_as
 from localization.estimation.repeats import Repeats
 from localization.estimation.systematic import POSE, move_states
 from localization.filters.likelihood import Likelihood
-from localization.filters.method import Judgement, told_as
 from localization.filters.watch import Verdict, Watch
 
 

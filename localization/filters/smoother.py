@@ -20,9 +20,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.estimation.belief import Belief, Floats, add, difference
+from localization.estimation.hearing import Hearing
 from localization.estimation.motion import OdometryNoise
 from localization.estimation.systematic import step_jacobians
-from localization.filters.hearing import Hearing
 from localization.filters.kalman import KalmanFilter
 
 LAG: Final = 32

@@ -7,10 +7,13 @@ from typing import Final
 
 import numpy.typing as npt
 
+from localization.estimation.hearing import Sense
 from localization.estimation.motion import OdometryNoise
 from localization.sonar.cone import ConeModel
+from localization.sonar.cone_sense import ConeSense
 from localization.sonar.gating import STRICT, Gate
 from localization.sonar.measurement import WIRE_SONAR, SonarModel, SonarRing
+from localization.sonar.ray_sense import RaySense
 from worlds.calibration import FAULTLESS, Calibration
 
 THESIS_ODOMETRY: Final = OdometryNoise()
@@ -33,3 +36,10 @@ class Surroundings:
     gate: Gate = STRICT
     clearance_in: float = 9.0
     errs: Calibration = FAULTLESS
+
+
+def sense_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Sense:
+    """How sonars of this model are understood."""
+    if isinstance(sonar, ConeModel):
+        return ConeSense(walls, body, sonar)
+    return RaySense(walls, body, sonar, gate)

@@ -8,22 +8,25 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from localization.estimation import sigma_points, updates
+from localization.estimation import updates
 from localization.estimation.belief import Belief
+from localization.estimation.hearing import Hearing
+from localization.estimation.sigma_points import predict as unscented_predict
 from localization.estimation.systematic import LARGEST, POSE, with_constants
 from localization.filters.calibrating import CalibratingFilter
 from localization.filters.finding.atlas import Atlas, draw_atlas
 from localization.filters.finding.finder import Finder
-from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.kalman import KalmanFilter
 from localization.filters.likelihood import ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.method import Filter
 from localization.filters.particles import MonteCarlo, ParticleFilter, drawn_from
 from localization.filters.smoother import FixedLagSmoother
-from localization.filters.surroundings import Surroundings
+from localization.filters.surroundings import Surroundings, sense_of
 from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import SonarModel
+from localization.sonar.gating import STRICT, Gate
+from localization.sonar.measurement import SonarModel, SonarRing
 
 Maker = Callable[[Surroundings, Belief, int], Filter]
 """Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
@@ -38,7 +41,7 @@ def _iterated(known: Surroundings, belief: Belief, _seed: int) -> Filter:
 
 
 def _unscented(known: Surroundings, belief: Belief, _seed: int) -> Filter:
-    return KalmanFilter(belief, _hearing(known, updates.unscented), known.odometry, sigma_points.predict)
+    return KalmanFilter(belief, _hearing(known, updates.unscented), known.odometry, unscented_predict)
 
 
 def _smoother(known: Surroundings, belief: Belief, _seed: int) -> Filter:
@@ -118,3 +121,14 @@ def likelihood_of(known: Surroundings) -> Likelihood:
     if isinstance(known.sonar, ConeModel):
         return ConeLikelihood(known.walls, known.body, known.sonar)
     return RayLikelihood(known.walls, known.body, known.sonar)
+
+
+def hearing_of(
+    walls: npt.ArrayLike,
+    body: SonarRing,
+    sonar: SonarModel | ConeModel,
+    gate: Gate = STRICT,
+    rule: updates.Rule = updates.linear,
+) -> Hearing:
+    """How sonars of this model are taken in."""
+    return Hearing(sense_of(walls, body, sonar, gate), rule)

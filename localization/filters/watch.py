@@ -19,8 +19,9 @@ from enum import Enum
 from math import hypot, log, sqrt
 from typing import Final, NamedTuple, Protocol
 
-from localization.estimation import chi_square
 from localization.estimation.belief import Belief
+from localization.estimation.chi_square import chi_square_quantile
+from localization.estimation.observation import MOSTLY_BAD
 
 
 class Trust(Enum):
@@ -69,8 +70,6 @@ class Bounds:
     most_std_in: float = 3.0
 
 
-MOSTLY_BAD: Final = 0.5
-"""A reading that is bad with more than this probability is told of as refused by the gate; its NIS says nothing."""
 ALL_WELL: Final = Verdict(Trust.OK, "")
 
 
@@ -146,7 +145,7 @@ class Watch:
 
     def _nis_verdict(self) -> Verdict:
         count, total = len(self._nis), sum(self._nis)
-        bound = chi_square.quantile(self.bounds.nis_probability, count) if count else 0.0
+        bound = chi_square_quantile(self.bounds.nis_probability, count) if count else 0.0
         if total <= bound:
             return ALL_WELL
         return Verdict(Trust.DEGRADED, f"innovations are {total / count:.1f} times as large as they should be, squared")

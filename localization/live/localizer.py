@@ -18,8 +18,8 @@ import numpy as np
 from localization.estimation.belief import Belief, Floats
 from localization.estimation.motion import step_between
 from localization.estimation.observation import Refusal
+from localization.estimation.systematic import pose_of
 from localization.filters.method import Filter, Place, Searching, Smoothing
-from localization.filters.sense import pose_of
 from localization.filters.surroundings import Surroundings
 from localization.filters.table import DEFAULT_METHOD, make
 from localization.filters.watch import ALL_WELL, Verdict

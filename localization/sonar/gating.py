@@ -13,17 +13,15 @@ it farther. (The ends of the principal axes would be six rays, and may fall shor
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, sin
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from localization.estimation import chi_square
 from localization.estimation.belief import Belief, Floats
+from localization.estimation.chi_square import chi_square_quantile
 from localization.estimation.observation import Codes, Mask, Observation, Refusal
 from localization.sonar.measurement import (
     Beams,
-    Complexes,
     Indices,
     Rays,
     Sight,
@@ -35,7 +33,6 @@ from localization.sonar.measurement import (
     rays,
     sight,
 )
-from localization.sonar.ring_code import RING, empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +47,11 @@ class Gate:
     @property
     def threshold(self) -> float:
         """The largest squared innovation, over its variance, that passes."""
-        return chi_square.quantile(self.probability, 1)
+        return chi_square_quantile(self.probability, 1)
 
 
 STRICT = Gate()
 """The choice of beams all experiments share."""
-
-
-_LEAST_IN2: Final = 1e-200
-"""A variance that is none, but that can be divided by."""
 
 
 class Association(NamedTuple):
@@ -75,8 +68,6 @@ class Association(NamedTuple):
 
 def associate(belief: Belief, beams: Beams, walls: WallMap, gate: Gate = STRICT) -> Association:
     """Pair the n beams of each belief (mean (..., 3), cov (..., 3, 3)) with walls of the map."""
-    if belief.mean.ndim == 1 and beams.directions.ndim == 2:
-        return _associate_one(belief, beams, walls, gate)
     aimed = rays(belief.mean[..., None, :], beams)
     met = meet(aimed, walls)
     lines = walls.lines[met]
@@ -89,99 +80,10 @@ def associate(belief: Belief, beams: Beams, walls: WallMap, gate: Gate = STRICT)
     return Association(lines, seen, range_jacobian(seen, lines), refusals)
 
 
-def _associate_one(belief: Belief, beams: Beams, walls: WallMap, gate: Gate) -> Association:
-    """`associate` of a single belief, in complex numbers: two of each array's calls are one.
-
-    A place is x + iy, to turn by a is to multiply by exp(ia), and conj(u) v is u . v + i (u x v).
-    """
-    x, y, heading = belief.mean.tolist()
-    here = complex(x, y)
-    arms, directions = beams.turning * complex(cos(heading), sin(heading))
-    starts = arms + here
-    met = walls.first_wall.rows(starts, directions)
-    normals = walls.normals[met]
-    cosine = (normals * directions).real
-    all_met = bool(cosine.all())
-    blind = None if all_met else cosine == 0.0
-    if blind is not None:
-        cosine[blind] = 1.0
-    from_axis = (walls.offsets[met] - (normals * starts).real) / cosine
-    points = arms + from_axis * directions
-    lines = walls.lines[met]
-    jacobian = np.empty((len(met), 3))
-    np.negative(lines[:, :2], out=jacobian[:, :2])
-    jacobian[:, 2] = (normals * points).imag
-    jacobian /= cosine[:, None]
-    refusals = np.zeros(len(met), dtype=np.int8)
-    np.putmask(refusals, np.abs(cosine) < gate.min_cos_incidence, Refusal.GRAZING.value)
-    same = _same_from_both_sides(belief.cov, here, (arms, directions, points), walls, met, gate.sigmas)
-    np.putmask(refusals, ~same, Refusal.AMBIGUOUS_WALL.value)
-    if blind is not None:
-        refusals[blind] = Refusal.AMBIGUOUS_WALL.value
-        refusals[met == walls.first_wall.nothing] = Refusal.NO_WALL.value
-        for part in (cosine, from_axis, points, jacobian):
-            part[blind] = np.nan
-    in_pairs = points.view(np.float64).reshape(-1, 2)
-    return Association(lines, Sight(from_axis - beams.standoff_in, cosine, in_pairs), jacobian, refusals)
-
-
-def _same_from_both_sides(
-    cov: Floats,
-    here: complex,
-    aimed: tuple[Complexes, Complexes, Complexes],
-    walls: WallMap,
-    met: Indices,
-    sigmas: float,
-) -> Mask:
-    """`_same_wall_around` of a single belief; `aimed`: arms, directions, and ways to the points met, all finite."""
-    arms, directions, points = aimed
-    sideways = np.empty((3, len(met)))
-    np.negative(directions.imag, out=sideways[0])
-    sideways[1] = directions.real
-    sideways[2] = (directions.conj() * points).real
-    pull = cov @ sideways
-    square = pull * sideways
-    shift = pull * (sigmas / np.sqrt(np.maximum(square[0] + square[1] + square[2], _LEAST_IN2)))
-    bends, there = np.empty((2, len(met)), complex), np.empty((2, len(met)), complex)
-    np.exp(1j * shift[2], out=bends[0])
-    np.conj(bends[0], out=bends[1])
-    aside = shift[0] + 1j * shift[1]
-    np.add(here, aside, out=there[0])
-    np.subtract(here, aside, out=there[1])
-    there += bends * arms
-    bends *= directions
-    one, other = walls.first_wall.rows(there, bends) == met
-    both: Mask = one & other
-    return both
-
-
 def observe(
     belief: Belief, beams: Beams, readings_in: Floats, walls: WallMap, sonar: SonarModel, gate: Gate = STRICT
 ) -> Observation:
-    """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3).
-
-    With machine code (ring_code) where that is loaded and there is one belief.
-    """
-    loop = RING.run
-    if loop is not None and belief.mean.ndim == readings_in.ndim == 1 and beams.directions.ndim == 2:
-        observation = Observation(*empty(len(readings_in)))
-        loop(
-            belief.mean,
-            belief.cov,
-            beams.axes_in,
-            beams.directions,
-            beams.standoff_in,
-            walls.segments,
-            walls.lines,
-            (gate.sigmas, gate.min_cos_incidence, gate.threshold),
-            (sonar.relative_std, sonar.floor_std_in, sonar.rounding_var_in2, sonar.lowest_in, sonar.highest_in),
-            readings_in,
-            observation.innovation,
-            observation.jacobian,
-            observation.variance,
-            observation.refusals,
-        )
-        return observation
+    """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3)."""
     return judged(associate(belief, beams, walls, gate), belief, readings_in, sonar, gate)
 
 

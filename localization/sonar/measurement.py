@@ -24,7 +24,6 @@ from worlds.first_wall import FirstWall
 from worlds.raycast import cast_rays
 
 Indices = npt.NDArray[np.intp]
-Complexes = npt.NDArray[np.complex128]
 
 
 class SonarRing(Protocol):
@@ -42,8 +41,7 @@ class Beams:
 
     `axes_in` (..., n, 2), the points they radiate from (the robot's axis: zeros, but for beams fired elsewhere); unit
     `directions` (..., n, 2); `standoff_in`, how far along them the sonars sit. Leading dimensions as the poses'.
-    `axes_left` and `directions_left` are the same turned by a quarter, kept because every pose needs them; `turning`
-    are axes and directions (2, ..., n) as complex numbers, which a pose turns by one product.
+    `axes_left` and `directions_left` are the same turned by a quarter, kept because every pose needs them.
     """
 
     axes_in: Floats
@@ -51,11 +49,8 @@ class Beams:
     standoff_in: float
     axes_left: Floats = field(init=False, repr=False)
     directions_left: Floats = field(init=False, repr=False)
-    turning: Complexes = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        both = np.stack(np.broadcast_arrays(self.axes_in, self.directions))
-        object.__setattr__(self, "turning", both[..., 0] + 1j * both[..., 1])
         object.__setattr__(self, "axes_left", left_of(self.axes_in))
         object.__setattr__(self, "directions_left", left_of(self.directions))
 
@@ -87,18 +82,14 @@ class WallMap:
     """The walls a filter knows: `segments` (m, 4) for the ray caster and `lines` (m + 1, 3) of unit normal and offset.
 
     The last line is no line (zeros): index -1, the ray caster's "nothing", leads there. `first_wall`: the caster for
-    few rays. `normals` and `offsets` (m + 1,): the lines once more, normals as conjugate complex numbers.
+    few rays.
     """
 
     segments: Floats
     lines: Floats
     first_wall: FirstWall = field(init=False, repr=False)
-    normals: Complexes = field(init=False, repr=False)
-    offsets: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "normals", self.lines[:, 0] - 1j * self.lines[:, 1])
-        object.__setattr__(self, "offsets", self.lines[:, 2].copy())
         object.__setattr__(self, "first_wall", FirstWall(self.segments))
 
 

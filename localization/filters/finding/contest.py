@@ -19,10 +19,10 @@ from math import log
 from typing import Final
 
 from localization.estimation.belief import Belief, Floats
+from localization.estimation.hearing import Hearing
 from localization.estimation.motion import OdometryNoise
 from localization.estimation.systematic import predict
 from localization.filters.finding.search import BAD_SHARE, NOTHING_IN, SPAN_IN, Clue
-from localization.filters.hearing import Hearing
 
 SURE_NATS: Final = 12.0
 """A side that leads all others by so much has won: wrongly in one contest of 160,000."""

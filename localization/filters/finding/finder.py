@@ -21,15 +21,15 @@ from typing import Final
 import numpy as np
 
 from localization.estimation.belief import Belief, Floats
+from localization.estimation.hearing import Hearing
 from localization.estimation.motion import OdometryNoise, move
-from localization.estimation.observation import Refusal
+from localization.estimation.observation import Judgement, Refusal
 from localization.estimation.repeats import Repeats
 from localization.estimation.systematic import moved_to, predict, with_constants
 from localization.filters.finding.atlas import Atlas
 from localization.filters.finding.contest import Contest, Side
 from localization.filters.finding.search import NEAREST_IN, Clue, Hypothesis, merged, rivals, search
-from localization.filters.hearing import Hearing
-from localization.filters.method import Judgement, Place
+from localization.filters.method import Place
 from localization.filters.watch import Trust, Verdict, Watch
 
 CLUES: Final = 24

@@ -18,10 +18,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.estimation.belief import HEADING, Belief, Floats, add, difference, independent
+from localization.estimation.hearing import Hearing
 from localization.estimation.motion import OdometryNoise, step_between
 from localization.estimation.systematic import POSE, predict
 from localization.filters.finding.atlas import CELL_IN, DIRECTIONS, Atlas
-from localization.filters.hearing import Hearing
 
 CELL_STD_IN: Final = 2.0
 """How far a reading may be off what the middle of its cell would hear: a cell's half diagonal, and its heading's."""

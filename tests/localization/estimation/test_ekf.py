@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.estimation.belief import Belief, Floats, difference, independent
-from localization.estimation.ekf import correct, innovation_squared, predict
+from localization.estimation.ekf import correct, innovation_squared
 from localization.estimation.motion import OdometryNoise, transition
 from localization.estimation.observation import Observation
+from localization.estimation.systematic import predict
 
 NOISE = OdometryNoise()
 

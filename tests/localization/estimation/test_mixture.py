@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.estimation import ekf
 from localization.estimation.belief import Belief, Floats
 from localization.estimation.candidates import Candidates
+from localization.estimation.ekf import correct
 from localization.estimation.mixture import absorb
 from localization.estimation.observation import Observation
 from localization.sonar.cone import ConeModel
@@ -54,7 +54,7 @@ def test_one_sure_reflector_and_no_bad_readings_is_the_kalman_filter() -> None:
     one = returns((40.0, (-0.8, 0.6, 2.0), 1.0), model=sure)
     taken = absorb(BELIEF, 41.0, one)
     variance = sure.variance(np.array([40.0]))
-    plain = ekf.correct(BELIEF, Observation(np.array([1.0]), one.jacobian, variance, np.zeros(1, np.int8)))
+    plain = correct(BELIEF, Observation(np.array([1.0]), one.jacobian, variance, np.zeros(1, np.int8)))
     np.testing.assert_allclose(taken.belief.mean, plain.mean, atol=1e-12)
     np.testing.assert_allclose(taken.belief.cov, plain.cov, atol=1e-12)
     assert taken.nis == pytest.approx(1.0 / float((one.jacobian @ BELIEF.cov @ one.jacobian.T)[0, 0] + variance[0]))

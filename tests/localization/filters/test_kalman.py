@@ -7,14 +7,15 @@ import pytest
 
 from localization.estimation.belief import Belief, independent
 from localization.estimation.candidates import Candidates
+from localization.estimation.hearing import Hearing, Sensed
 from localization.estimation.motion import OdometryNoise
 from localization.estimation.observation import Refusal
 from localization.estimation.updates import linear
 from localization.filters.finding.atlas import draw_atlas
 from localization.filters.finding.finder import Finder
-from localization.filters.hearing import Hearing, hearing_of
 from localization.filters.kalman import KalmanFilter
-from localization.filters.sense import Sensed, sense_of
+from localization.filters.surroundings import sense_of
+from localization.filters.table import hearing_of
 from localization.filters.watch import ALL_WELL, Bounds, Trust
 from localization.sonar.cone import ConeModel
 from localization.sonar.measurement import SonarModel

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation import ekf
 from localization.estimation.belief import Belief, Floats, independent
+from localization.estimation.ekf import correct
 from localization.estimation.motion import OdometryNoise, move
 from localization.estimation.observation import Observation, Refusal
+from localization.estimation.systematic import predict
 from localization.filters.likelihood import RayLikelihood, Weighed
 from localization.filters.particles import ParticleFilter, drawn_from, low_variance, moments
 from localization.filters.watch import Trust
@@ -46,12 +47,12 @@ def test_on_a_linear_problem_it_agrees_with_the_kalman_filter() -> None:
     step = np.array([1.0, 0.05])
     for reading in (41.3, 42.0, 43.4):
         particles.move(step)
-        gaussian = ekf.predict(gaussian, step, OdometryNoise())
+        gaussian = predict(gaussian, step, OdometryNoise())
         particles.hear(0, 0.0, reading)
         seen = Observation(
             np.array([reading - gaussian.mean[0]]), np.array([[1.0, 0, 0]]), np.array([0.25]), np.zeros(1, np.int8)
         )
-        gaussian = ekf.correct(gaussian, seen)
+        gaussian = correct(gaussian, seen)
     np.testing.assert_allclose(particles.belief.mean, gaussian.mean, atol=0.02)
     np.testing.assert_allclose(particles.belief.std, gaussian.std, rtol=0.04)
 

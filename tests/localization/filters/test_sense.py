@@ -7,8 +7,9 @@ import pytest
 
 from localization.estimation.belief import Belief, Floats, independent
 from localization.estimation.candidates import Candidates
+from localization.estimation.hearing import Sensed
 from localization.estimation.observation import Refusal
-from localization.filters.sense import Sensed, sense_of
+from localization.filters.surroundings import sense_of
 from localization.sonar.cone import ConeModel
 from localization.sonar.gating import associate
 from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map

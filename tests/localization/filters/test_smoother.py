@@ -10,13 +10,12 @@ from filterpy.kalman import rts_smoother
 
 from localization.estimation.belief import Belief, Floats, add, difference, independent
 from localization.estimation.candidates import Candidates
+from localization.estimation.hearing import Hearing, Sensed
 from localization.estimation.motion import OdometryNoise, move, step_variance
 from localization.estimation.observation import Refusal
 from localization.estimation.systematic import step_jacobians, with_constants
-from localization.filters.hearing import Hearing
 from localization.filters.kalman import KalmanFilter
 from localization.filters.method import Smoothing
-from localization.filters.sense import Sensed
 from localization.filters.smoother import FixedLagSmoother
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)

@@ -10,8 +10,7 @@ import pytest
 from localization.estimation.belief import Floats, difference, independent
 from localization.estimation.motion import OdometryNoise, move, step_variance
 from localization.experiments.live.scenario import EXACT_RAYS
-from localization.filters.sense import sense_of
-from localization.filters.surroundings import Surroundings
+from localization.filters.surroundings import Surroundings, sense_of
 from localization.filters.table import make
 from localization.maps.weakness import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, weakness
 from localization.sonar.cone import ConeModel

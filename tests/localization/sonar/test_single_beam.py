@@ -9,9 +9,9 @@ import pytest
 
 from localization.estimation.belief import Belief, independent
 from localization.estimation.observation import Refusal
-from localization.filters.sense import RaySense
 from localization.sonar.gating import STRICT, associate, judged
 from localization.sonar.measurement import WIRE_SONAR, Beams, WallMap, pick, ring, wall_map
+from localization.sonar.ray_sense import RaySense
 from localization.sonar.single_beam import sound
 from worlds.bodies import N150
 from worlds.files import load_world

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from localization.estimation.belief import Belief, independent
+from localization.estimation.hearing import Hearing, Sensed
 from localization.estimation.motion import OdometryNoise
 from localization.estimation.observation import Refusal
 from localization.estimation.systematic import predict
 from localization.filters.finding import contest as contest_module
 from localization.filters.finding.contest import SURE_NATS, Contest, Side
 from localization.filters.finding.search import Clue
-from localization.filters.hearing import Hearing
-from localization.filters.sense import Sensed
 
 STD_IN, SPAN_IN = 1.5, 249.0
 NOISE = OdometryNoise(0.1, 0.1, 0.005)

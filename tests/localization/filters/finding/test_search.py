@@ -13,7 +13,7 @@ from localization.experiments.live.scenario import EXACT_RAYS, QUIET
 from localization.filters.finding.atlas import Atlas, draw_atlas
 from localization.filters.finding.finder import BETTER_NATS
 from localization.filters.finding.search import Clue, Hypothesis, merged, rivals, search
-from localization.filters.hearing import hearing_of
+from localization.filters.table import hearing_of
 from localization.sonar.cone import ConeModel, Ear, cone_returns
 from localization.sonar.measurement import SonarModel
 from localization.sonar.reflectors import reflectors

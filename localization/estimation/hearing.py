@@ -7,18 +7,34 @@ the belief to the instant at which the sonar fired. States may be longer than a 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy.typing as npt
+from typing import NamedTuple, Protocol
 
 from localization.estimation.belief import Belief
+from localization.estimation.candidates import Candidates
 from localization.estimation.mixture import absorb
+from localization.estimation.observation import SPAN_IN, Judgement, Refusal, told_as
 from localization.estimation.updates import Rule, linear
-from localization.filters.method import Judgement, told_as
-from localization.filters.sense import SPAN_IN, Sense, sense_of
-from localization.sonar.cone import ConeModel
-from localization.sonar.gating import STRICT, Gate
-from localization.sonar.measurement import SonarModel, SonarRing
+
+
+class Sensed(NamedTuple):
+    """What a reading may be of, or why it says nothing.
+
+    likelihood    where it is refused: how well the belief explains that
+    besides       share of readings that are bad beside those the candidates tell of; for the likelihood alone
+    """
+
+    refusal: Refusal
+    likelihood: float
+    candidates: Candidates | None = None
+    besides: float = 0.0
+
+
+class Sense(Protocol):
+    """A kind of sonar, in a map, on a body."""
+
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+        """What sonar number `sonar` may have heard, the turret being turned by so much against the heading."""
+        ...
 
 
 class Heard(NamedTuple):
@@ -48,14 +64,3 @@ class Hearing:
         judgement = Judgement(told_as(taken.bad_share), taken.innovation_in, taken.nis, taken.bad_share)
         likelihood = (1.0 - sensed.besides) * taken.likelihood + sensed.besides / SPAN_IN
         return Heard(taken.belief, judgement, likelihood)
-
-
-def hearing_of(
-    walls: npt.ArrayLike,
-    body: SonarRing,
-    sonar: SonarModel | ConeModel,
-    gate: Gate = STRICT,
-    rule: Rule = linear,
-) -> Hearing:
-    """How sonars of this model are taken in."""
-    return Hearing(sense_of(walls, body, sonar, gate), rule)
