@@ -21,20 +21,18 @@ from typing import Final, NamedTuple, TypedDict
 import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.ekf import correct
-from localization.estimation.motion import transition
-from localization.estimation.observation import Observation
-from localization.estimation.systematic import predict
 from localization.experiments.pool import drive
 from localization.experiments.settings import FIGURES, Course, course_of
 from localization.experiments.trial import run
+from localization.filters.base import Surroundings
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.ekf import correct
+from localization.filters.odometry import predict, transition
 from localization.filters.particles import MonteCarlo
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import make
-from localization.sonar.cone import ConeModel
-from localization.sonar.gating import observe
-from localization.sonar.measurement import WIRE_SONAR, SonarModel, meet, rays, sight
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import WIRE_SONAR, SonarModel, meet, observe, rays, sight
+from localization.filters.update import Observation
 from worlds.bodies import N150
 from worlds.files import load_world
 

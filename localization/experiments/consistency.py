@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.estimation.belief import Floats
-from localization.estimation.chi_square import chi_square_quantile
+from localization.filters.belief import Floats, chi_square_quantile
 
 
 def nees(error: Floats, cov: Floats) -> Floats:

@@ -15,15 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.driving.control import next_step, reached
-from localization.estimation.belief import Belief, Floats, add, independent
-from localization.estimation.ekf import correct, innovation_squared
-from localization.estimation.motion import move, step_variance, transition
-from localization.estimation.systematic import predict
 from localization.experiments import streams
 from localization.experiments.consistency import bound_step, information
 from localization.experiments.settings import Course
-from localization.sonar.gating import observe
-from localization.sonar.measurement import meet, range_jacobian, rays, sight
+from localization.filters.belief import Belief, Floats, add, independent
+from localization.filters.ekf import correct, innovation_squared
+from localization.filters.odometry import move, predict, step_variance, transition
+from localization.filters.sonar_ray import meet, observe, range_jacobian, rays, sight
 
 Indices = npt.NDArray[np.intp]
 

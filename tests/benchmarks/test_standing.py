@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import standing
 
-from localization.estimation.chi_square import chi_square_quantile
 from localization.experiments.live.scenario import SCENARIOS
+from localization.filters.belief import chi_square_quantile
 
 SEEDS = 6
 LEAST, MOST = (chi_square_quantile(share, 3 * SEEDS) for share in (0.001, 0.999))

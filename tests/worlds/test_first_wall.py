@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from worlds.files import load_world
-from worlds.first_wall import FEW, FirstWall
 from worlds.geometry import FloatArray
-from worlds.raycast import NO_WALL, cast_rays
+from worlds.raycast import FEW, NO_WALL, FirstWall, cast_rays
 
 ROOM = np.array(load_world("several_walls").walls)
 MANY = np.random.default_rng(7).uniform(-90.0, 90.0, size=(FEW + 20, 4))

@@ -21,10 +21,9 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization.estimation.belief import Floats, difference
-from localization.estimation.chi_square import chi_square_quantile
 from localization.experiments.consistency import nees
 from localization.experiments.live.trial import Record
+from localization.filters.belief import Floats, chi_square_quantile, difference
 
 LOST_IN: Final = 12.0
 """Farther off than this a robot no longer knows which way round a thing it is."""

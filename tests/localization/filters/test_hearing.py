@@ -7,19 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.ekf import correct
-from localization.estimation.hearing import Hearing
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import pose_of, with_constants
-from localization.estimation.updates import Rule, iterated, unscented
-from localization.filters.surroundings import sense_of
-from localization.filters.table import hearing_of
-from localization.sonar.cone import ConeModel
-from localization.sonar.cone_sense import ConeSense
-from localization.sonar.gating import observe
-from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
-from localization.sonar.ray_sense import RaySense
+from localization.filters.base import sense_of
+from localization.filters.belief import Belief, independent
+from localization.filters.ekf import correct
+from localization.filters.odometry import pose_of, with_constants
+from localization.filters.registry import hearing_of
+from localization.filters.sonar_cone import ConeModel, ConeSense
+from localization.filters.sonar_ray import WIRE_SONAR, RaySense, SonarModel, observe, pick, ring, wall_map
+from localization.filters.update import Hearing, Refusal, Rule, iterated, unscented
 from worlds.bodies import N150
 from worlds.files import load_world
 

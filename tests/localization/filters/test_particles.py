@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.ekf import correct
-from localization.estimation.motion import OdometryNoise, move
-from localization.estimation.observation import Observation, Refusal
-from localization.estimation.systematic import predict
-from localization.filters.likelihood import RayLikelihood, Weighed
-from localization.filters.particles import ParticleFilter, drawn_from, low_variance, moments
-from localization.filters.watch import Trust
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.ekf import correct
+from localization.filters.health import Trust
+from localization.filters.odometry import OdometryNoise, move, predict
+from localization.filters.particles import ParticleFilter, RayLikelihood, Weighed, drawn_from, low_variance, moments
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.update import Observation, Refusal
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
