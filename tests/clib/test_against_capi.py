@@ -1,8 +1,8 @@
 """The C library and nclient.capi make the same calls to a simulated N200 and must have the same state after each.
 
 Simulated time is paused. The calls are made twice before, so that both clients find the robot in the state in which
-they leave it. The recorded sessions are an oracle for the old library's state; here laser data, stamps and masks come from
-this project's server.
+they leave it. The recorded sessions are an oracle for the state of the old library; here laser data, stamps and masks
+come from the server of this project.
 """
 
 from __future__ import annotations
