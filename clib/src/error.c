@@ -1,5 +1,5 @@
-/* What went wrong, on stderr and for nomad_last_error. */
-#include "complain.h"
+/* Error reports: to stderr, and stored for nomad_last_error. */
+#include "error.h"
 
 #include "nomad.h"
 
@@ -10,22 +10,19 @@ int nomad_verbose = 1;
 
 static char last[320];
 
-const char *nomad_last_error(void)
-{
-    return last;
-}
+const char *nomad_last_error(void) { return last; }
 
-void nomad_complain(const char *format, ...)
+void nomad_report_error(const char *format, ...)
 {
     va_list arguments;
 
     va_start(arguments, format);
     vsnprintf(last, sizeof last, format, arguments);
     va_end(arguments);
-    nomad_remark("Nclient: %s", last);
+    nomad_print("Nclient: %s", last);
 }
 
-void nomad_keep(const char *format, ...)
+void nomad_store_error(const char *format, ...)
 {
     va_list arguments;
 
@@ -34,7 +31,7 @@ void nomad_keep(const char *format, ...)
     va_end(arguments);
 }
 
-void nomad_remark(const char *format, ...)
+void nomad_print(const char *format, ...)
 {
     va_list arguments;
 

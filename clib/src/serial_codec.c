@@ -1,11 +1,11 @@
-/* The language of a robot's own line: requests to frames, the data of frames to replies.
+/* Encodes requests and decodes replies in the serial protocol of a robot.
  *
  *     0x01 | length, 2 bytes low first | type | data ... | checksum | 0x5C
  *
- * length counts type, data and checksum; the checksum is the sum of every byte before it, modulo 256. Rules: no port,
- * no clock. Finding frames in what the line delivers is line_frames.c's.
+ * length counts type, data and checksum; the checksum is the sum of all bytes before it, modulo 256. There is no I/O
+ * and no clock here. serial_framing.c finds frames in the received bytes.
  */
-#include "line_frames.h"
+#include "serial_framing.h"
 #include "message.h"
 
 #include <string.h>
@@ -42,7 +42,7 @@ static void put_data(struct writer *to, const struct request *request)
     if (*letters == 'M')
         put_mask(to, request->mask);
     else if (*letters == 'T')
-        for (size_t k = 0; k <= strlen(request->text); k++) /* the NUL too */
+        for (size_t k = 0; k <= strlen(request->text); k++) /* including the NUL */
             nomad_put_byte(to, (unsigned char)request->text[k]);
     else if (*letters == 'P')
         for (size_t k = 0; k < request->packet_size; k++)
@@ -52,12 +52,12 @@ static void put_data(struct writer *to, const struct request *request)
             put_argument(to, letters[k], request->args[k]);
 }
 
-size_t nomad_line_request(const struct request *request, unsigned char *bytes, size_t size)
+size_t nomad_encode_serial_request(const struct request *request, unsigned char *bytes, size_t size)
 {
-    struct writer to = nomad_writer(bytes, size < HOST_LIMIT ? size : HOST_LIMIT), head;
+    struct writer to = nomad_writer(bytes, size < MAX_HOST_FRAME ? size : MAX_HOST_FRAME), head;
     size_t used;
 
-    nomad_put_four_bytes(&to, 0); /* room for the head */
+    nomad_put_four_bytes(&to, 0); /* filled in below */
     put_data(&to, request);
     if (to.failed || to.end - to.at < 2)
         return 0;
@@ -71,29 +71,24 @@ size_t nomad_line_request(const struct request *request, unsigned char *bytes, s
     return used + 2;
 }
 
-/* Terms */
+/* Wire state: settings that determine the layout of replies */
 
-int nomad_line_laser_width(int mode)
-{
-    return (mode & 0x1E) == 0 ? LINES : PIXELS;
-}
+int nomad_serial_laser_width(int mode) { return (mode & 0x1E) == 0 ? LINES : PIXELS; }
 
-void nomad_note_on_line(const struct request *request, struct terms *terms)
+void nomad_update_serial_state(const struct request *request, struct wire_state *wire)
 {
     if (request->command == &nomad_commands[CMD_CT]) {
-        memcpy(terms->mask, request->mask, sizeof terms->mask);
+        memcpy(wire->mask, request->mask, sizeof wire->mask);
     } else if (request->command == &nomad_commands[CMD_CONF_LS]) {
-        terms->laser_mode = (int)request->args[0];
-        terms->laser_width = nomad_line_laser_width(terms->laser_mode);
+        wire->laser_mode = (int)request->args[0];
+        wire->laser_width = nomad_serial_laser_width(wire->laser_mode);
     }
 }
 
-/* Replies. `mask`: what of it is there; NULL for an answer to a get_ question, which has all of its sensor. */
+/* Replies. `mask` selects the values present; NULL for the reply to a get_ request, which has all values of its sensor.
+ */
 
-static int is_there(const int *mask, int slot)
-{
-    return mask == NULL || mask[slot];
-}
+static int is_there(const int *mask, int slot) { return mask == NULL || mask[slot]; }
 
 static void get_nibbles(struct reader *from, struct reply *reply, const int *mask)
 {
@@ -147,7 +142,7 @@ static void get_stamp(struct reader *from, struct reply *reply, int which)
     reply->has_stamp[which] = 1;
 }
 
-/* Stamps of `count` sensors whose first slot is `slot`, if `wanted`. */
+/* Read the stamps of `count` sensors whose first slot is `slot`, if `wanted`. */
 static void get_stamps(struct reader *from, struct reply *reply, int wanted, int first, int count, int slot,
                        const int *mask)
 {
@@ -175,22 +170,22 @@ static void get_clock(struct reader *from, struct reply *reply)
     reply->has_clock = 1;
 }
 
-static void get_state(struct reader *from, struct reply *reply, const struct terms *terms)
+static void get_state(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
-    const int *mask = terms->mask;
+    const int *mask = wire->mask;
     int position = mask[SMASK_POS_DATA];
 
     get_nibbles(from, reply, mask);
     get_stamps(from, reply, position & POS_INFRARED, 0, 16, STATE_IR_0, mask);
     get_sonars(from, reply, mask);
     get_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16, STATE_SONAR_0, mask);
-    get_bumpers(from, reply, mask, terms->model);
+    get_bumpers(from, reply, mask, wire->model);
     get_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1, STATE_BUMPER, mask);
     get_signed(from, reply, mask, STATE_CONF_X, STATE_VEL_TURRET);
     get_signed(from, reply, mask, STATE_COMPASS, STATE_COMPASS);
     get_stamps(from, reply, position & POS_COMPASS, STAMP_COMPASS, 1, STATE_COMPASS, mask);
     if (mask[SMASK_LASER])
-        get_laser(from, reply, terms->laser_width);
+        get_laser(from, reply, wire->laser_width);
     get_stamps(from, reply, position & POS_LASER, STAMP_LASER, 1, STATE_LASER, mask);
     nomad_set_slot(reply, STATE_MOTOR_STATUS, nomad_get_byte(from));
     get_clock(from, reply);
@@ -199,24 +194,22 @@ static void get_state(struct reader *from, struct reply *reply, const struct ter
     reply->has_volts = 1;
 }
 
-static void get_values(struct reader *from, struct reply *reply, size_t least, size_t most)
+static void get_values(struct reader *from, struct reply *reply, size_t min, size_t max)
 {
-    size_t count = nomad_left(from);
+    size_t count = nomad_remaining(from);
 
-    if (count < least || count > most || count > MAX_VALUES)
+    if (count < min || count > max || count > MAX_VALUES)
         from->failed = 1;
     while (!from->failed && reply->count < (int)count)
         reply->values[reply->count++] = nomad_get_byte(from);
 }
 
-static void get_reply(struct reader *from, struct reply *reply, const struct terms *terms)
+static void get_reply(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
-    int position = terms->mask[SMASK_POS_DATA];
+    int position = wire->mask[SMASK_POS_DATA];
 
     switch (reply->shape) {
-    case SHAPE_STATE:
-        get_state(from, reply, terms);
-        return;
+    case SHAPE_STATE: get_state(from, reply, wire); return;
     case SHAPE_INFRARED:
         get_nibbles(from, reply, NULL);
         get_stamps(from, reply, position & POS_INFRARED, 0, 16, 0, NULL);
@@ -226,7 +219,7 @@ static void get_reply(struct reader *from, struct reply *reply, const struct ter
         get_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16, 0, NULL);
         break;
     case SHAPE_BUMPER:
-        get_bumpers(from, reply, NULL, terms->model);
+        get_bumpers(from, reply, NULL, wire->model);
         get_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1, 0, NULL);
         break;
     case SHAPE_COMPASS:
@@ -242,17 +235,17 @@ static void get_reply(struct reader *from, struct reply *reply, const struct ter
     case SHAPE_VELOCITY: get_signed(from, reply, NULL, STATE_VEL_TRANS, STATE_VEL_TURRET); return;
     case SHAPE_CALIBRATION: get_values(from, reply, 3, 3); return;
     case SHAPE_SPECIAL: get_values(from, reply, PACKET_HEAD, MAX_PACKET); return;
-    default: return; /* get_ra is answered by nothing */
+    default: return; /* get_ra has no reply data */
     }
     get_clock(from, reply);
 }
 
-int nomad_read_line_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct terms *terms,
-                          struct reply *reply)
+int nomad_decode_serial_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct wire_state *wire,
+                              struct reply *reply)
 {
     struct reader from = nomad_reader(bytes, size);
 
-    nomad_begin(reply, shape);
-    get_reply(&from, reply, terms);
-    return !from.failed && nomad_left(&from) == 0;
+    nomad_reset_reply(reply, shape);
+    get_reply(&from, reply, wire);
+    return !from.failed && nomad_remaining(&from) == 0;
 }

@@ -1,4 +1,4 @@
-"""A scripted robot behind a pseudo-terminal, for programs that open a port; imported by name."""
+"""A scripted robot on a pseudo-terminal, for programs that open a serial port."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from robot_line import ScriptedLine
 
 
 @contextlib.contextmanager
-def on_line(robot: ScriptedLine) -> Iterator[str]:
-    """The name of a pseudo-terminal behind which the robot is."""
+def serve_pty(robot: ScriptedLine) -> Iterator[str]:
+    """Connect the robot to a pseudo-terminal and yield the name of its device."""
     master, slave = os.openpty()
     tty.setraw(slave)
 

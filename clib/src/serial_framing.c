@@ -1,9 +1,9 @@
-/* Frames in what a line delivers. */
-#include "line_frames.h"
+/* Finds frames in the bytes received from a serial line. */
+#include "serial_framing.h"
 
 #include <string.h>
 
-enum { BEHIND_LENGTH = 3, OVERHEAD = 4 };
+enum { LENGTH_FIELD_END = 3, FRAME_OVERHEAD = 4 };
 
 int nomad_checksum(const unsigned char *bytes, size_t size)
 {
@@ -14,45 +14,42 @@ int nomad_checksum(const unsigned char *bytes, size_t size)
     return (int)(sum & 0xFF);
 }
 
-size_t nomad_room(const struct line_frames *frames)
-{
-    return sizeof frames->bytes - frames->held;
-}
+size_t nomad_free_space(const struct serial_buffer *frames) { return sizeof frames->bytes - frames->held; }
 
-static void discard(struct line_frames *frames, size_t count)
+static void discard(struct serial_buffer *frames, size_t count)
 {
     frames->held -= count;
     memmove(frames->bytes, frames->bytes + count, frames->held);
 }
 
-/* Bring a possible frame to the front; its whole size, 0 where there is none yet. */
-static size_t candidate(struct line_frames *frames)
+/* Move the next possible frame to the front. Return its full size, or 0 if there is none yet. */
+static size_t find_candidate(struct serial_buffer *frames)
 {
     for (;;) {
         const unsigned char *start = memchr(frames->bytes, FRAME_START, frames->held);
         size_t size;
 
         discard(frames, start ? (size_t)(start - frames->bytes) : frames->held);
-        if (frames->held < BEHIND_LENGTH)
+        if (frames->held < LENGTH_FIELD_END)
             return 0;
-        size = OVERHEAD + (frames->bytes[1] | (size_t)frames->bytes[2] << 8);
-        if (size >= SMALLEST_FRAME && size <= ROBOT_LIMIT)
+        size = FRAME_OVERHEAD + (frames->bytes[1] | (size_t)frames->bytes[2] << 8);
+        if (size >= MIN_FRAME && size <= MAX_ROBOT_FRAME)
             return size;
         discard(frames, 1);
     }
 }
 
-int nomad_take_frame(struct line_frames *frames, struct line_frame *frame)
+int nomad_next_frame(struct serial_buffer *frames, struct serial_frame *frame)
 {
     size_t size;
 
-    while ((size = candidate(frames)) != 0 && frames->held >= size) {
+    while ((size = find_candidate(frames)) != 0 && frames->held >= size) {
         const unsigned char *bytes = frames->bytes;
 
         if (bytes[size - 1] == FRAME_END && bytes[size - 2] == nomad_checksum(bytes, size - 2)) {
             frame->type = bytes[3];
-            frame->size = size - SMALLEST_FRAME;
-            memcpy(frame->data, bytes + OVERHEAD, frame->size);
+            frame->size = size - MIN_FRAME;
+            memcpy(frame->data, bytes + FRAME_OVERHEAD, frame->size);
             discard(frames, size);
             return 1;
         }
@@ -61,7 +58,7 @@ int nomad_take_frame(struct line_frames *frames, struct line_frame *frame)
     return 0;
 }
 
-int nomad_give_up(struct line_frames *frames)
+int nomad_skip_byte(struct serial_buffer *frames)
 {
     if (frames->held == 0)
         return 0;

@@ -1,7 +1,7 @@
-/* The globals of Nclient.h, what replies put there, and the questions that are answered from memory. */
-#include "held.h"
+/* The globals of Nclient.h, how replies update them, and the calls that only read stored data. */
+#include "client_state.h"
 
-#include "complain.h"
+#include "error.h"
 
 #include <string.h>
 
@@ -17,17 +17,17 @@ int DEFAULT_ROBOT_MODEL = MODEL_N150;
 
 #define SIXTEEN_ON 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1
 #define SIXTEEN_OFF 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
-#define EVERYTHING {0, SIXTEEN_ON, SIXTEEN_ON, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1}
+#define FULL_MASK {0, SIXTEEN_ON, SIXTEEN_ON, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1}
 
-int Smask[NUM_MASK] = EVERYTHING;
-const int nomad_everything[NUM_MASK] = EVERYTHING;
+int Smask[NUM_MASK] = FULL_MASK;
+const int nomad_full_mask[NUM_MASK] = FULL_MASK;
 const int nomad_fixed_mask[NUM_MASK] = {0, SIXTEEN_OFF, SIXTEEN_ON, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 1};
 
 static PosData stamps[STAMPS];
 static uint32_t clock_ms;
 static int volts[2];
 
-void nomad_begin_holding(const int mask[NUM_MASK])
+void nomad_reset_client_state(const int mask[NUM_MASK])
 {
     memcpy(Smask, mask, sizeof Smask);
     memset(stamps, 0, sizeof stamps);
@@ -35,7 +35,7 @@ void nomad_begin_holding(const int mask[NUM_MASK])
     clock_ms = 0;
 }
 
-void nomad_hold(const struct reply *reply)
+void nomad_apply_reply(const struct reply *reply)
 {
     for (int slot = 0; slot < NUM_STATE; slot++)
         if (reply->has_slot[slot])
@@ -51,17 +51,14 @@ void nomad_hold(const struct reply *reply)
         memcpy(volts, reply->volts, sizeof volts);
 }
 
-void nomad_hold_error(long code)
-{
-    State[STATE_ERROR] = code;
-}
+void nomad_set_error_code(long code) { State[STATE_ERROR] = code; }
 
 /* Position data, clock, battery */
 
-static int give(PosData *to, int first, int number, int count)
+static int copy_stamp(PosData *to, int first, int number, int count)
 {
     if (number < 0 || number >= count) {
-        nomad_complain("there is no sensor number %d", number);
+        nomad_report_error("there is no sensor with number %d", number);
         return FALSE;
     }
     *to = stamps[first + number];
@@ -69,11 +66,11 @@ static int give(PosData *to, int first, int number, int count)
 }
 
 int posDataCheck(void) { return Smask[SMASK_POS_DATA]; }
-int posInfraredGet(PosData *posData, int infraredNumber) { return give(posData, 0, infraredNumber, 16); }
-int posSonarGet(PosData *posData, int sonarNumber) { return give(posData, STAMP_SONAR, sonarNumber, 16); }
-int posBumperGet(PosData *posData) { return give(posData, STAMP_BUMPER, 0, 1); }
-int posLaserGet(PosData *posData) { return give(posData, STAMP_LASER, 0, 1); }
-int posCompassGet(PosData *posData) { return give(posData, STAMP_COMPASS, 0, 1); }
+int posInfraredGet(PosData *posData, int infraredNumber) { return copy_stamp(posData, 0, infraredNumber, 16); }
+int posSonarGet(PosData *posData, int sonarNumber) { return copy_stamp(posData, STAMP_SONAR, sonarNumber, 16); }
+int posBumperGet(PosData *posData) { return copy_stamp(posData, STAMP_BUMPER, 0, 1); }
+int posLaserGet(PosData *posData) { return copy_stamp(posData, STAMP_LASER, 0, 1); }
+int posCompassGet(PosData *posData) { return copy_stamp(posData, STAMP_COMPASS, 0, 1); }
 
 int posInfraredRingGet(PosData posData[16])
 {
@@ -87,16 +84,10 @@ int posSonarRingGet(PosData posData[16])
     return TRUE;
 }
 
-int posTimeGet(void)
-{
-    return (int)nomad_signed_word(clock_ms);
-}
+int posTimeGet(void) { return (int)nomad_signed_word(clock_ms); }
 
-/* (2 + 3 raw / 255) x range / 5 */
-static float in_volts(int raw, double range)
-{
-    return (float)((2 + 3 * raw / 255.0) * range / 5);
-}
+/* The voltage is (2 + 3 raw / 255) x range / 5. */
+static float to_volts(int raw, double range) { return (float)((2 + 3 * raw / 255.0) * range / 5); }
 
-float voltCpuGet(void) { return in_volts(volts[0], 12.0); }
-float voltMotorGet(void) { return in_volts(volts[1], 12.85); }
+float voltCpuGet(void) { return to_volts(volts[0], 12.0); }
+float voltMotorGet(void) { return to_volts(volts[1], 12.85); }

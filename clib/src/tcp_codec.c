@@ -1,9 +1,9 @@
-/* The language of an Nserver: requests to bytes, bytes to replies.
+/* Encodes requests and decodes replies in the TCP protocol of an Nserver.
  *
  *     int16 type | uint16 count | count x int32        high byte first; count is in words
  *
- * Rules: no socket, no clock. The shape of a reply follows from its question and the terms, as its type says nothing
- * but whether it is an error; the head is server.c's.
+ * There is no I/O and no clock here. The layout of a reply follows from its request and the wire state: the type in the
+ * header only marks errors. server.c reads the header.
  */
 #include "message.h"
 
@@ -25,7 +25,7 @@ static void put_mask(struct writer *to, const int mask[NUM_MASK])
     nomad_put_word(to, position);
 }
 
-/* Four characters make a word, the first its lowest byte: every group of four arrives reversed. */
+/* Four characters make a word, the first in the lowest byte: every group of four appears reversed on the wire. */
 static void put_text(struct writer *to, const char *text)
 {
     size_t length = strlen(text), words = (length + 4) / 4;
@@ -56,23 +56,23 @@ static void put_arguments(struct writer *to, const struct request *request)
             nomad_put_word(to, *letters != '*' && letters[k] == 'f' ? request->args[k] != 0 : request->args[k]);
 }
 
-size_t nomad_tcp_request(const struct request *request, unsigned char *bytes, size_t size)
+size_t nomad_encode_tcp_request(const struct request *request, unsigned char *bytes, size_t size)
 {
     struct writer to = nomad_writer(bytes, size), head;
     size_t used;
 
-    nomad_put_word(&to, 0); /* room for the head */
+    nomad_put_word(&to, 0); /* filled in below */
     put_arguments(&to, request);
     if (to.failed)
         return 0;
     used = (size_t)(to.at - bytes);
     head = nomad_writer(bytes, 4);
-    nomad_put_short_high_first(&head, (unsigned)request->command->tcp_type);
-    nomad_put_short_high_first(&head, (unsigned)(used / 4 - 1));
+    nomad_put_uint16_be(&head, (unsigned)request->command->tcp_type);
+    nomad_put_uint16_be(&head, (unsigned)(used / 4 - 1));
     return used;
 }
 
-/* Terms */
+/* Wire state: settings that determine the layout of replies */
 
 int nomad_tcp_laser_width(int mode)
 {
@@ -81,32 +81,27 @@ int nomad_tcp_laser_width(int mode)
     return mode == 51 || mode == 50 || mode == 19 ? POINTS : PIXELS;
 }
 
-static int get_laser_width(const struct terms *terms)
+static int get_ls_width(const struct wire_state *wire)
 {
-    int width = nomad_tcp_laser_width(terms->laser_mode);
+    int width = nomad_tcp_laser_width(wire->laser_mode);
     return width == LINES ? POINTS : width;
 }
 
-/* The shape of the last laser question stays until the next conf_ls: so the old client read, so servers write. */
-void nomad_note_on_tcp(const struct request *request, struct terms *terms)
+/* The layout of the last laser query stays in force until the next conf_ls: old clients and servers both do so. */
+void nomad_update_tcp_state(const struct request *request, struct wire_state *wire)
 {
     switch (request->command - nomad_commands) {
-    case CMD_CT:
-        memcpy(terms->mask, request->mask, sizeof terms->mask);
-        break;
+    case CMD_CT: memcpy(wire->mask, request->mask, sizeof wire->mask); break;
     case CMD_CONF_LS:
-        terms->laser_mode = (int)request->args[0];
-        terms->laser_width = nomad_tcp_laser_width(terms->laser_mode);
+        wire->laser_mode = (int)request->args[0];
+        wire->laser_width = nomad_tcp_laser_width(wire->laser_mode);
         break;
-    case CMD_GET_SG:
-        terms->laser_width = LINES;
-        break;
+    case CMD_GET_SG: wire->laser_width = LINES; break;
     case CMD_GET_LS:
-        if (nomad_tcp_laser_width(terms->laser_mode) == LINES)
-            terms->laser_width = POINTS;
+        if (nomad_tcp_laser_width(wire->laser_mode) == LINES)
+            wire->laser_width = POINTS;
         break;
-    default:
-        break;
+    default: break;
     }
 }
 
@@ -156,12 +151,12 @@ static void get_clock(struct reader *from, struct reply *reply)
     reply->has_clock = 1;
 }
 
-static void get_state(struct reader *from, struct reply *reply, const struct terms *terms)
+static void get_state(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
-    int position = terms->mask[SMASK_POS_DATA];
+    int position = wire->mask[SMASK_POS_DATA];
 
     get_slots(from, reply, 0, LAST_SLOT + 1);
-    get_laser(from, reply, terms->laser_width);
+    get_laser(from, reply, wire->laser_width);
     get_stamps(from, reply, position & POS_INFRARED, 0, 16);
     get_stamps(from, reply, position & POS_SONAR, STAMP_SONAR, 16);
     get_stamps(from, reply, position & POS_BUMPER, STAMP_BUMPER, 1);
@@ -171,50 +166,50 @@ static void get_state(struct reader *from, struct reply *reply, const struct ter
     reply->volts[0] = (int)(nomad_get_unsigned_word(from) & 0xFF);
     reply->volts[1] = (int)(nomad_get_unsigned_word(from) & 0xFF);
     reply->has_volts = 1;
-    nomad_set_slot(reply, STATE_ERROR, 0); /* whatever the word says */
+    nomad_set_slot(reply, STATE_ERROR, 0); /* a state reply means no error, whatever its last word is */
 }
 
-static void get_sensor(struct reader *from, struct reply *reply, const struct terms *terms, int first, int count,
+static void get_sensor(struct reader *from, struct reply *reply, const struct wire_state *wire, int first, int count,
                        int bit, int stamp)
 {
     get_slots(from, reply, first, count);
-    get_stamps(from, reply, terms->mask[SMASK_POS_DATA] & bit, stamp, count);
+    get_stamps(from, reply, wire->mask[SMASK_POS_DATA] & bit, stamp, count);
     get_clock(from, reply);
 }
 
-static void get_laser_reply(struct reader *from, struct reply *reply, const struct terms *terms, int width)
+static void get_laser_reply(struct reader *from, struct reply *reply, const struct wire_state *wire, int width)
 {
     get_laser(from, reply, width);
-    get_stamps(from, reply, terms->mask[SMASK_POS_DATA] & POS_LASER, STAMP_LASER, 1);
+    get_stamps(from, reply, wire->mask[SMASK_POS_DATA] & POS_LASER, STAMP_LASER, 1);
     get_clock(from, reply);
 }
 
-static void get_values(struct reader *from, struct reply *reply, size_t least, size_t most)
+static void get_values(struct reader *from, struct reply *reply, size_t min, size_t max)
 {
-    size_t count = nomad_left(from) / 4;
+    size_t count = nomad_remaining(from) / 4;
 
-    if (count < least || count > most || count > MAX_VALUES)
+    if (count < min || count > max || count > MAX_VALUES)
         from->failed = 1;
     while (!from->failed && reply->count < (int)count)
         reply->values[reply->count++] = nomad_get_word(from);
 }
 
-static void get_reply(struct reader *from, struct reply *reply, const struct terms *terms)
+static void get_reply(struct reader *from, struct reply *reply, const struct wire_state *wire)
 {
     switch (reply->shape) {
-    case SHAPE_STATE: get_state(from, reply, terms); break;
-    case SHAPE_INFRARED: get_sensor(from, reply, terms, STATE_IR_0, 16, POS_INFRARED, 0); break;
-    case SHAPE_SONAR: get_sensor(from, reply, terms, STATE_SONAR_0, 16, POS_SONAR, STAMP_SONAR); break;
-    case SHAPE_BUMPER: get_sensor(from, reply, terms, STATE_BUMPER, 1, POS_BUMPER, STAMP_BUMPER); break;
-    case SHAPE_COMPASS: get_sensor(from, reply, terms, STATE_COMPASS, 1, POS_COMPASS, STAMP_COMPASS); break;
-    case SHAPE_LASER: get_laser_reply(from, reply, terms, get_laser_width(terms)); break;
-    case SHAPE_SEGMENTS: get_laser_reply(from, reply, terms, LINES); break;
+    case SHAPE_STATE: get_state(from, reply, wire); break;
+    case SHAPE_INFRARED: get_sensor(from, reply, wire, STATE_IR_0, 16, POS_INFRARED, 0); break;
+    case SHAPE_SONAR: get_sensor(from, reply, wire, STATE_SONAR_0, 16, POS_SONAR, STAMP_SONAR); break;
+    case SHAPE_BUMPER: get_sensor(from, reply, wire, STATE_BUMPER, 1, POS_BUMPER, STAMP_BUMPER); break;
+    case SHAPE_COMPASS: get_sensor(from, reply, wire, STATE_COMPASS, 1, POS_COMPASS, STAMP_COMPASS); break;
+    case SHAPE_LASER: get_laser_reply(from, reply, wire, get_ls_width(wire)); break;
+    case SHAPE_SEGMENTS: get_laser_reply(from, reply, wire, LINES); break;
     case SHAPE_POSE: get_slots(from, reply, FIRST_POSE, 4); break;
     case SHAPE_VELOCITY: get_slots(from, reply, FIRST_VELOCITY, 3); break;
     case SHAPE_PREDICTION:
         while (!from->failed && reply->count < STATE_ERROR)
             reply->values[reply->count++] = nomad_get_word(from);
-        get_laser(from, reply, terms->laser_width);
+        get_laser(from, reply, wire->laser_width);
         break;
     case SHAPE_SIMPLE: get_values(from, reply, 1, 1); break;
     case SHAPE_LIST: get_values(from, reply, 1, MAX_VALUES); break;
@@ -228,12 +223,12 @@ static void get_reply(struct reader *from, struct reply *reply, const struct ter
     }
 }
 
-int nomad_read_tcp_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct terms *terms,
-                         struct reply *reply)
+int nomad_decode_tcp_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct wire_state *wire,
+                           struct reply *reply)
 {
     struct reader from = nomad_reader(bytes, size);
 
-    nomad_begin(reply, shape);
-    get_reply(&from, reply, terms);
-    return !from.failed && nomad_left(&from) == 0;
+    nomad_reset_reply(reply, shape);
+    get_reply(&from, reply, wire);
+    return !from.failed && nomad_remaining(&from) == 0;
 }

@@ -1,12 +1,11 @@
-"""The C library built for the tests, by its own Makefile, and programs linked with it; imported by name.
+"""Build the C library with its Makefile, and programs linked with it, for the tests.
 
-    build("64")             both libraries, once for all workers of a test run
-    program("replay", ...)  a program of programs/, linked
-    held([...], script)     what programs/replay.c holds after each call of a script
-    daemon(...)             an Nserver of the project, as its own process
+    BuildCache.libraries(kind)      both libraries, built once for all workers of a test run
+    BuildCache.program(source, ...) a program linked with one of them
+    run_calls([...], script)        the client state of programs/replay.c after each call of a script
+    run_nserver(...)                an Nserver in its own process
 
-Rules: everything is made in the run's own temporary folder, never in the tree. 32 bits are tried where the compiler
-can make them; `WIDTHS` says so, and scripts/test sees to it that it can.
+Everything is built in the temporary folder of the test run. 32-bit builds need a compiler that supports them.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ ROOT = Path(__file__).parents[2]
 CLIB = ROOT / "clib"
 PROGRAMS = Path(__file__).parent / "programs"
 WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Werror")
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
 @functools.cache
-def makes_32_bits() -> bool:
-    """Whether this machine's compiler can make and run programs of 32 bits."""
+def can_build_32_bit() -> bool:
+    """Return True if 32-bit programs can be compiled and run on this machine."""
     with tempfile.TemporaryDirectory() as folder:
         source, made = Path(folder) / "try.c", Path(folder) / "try"
         source.write_text("#include <stdio.h>\nint main(void) { return sizeof(long) != 4; }\n")
@@ -48,8 +47,8 @@ def makes_32_bits() -> bool:
 
 
 @dataclass(frozen=True)
-class Kind:
-    """One way to build: how wide a long is, and whether sanitizers watch."""
+class BuildKind:
+    """A build configuration: word size and sanitizers."""
 
     bits: int
     sanitized: bool = False
@@ -63,64 +62,64 @@ class Kind:
         return (("-m32",) if self.bits == 32 else ()) + (SANITIZERS if self.sanitized else ())
 
     @property
-    def optimised(self) -> str:
-        """As shipped; where sanitizers watch, so that they see all of it."""
+    def optimization(self) -> str:
+        """Return the compiler's optimization flags: as shipped, or none under sanitizers, which then check all code."""
         return "-O0 -g" if self.sanitized else "-O2 -g"
 
     @property
-    def switches(self) -> tuple[str, ...]:
-        """What make is told."""
+    def make_options(self) -> tuple[str, ...]:
+        """Return the options for make."""
         return (("M32=1",) if self.bits == 32 else ()) + (("SANITIZE=1",) if self.sanitized else ())
 
 
-PLAIN, SANITIZED = Kind(64), Kind(64, True)
-NARROW, NARROW_SANITIZED = Kind(32), Kind(32, True)
+PLAIN, SANITIZED = BuildKind(64), BuildKind(64, True)
+NARROW, NARROW_SANITIZED = BuildKind(32), BuildKind(32, True)
 KINDS = (PLAIN, SANITIZED, NARROW, NARROW_SANITIZED)
 
 
-class Workshop:
-    """A folder that all workers of a run share; each thing in it is made once."""
+class BuildCache:
+    """A folder shared by all workers of a test run; each library and program in it is built once."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
 
-    def libraries(self, kind: Kind) -> Path:
-        """The folder of libnclient.a and libndirect.a."""
-        place = self.folder / kind.name
-        with self._alone(kind.name):
-            if not (place / "whole").exists():
-                told = (f"BUILD={place}", f"CFLAGS={kind.optimised}", *kind.switches)
-                run(["make", "-s", "-j2", "-C", str(CLIB), *told])
-                for made in place.rglob("*.a"):  # M32 and SANITIZE build in folders of their own
-                    if made.parent != place:
-                        shutil.copy(made, place)
-                (place / "whole").touch()
-        return place
+    def libraries(self, kind: BuildKind) -> Path:
+        """Return the folder of libnclient.a and libndirect.a, building them first if needed."""
+        folder = self.folder / kind.name
+        with self._lock(kind.name):
+            if not (folder / "complete").exists():
+                options = (f"BUILD={folder}", f"CFLAGS={kind.optimization}", *kind.make_options)
+                run(["make", "-s", "-j2", "-C", str(CLIB), *options])
+                for made in folder.rglob("*.a"):  # M32 and SANITIZE build in subfolders
+                    if made.parent != folder:
+                        shutil.copy(made, folder)
+                (folder / "complete").touch()
+        return folder
 
     def program(
-        self, source: Path, kind: Kind, library: str = "nclient", flags: tuple[str, ...] = (),
-        beside: tuple[str, ...] = (),
+        self, source: Path, kind: BuildKind, library: str = "nclient", flags: tuple[str, ...] = (),
+        extra_libraries: tuple[str, ...] = (),
     ) -> Path:
-        """A program made of one source and a library, others `beside` it; `flags`: the standard first."""
+        """Return a program built from one source and a library; `flags` refolders the default standard and warnings."""
         libraries = self.libraries(kind)
         made = libraries / f"{source.stem}-{library}"
-        with self._alone(f"{kind.name}-{made.name}"):
+        with self._lock(f"{kind.name}-{made.name}"):
             if not made.exists():
                 partial = made.with_suffix(".partial")
                 headers = ("-I", str(CLIB / "include"), "-I", str(CLIB / "src"))
-                linked = ("-L", str(libraries), f"-l{library}", *beside)
+                linked = ("-L", str(libraries), f"-l{library}", *extra_libraries)
                 standard = flags or ("-std=c99", *WARNINGS)
                 run(["cc", *standard, "-g", *kind.flags, *headers, str(source), *linked, "-o", str(partial)])
                 partial.rename(made)
         return made
 
-    def _alone(self, name: str) -> _Lock:
+    def _lock(self, name: str) -> _Lock:
         return _Lock(self.folder / f"{name}.lock")
 
 
 class _Lock:
-    """One worker at a time."""
+    """A lock between the workers of a test run."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w")
@@ -133,24 +132,24 @@ class _Lock:
 
 
 def run(command: list[str]) -> str:
-    """What a command says; a failure shows all of it."""
+    """Run a command and return its output; fail with the output if the command fails."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
     return done.stdout + done.stderr
 
 
-def held(program: list[str], script: str) -> list[dict[str, Any]]:
-    """What programs/replay.c held after each call of a script; the last tells what went to stderr."""
-    patient = {"REPLAY_TIMEOUT_MS": "10000"} | os.environ  # the tests may say less
-    done = subprocess.run(program, input=script, env=patient, capture_output=True, text=True, timeout=PATIENCE_S,
+def run_calls(program: list[str], script: str) -> list[dict[str, Any]]:
+    """Return the client state of programs/replay.c after each call of a script; the last entry is its stderr."""
+    timeout = {"REPLAY_TIMEOUT_MS": "10000"} | os.environ  # tests may set a shorter one
+    done = subprocess.run(program, input=script, env=timeout, capture_output=True, text=True, timeout=TIMEOUT_S,
                           check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()] + [{"stderr": done.stderr}]
 
 
 @contextlib.contextmanager
-def daemon(*words: str) -> Iterator[str]:
-    """A daemon; its port."""
+def run_nserver(*words: str) -> Iterator[str]:
+    """Run a server and yield its port."""
     with Forked("nserver", "--port", "0", *words) as process:
         try:
             port = process.stdout.readline().rpartition(":")[2].strip()
@@ -159,4 +158,4 @@ def daemon(*words: str) -> Iterator[str]:
             yield port
         finally:
             process.send_signal(signal.SIGTERM)
-            process.wait(PATIENCE_S)
+            process.wait(TIMEOUT_S)
