@@ -23,8 +23,8 @@ from typing import Any
 
 from localization.command_line.outset import START_STD
 from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
-from localization.estimation.belief import independent
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.filters.base import THESIS_ODOMETRY, Surroundings
+from localization.filters.belief import independent
 from localization.runs.run import Run, RunMoment, Sighting
 from nclient import Robot, connect
 from worlds.bodies import BODIES

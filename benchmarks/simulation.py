@@ -30,9 +30,8 @@ from nserver_emu.simulation.company import SPAN_PS, near
 from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
-from worlds.compiled import FIRST_MET
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_rays
+from worlds.raycast import FIRST_MET, cast_rays
 
 Result = dict[str, float | int | str]
 

@@ -55,8 +55,8 @@ from nserver_emu.server.stage.pace import Pace
 from nserver_emu.server.stage.stage import Allowed
 from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.viewer.options import viewed
-from worlds.compiled import load_for
 from worlds.files import load_world, world_names
+from worlds.raycast import load_for
 
 log = logging.getLogger(__name__)
 

@@ -1,7 +1,7 @@
-/* The calls of the robots' own C library, for programs written then and machines of today.
+/* The C library of the Nomad robots, for old programs on current machines.
  *
- *     #include "Nclient.h"                              cc prog.c -lnclient       a robot of an Nserver
- *     strcpy(SERVER_MACHINE_NAME, "lab");               cc prog.c -lndirect       a robot on its own line
+ *     #include "Nclient.h"                              cc prog.c -lnclient       robot of an Nserver
+ *     strcpy(SERVER_MACHINE_NAME, "lab");               cc prog.c -lndirect       robot on its own line
  *     if (connect_robot(1)) {
  *         vm(100, 0, 0);                                forward at 10 inches a second
  *         while (State[STATE_SONAR_0] > 20) gs();       until 20 inches before a wall
@@ -9,14 +9,14 @@
  *         disconnect_robot(1);
  *     }
  *
- * Units everywhere: lengths 1/10 inch, angles 1/10 degree, counter-clockwise positive, speeds per second, sonar whole
- * inches. A call gives TRUE, or FALSE where it was refused, could not be sent, or had no good answer; why is said on
- * stderr. The code of a server's refusal stands in State[STATE_ERROR]: 1 unknown message, 2 wrong number or range of
- * values, 3 not connected, 4 not available on this model, 5 not allowed, 6 the real robot did not answer.
- * A number beyond what a message can carry is brought to the nearest that it can.
+ * Units: lengths in 1/10 inch, angles in 1/10 degree, counter-clockwise positive, speeds per second, sonar in whole
+ * inches. A call returns TRUE, or FALSE if it was rejected, could not be sent, or had no valid reply; the reason is
+ * printed to stderr. The code of a server's error reply is in State[STATE_ERROR]: 1 unknown message, 2 wrong number or
+ * range of values, 3 not connected, 4 not available on this model, 5 not allowed, 6 the real robot did not reply.
+ * Numbers beyond the range of a message are clamped to it.
  *
- * One program, one thread, one robot. Callable from C89, C99 and C++. What is not of the old library
- * stands in nomad.h, so that no old program meets a name that it does not expect. MIT licence; see clib/README.md.
+ * One program, one thread, one robot. Usable from C89, C99 and C++. Additions to the old library are in nomad.h, to
+ * avoid name clashes with old programs. MIT licence; see clib/README.md.
  */
 #ifndef NCLIENT_H
 #define NCLIENT_H
@@ -32,11 +32,11 @@ extern "C" {
 #define FALSE 0
 #endif
 
-/* State: what the robot last said of itself. */
+/* State: the last reported values of the robot. */
 
 #define NUM_STATE 45
 #define STATE_SIM_SPEED 0 /* 10 = real time; not on a robot's own line */
-#define STATE_IR_0 1      /* 16 infrareds, 0..15, lower is nearer, 15 nothing */
+#define STATE_IR_0 1      /* 16 infrareds, 0..15, lower is nearer, 15: nothing */
 #define STATE_IR_1 2
 #define STATE_IR_2 3
 #define STATE_IR_3 4
@@ -52,7 +52,7 @@ extern "C" {
 #define STATE_IR_13 14
 #define STATE_IR_14 15
 #define STATE_IR_15 16
-#define STATE_SONAR_0 17 /* 16 sonars, inches from the ring, 255 nothing; number i at turret + 22.5 deg x i */
+#define STATE_SONAR_0 17 /* 16 sonars, inches from the ring, 255: nothing; number i at turret + 22.5 deg x i */
 #define STATE_SONAR_1 18
 #define STATE_SONAR_2 19
 #define STATE_SONAR_3 20
@@ -68,7 +68,7 @@ extern "C" {
 #define STATE_SONAR_13 30
 #define STATE_SONAR_14 31
 #define STATE_SONAR_15 32
-#define STATE_BUMPER 33 /* a bit a bumper; on the own line of a N200 or N150 0xF00000 at rest */
+#define STATE_BUMPER 33 /* one bit per bumper; 0xF00000 at rest on the line of an N200 or N150 */
 #define STATE_CONF_X 34
 #define STATE_CONF_Y 35
 #define STATE_CONF_STEER 36  /* 0..3599 */
@@ -81,12 +81,12 @@ extern "C" {
 #define STATE_MOTOR_STATUS 41 /* bits 0 1 2: translation, steering, turret is moving */
 #define STATE_LASER 42        /* laser mode */
 #define STATE_COMPASS 43
-#define STATE_ERROR 44 /* code of the last refusal; 0 after every state that comes from a server */
+#define STATE_ERROR 44 /* code of the last error reply; 0 after every state from a server */
 
 extern long State[NUM_STATE];
 
-/* Smask: what State is to hold; ct sends it. [0] is the sum of POS_ bits, the others are 0 or 1 for the slot of State
- * with that number. connect_robot sets all on and position data off. */
+/* Smask: the values that state replies contain; ct sends it. [0] is a sum of POS_ bits, the others are 0 or 1 for the
+ * value of State with that number. connect_robot enables everything except position data. */
 
 #define NUM_MASK 44
 #define SMASK_POS_DATA 0
@@ -135,21 +135,21 @@ extern long State[NUM_STATE];
 
 extern int Smask[NUM_MASK];
 
-/* Laser: [0] is a count n; then n readings: points (x, y), lines (x1, y1, x2, y2) or pixels, by the laser's mode. */
+/* Laser: [0] is a count n; then n readings by laser mode: points (x, y), lines (x1, y1, x2, y2) or pixels. */
 
 #define NUM_LASER 482
 
 extern int Laser[2 * NUM_LASER + 1];
 
-/* Where to connect to. */
+/* The server to connect to. */
 
-extern char SERVER_MACHINE_NAME[80]; /* host of the server, or host:port; else as NOMAD_ROBOT says; else this machine */
-extern int SERV_TCP_PORT;            /* its port, 7019 where the program says nothing */
+extern char SERVER_MACHINE_NAME[80]; /* host or host:port; if empty, NOMAD_ROBOT; else localhost */
+extern int SERV_TCP_PORT;            /* its port, 7019 by default */
 
-/* Where libndirect finds a robot that connect_robot(1) names by its number alone. */
+/* The robot to which libndirect connects for connect_robot(1), without further arguments. */
 
-extern char ROBOT_MACHINE_NAME[80];  /* host behind which the robot's line is; where empty, it is a serial port */
-extern int CONN_TCP_PORT;            /* the port of that host, 65001 */
+extern char ROBOT_MACHINE_NAME[80];  /* host that serves the robot's line; if empty, a serial port is used */
+extern int CONN_TCP_PORT;            /* port of that host, 65001 by default */
 extern char DEFAULT_SERIAL_PORT[80]; /* "/dev/ttyS0" */
 extern int DEFAULT_SERIAL_BAUD;      /* 38400 */
 extern int DEFAULT_ROBOT_MODEL;      /* MODEL_N150 */
@@ -158,9 +158,9 @@ extern int DEFAULT_ROBOT_MODEL;      /* MODEL_N150 */
 #define MODEL_N150 1
 #define MODEL_SCOUT 2
 
-/* Connecting. connect_robot(1) gives the server's port (libndirect: TRUE), or FALSE. With libndirect
- * connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) or connect_robot(1, MODEL_N200, "host", 65001) says where the
- * robot is; libnclient reads nothing behind the number. A robot that is connected is left first. */
+/* Connecting. connect_robot(1) returns the server's port (libndirect: TRUE), or FALSE. With libndirect
+ * connect_robot(1, MODEL_N150, "/dev/ttyUSB0", 38400) or connect_robot(1, MODEL_N200, "host", 65001) gives the
+ * connection; libnclient ignores arguments after the number. An existing connection is closed first. */
 
 extern int connect_robot(long robot_id, ...);
 extern int create_robot(long robot_id);
@@ -170,7 +170,7 @@ extern int quit_server(void);
 extern int real_robot(void);
 extern int simulated_robot(void);
 
-/* How many arguments were given can be told in C by a macro alone. */
+/* Only a macro can mark the end of the arguments in C. */
 #if defined(__cplusplus) || !defined(__STRICT_ANSI__) || (defined(__STDC_VERSION__) && __STDC_VERSION__ >= 199901L)
 #define NOMAD_NO_MORE (-20047)
 #define connect_robot(...) nomad_connect_robot(__VA_ARGS__, NOMAD_NO_MORE)
@@ -179,7 +179,7 @@ extern int nomad_connect_robot(long robot_id, ...);
 
 /* Motion. The axes are translation, steering, turret; Scout: right wheel, left wheel, 0. */
 
-#define MV_IGNORE 0 /* modes of mv: leave the axis as it is */
+#define MV_IGNORE 0 /* modes of mv: axis unchanged */
 #define MV_VM 1     /* velocity */
 #define MV_PR 2     /* distance */
 #define MV_LP 3     /* limp */
@@ -189,7 +189,7 @@ extern int nomad_connect_robot(long robot_id, ...);
 extern int ac(int t_ac, int s_ac, int r_ac);
 extern int sp(int t_sp, int s_sp, int r_sp);
 extern int pr(int t_pr, int s_pr, int r_pr);
-extern int pa(int t_pa, int s_pa, int r_pa); /* a N200's own line alone */
+extern int pa(int t_pa, int s_pa, int r_pa); /* only on the line of an N200 */
 extern int vm(int t_vm, int s_vm, int r_vm);
 extern int mv(int t_mode, int t_mv, int s_mode, int s_mv, int r_mode, int r_mv);
 extern int st(void);
@@ -214,27 +214,27 @@ extern int conf_ir(int history, int order[16]);
 extern int conf_sn(int rate, int order[16]); /* rate in steps of 4 ms; 255 ends the order */
 extern int conf_cp(int mode);
 extern int conf_ls(int mode, int threshold, int width, int num_data, int processing);
-extern int conf_tm(int timeout); /* seconds; 0 never */
+extern int conf_tm(int timeout); /* seconds; 0: no time-out */
 extern int conf_sg(int threshold, int min_points, int gap);
-extern int conf_ser(int port, int baud); /* a N150's or Scout's own line alone */
+extern int conf_ser(int port, int baud); /* only on the line of an N150 or Scout */
 
-/* Questions. */
+/* Queries. */
 
 extern int gs(void);
 extern int get_ir(void);
 extern int get_sn(void);
 extern int get_rc(void); /* x, y, steering, turret */
 extern int get_rv(void); /* velocities */
-extern int get_ra(void); /* accelerations, in the place of the velocities */
+extern int get_ra(void); /* accelerations, stored in place of the velocities */
 extern int get_cp(void);
 extern int get_ls(void);
 extern int get_sg(void);
 extern int get_bp(void);
-extern int get_rpx(long *robot_pos);     /* long[31]: n, then n times x, y, heading; ten robots at most */
-extern int get_robot_conf(long *conf);   /* long[4]: x, y, steering, turret, clicked in the server's window */
+extern int get_rpx(long *robot_pos);     /* long[31]: n, then n times x, y, heading; at most ten robots */
+extern int get_robot_conf(long *conf);   /* long[4]: x, y, steering, turret of a click in the server's window */
 
-/* Position data: where the robot was, by its encoders, when a sensor took its reading. The order of the nine numbers
- * is the robot's, the names are ours; a long[9] is laid out the same. */
+/* Position data: the encoder pose of the robot when a sensor took its reading. The robot defines the order of the nine
+ * numbers, this header their names; a long[9] has the same layout. */
 
 typedef struct PosData {
     long x, y, steer, turret;
@@ -250,7 +250,7 @@ typedef struct PosData {
 #define POS_COMPASS 16
 #define POS_ALL 31
 
-extern int posDataRequest(int posRequest); /* the sum of POS_ bits; FALSE for others */
+extern int posDataRequest(int posRequest); /* a sum of POS_ bits; FALSE for other values */
 extern int posDataCheck(void);
 extern int posInfraredRingGet(PosData posData[16]);
 extern int posInfraredGet(PosData *posData, int infraredNumber);
@@ -259,13 +259,13 @@ extern int posSonarGet(PosData *posData, int sonarNumber);
 extern int posBumperGet(PosData *posData);
 extern int posLaserGet(PosData *posData);
 extern int posCompassGet(PosData *posData);
-extern int posTimeGet(void); /* the robot's clock in ms when it last told it */
+extern int posTimeGet(void); /* the last reported clock of the robot in ms */
 
 extern float voltCpuGet(void);
 extern float voltMotorGet(void);
 
-/* Speech, user packets, the arm. A packet is length (low byte, high byte; its own four bytes included), serial, type,
- * data; at most 254 bytes, and that is how long the buffer for the answer must be. */
+/* Speech, user packets, the arm. A packet is length (low byte, high byte; including the four header bytes), serial,
+ * type, data; at most 254 bytes, which is also the required size of the receive buffer. */
 
 extern int tk(char *talk);
 extern int special_request(unsigned char *user_send_buffer, unsigned char *user_receive_buffer);
@@ -273,15 +273,15 @@ extern int arm_zr(int override);
 extern int arm_ws(int lift, int grip, long timeout, long *time_remain);
 extern int arm_mv(long l_mode, long l_v, long g_mode, long g_v);
 
-/* The world and its windows: an Nserver alone. obs is long[21]: n, x1, y1 .. xn, yn; n is at most 10. */
+/* World and display, only with an Nserver. obs is long[21]: n, x1, y1 .. xn, yn; n is at most 10. */
 
 extern int add_obstacle(long obs[21]);
 extern int delete_obstacle(long obs[21]);
-extern int move_obstacle(long obs[21], long dx, long dy); /* obs is where it is then */
+extern int move_obstacle(long obs[21], long dx, long dy); /* obs receives the new position */
 extern int new_world(void);
-extern int predict_sensors(int x, int y, int th, int tu, long *state, int *laser); /* as State and Laser */
+extern int predict_sensors(int x, int y, int th, int tu, long *state, int *laser); /* laid out as State and Laser */
 extern int motion_check(long type, double a1, double a2, double a3, double a4, double a5, double a6, double a7,
-                        double collide[3]); /* 1 when it hits: x, y, inward normal in radians */
+                        double collide[3]); /* 1 on a collision: x, y, inward normal in radians */
 extern int draw_robot(long x, long y, int th, int tu, int mode);
 extern int draw_line(long x_1, long y_1, long x_2, long y_2, int mode);
 extern int draw_arc(long x_0, long y_0, long w, long h, int th1, int th2, int mode);

@@ -1,4 +1,4 @@
-/* What the old library did not have: why a call failed, how long answers may take, and our simulation's own calls. */
+/* Additions to the old library: error texts, reply time-outs, and calls for this project's simulator. */
 #ifndef NOMAD_H
 #define NOMAD_H
 
@@ -6,18 +6,18 @@
 extern "C" {
 #endif
 
-/* Why the last call that failed did, as it is said on stderr (there, that no robot is connected is said once until one
- * is); "" where none has failed. */
+/* Return the error text of the last failed call, "" if none has failed. The same text is printed to stderr (there, "no
+ * robot is connected" is printed only once until a connection succeeds). */
 extern const char *nomad_last_error(void);
 
-/* Whether errors are said on stderr: 1, as at the start, or 0. */
+/* Errors are printed to stderr if 1, which is the default, and not if 0. */
 extern int nomad_verbose;
 
-/* How long an answer may take in milliseconds: 0 for 5 s of a server and 1 s of a robot. zr, ws, special_request and
- * the arm have their own time beyond it. */
+/* Reply time-out in milliseconds; 0, the default, means 5 s for a server and 1 s for a robot. zr, ws, special_request
+ * and the arm have longer time-outs of their own. */
 extern int nomad_timeout_ms;
 
-/* The eight numbers of sim_truth: 1, ms, x, y (1/1000 inch), heading, turret (1/1000 degree), seed, robot's number. */
+/* The eight numbers of sim_truth: 1, ms, x, y (1/1000 inch), heading, turret (1/1000 degree), seed, robot number. */
 extern int nomad_sim_truth(long truth[8]);
 
 /* Simulated time: 1 pause, 2 resume, 3 speed x 10, 4 step by ms. */

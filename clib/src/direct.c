@@ -1,205 +1,210 @@
-/* A robot on its own line: a serial port, or a TCP port behind which the line is.
+/* Session with a robot on its own line: a serial port, or a TCP port connected to the line.
  *
- * Rules: what a model's line does not have is refused here and not sent. A ct or conf_ls that was not answered leaves
- * the shape of states unknown: it is said again before anything else. One question and its answer: line_exchange.c.
+ * Commands that the model does not have are rejected here and not sent. After a ct or conf_ls without a reply the
+ * layout of state replies is unknown; it is sent again before any other command. serial_session.c does a single
+ * exchange.
  */
-#include "complain.h"
-#include "conversation.h"
-#include "held.h"
-#include "line_exchange.h"
-#include "line_place.h"
+#include "error.h"
+#include "session.h"
+#include "client_state.h"
+#include "serial_session.h"
+#include "serial_config.h"
 #include "stream.h"
 
 #include <string.h>
 
 enum {
-    HELLO_MS = 5000,
+    HANDSHAKE_MS = 5000,
     OPEN_MS = 5000,
-    HELLO_SIZE = 11, /* what a N200 says first over TCP: mask and laser mode in force */
-    GREETINGS = 3,
-    LONGEST_WAIT_S = 255
+    HANDSHAKE_SIZE = 11, /* an N200 first sends its mask and laser mode over TCP */
+    HANDSHAKE_ATTEMPTS = 3,
+    MAX_WAIT_S = 255
 };
 
 static struct robot_line line = {.fd = -1};
-static struct request doubtful[2]; /* ct and conf_ls, while nobody knows whether they were heard */
+static struct request unconfirmed[2]; /* ct and conf_ls without a reply: the robot may or may not have received them */
 
-/* Where a request that shapes states is kept while in doubt; NULL for the others. */
-static struct request *place_of(const struct request *request)
+/* Return the entry for a request that changes the layout of states; NULL for other requests. */
+static struct request *unconfirmed_slot(const struct request *request)
 {
     if (request->command == &nomad_commands[CMD_CT])
-        return &doubtful[0];
-    return request->command == &nomad_commands[CMD_CONF_LS] ? &doubtful[1] : NULL;
+        return &unconfirmed[0];
+    return request->command == &nomad_commands[CMD_CONF_LS] ? &unconfirmed[1] : NULL;
 }
 
-static enum answer shape(const struct request *request, struct reply *reply)
+/* Exchange a request that changes the layout of states, and remember it until the robot has replied. */
+static enum outcome exchange_layout(const struct request *request, struct reply *reply)
 {
-    struct terms before = line.terms;
-    struct request *place = place_of(request), asked = *request;
-    enum answer answer;
+    struct wire_state before = line.wire;
+    struct request *slot = unconfirmed_slot(request), sent = *request;
+    enum outcome outcome;
 
-    nomad_note_on_line(&asked, &line.terms);
-    answer = nomad_exchange(&line, &asked, reply);
-    if (answer == NOT_ACKNOWLEDGED)
-        line.terms = before;
-    if (answer == NO_ANSWER)
-        *place = asked;
+    nomad_update_serial_state(&sent, &line.wire);
+    outcome = nomad_serial_transact(&line, &sent, reply);
+    if (outcome == NOT_ACKNOWLEDGED)
+        line.wire = before;
+    if (outcome == NO_REPLY)
+        *slot = sent;
     else
-        place->command = NULL;
-    return answer;
+        slot->command = NULL;
+    return outcome;
 }
 
-static int settled(const struct request *request, struct reply *reply)
+/* Send unconfirmed layout requests again before any other command. Return 0 if one still has no reply. */
+static int confirm_layout(const struct request *request, struct reply *reply)
 {
     for (int k = 0; k < 2; k++)
-        if (line.fd >= 0 && doubtful[k].command && place_of(request) != &doubtful[k]
-            && shape(&doubtful[k], reply) == NO_ANSWER) {
-            nomad_complain("%s: held back, since %s before it was not answered", request->command->name,
-                           doubtful[k].command ? doubtful[k].command->name : "a command");
+        if (line.fd >= 0 && unconfirmed[k].command && unconfirmed_slot(request) != &unconfirmed[k]
+            && exchange_layout(&unconfirmed[k], reply) == NO_REPLY) {
+            nomad_report_error("%s: not sent, because the earlier %s has no reply", request->command->name,
+                               unconfirmed[k].command ? unconfirmed[k].command->name : "a command");
             return 0;
         }
     return line.fd >= 0;
 }
 
-static int is_refused(const struct command *command)
+static int report_unavailable(const struct command *command)
 {
     static const char *const NAMES[] = {"N200", "N150", "Scout"};
 
     if (command->line_type < 0)
-        nomad_complain("%s: exists only on an Nserver", command->name);
-    else if (!(command->models >> line.terms.model & 1))
-        nomad_complain("%s: a %s does not have it on its own line", command->name, NAMES[line.terms.model]);
+        nomad_report_error("%s: available only with an Nserver", command->name);
+    else if (!(command->models >> line.wire.model & 1))
+        nomad_report_error("%s: not available on the serial line of model %s", command->name, NAMES[line.wire.model]);
     else
         return 0;
     return 1;
 }
 
-static enum answer answer_plainly(const struct request *request, struct reply *reply)
+static enum outcome transact_checked(const struct request *request, struct reply *reply)
 {
-    if (is_refused(request->command) || !settled(request, reply))
-        return NO_ANSWER;
-    return place_of(request) ? shape(request, reply) : nomad_exchange(&line, request, reply);
+    if (report_unavailable(request->command) || !confirm_layout(request, reply))
+        return NO_REPLY;
+    return unconfirmed_slot(request) ? exchange_layout(request, reply) : nomad_serial_transact(&line, request, reply);
 }
 
-/* A wait longer than a byte can say, in pieces: until the axes named are still, or its time is over. */
-static enum answer wait_in_pieces(const struct request *request, struct reply *reply)
+/* Split a wait longer than one byte can express: until the given axes stand still or the time is over. */
+static enum outcome split_wait(const struct request *request, struct reply *reply)
 {
-    struct request piece = *request;
+    struct request part = *request;
     long left = request->args[3];
 
     for (;;) {
-        enum answer answer;
+        enum outcome outcome;
         long moving;
 
-        piece.args[3] = left < LONGEST_WAIT_S ? left : LONGEST_WAIT_S;
-        left -= piece.args[3];
-        answer = answer_plainly(&piece, reply);
+        part.args[3] = left < MAX_WAIT_S ? left : MAX_WAIT_S;
+        left -= part.args[3];
+        outcome = transact_checked(&part, reply);
         moving = (request->args[0] != 0) | (request->args[1] != 0) << 1 | (request->args[2] != 0) << 2;
-        if (answer != ANSWERED || left <= 0 || !(State[STATE_MOTOR_STATUS] & moving))
-            return answer;
+        if (outcome != REPLIED || left <= 0 || !(State[STATE_MOTOR_STATUS] & moving))
+            return outcome;
     }
 }
 
-static enum answer place_robot_by_halves(const struct request *request, struct reply *reply)
+static enum outcome place_robot_in_two_steps(const struct request *request, struct reply *reply)
 {
-    struct request half = *request;
-    enum answer answer;
+    struct request step = *request;
+    enum outcome outcome;
 
-    half.command = &nomad_commands[CMD_DP];
-    half.count = 2;
-    answer = answer_plainly(&half, reply);
-    if (answer != ANSWERED)
-        return answer;
-    half.command = &nomad_commands[CMD_DA];
-    memcpy(half.args, request->args + 2, 2 * sizeof *half.args);
-    return answer_plainly(&half, reply);
+    step.command = &nomad_commands[CMD_DP];
+    step.count = 2;
+    outcome = transact_checked(&step, reply);
+    if (outcome != REPLIED)
+        return outcome;
+    step.command = &nomad_commands[CMD_DA];
+    memcpy(step.args, request->args + 2, 2 * sizeof *step.args);
+    return transact_checked(&step, reply);
 }
 
-enum answer nomad_answer(const struct request *request, struct reply *reply)
+enum outcome nomad_transact(const struct request *request, struct reply *reply)
 {
     if (request->command == &nomad_commands[CMD_PLACE_ROBOT])
-        return place_robot_by_halves(request, reply);
+        return place_robot_in_two_steps(request, reply);
     if (request->command == &nomad_commands[CMD_WS])
-        return wait_in_pieces(request, reply);
-    return answer_plainly(request, reply);
+        return split_wait(request, reply);
+    return transact_checked(request, reply);
 }
 
 /* Connecting */
 
-/* The hello: b0 .. b4 of the mask | bit 0 = compass | bit 0 = laser, position-data bits x 2 | laser mode | 3 unread */
-static int adopt_hello(void)
+/* Handshake: bytes 0-4 of the mask | bit 0: compass | bit 0: laser, bits 1-5: position data | laser mode | 3 unused */
+static int read_handshake(void)
 {
-    unsigned char hello[HELLO_SIZE];
-    milliseconds deadline = nomad_now() + HELLO_MS;
+    unsigned char handshake[HANDSHAKE_SIZE];
+    milliseconds deadline = nomad_now() + HANDSHAKE_MS;
 
-    for (size_t held = 0; held < sizeof hello;) {
-        long got = nomad_receive(line.fd, hello + held, sizeof hello - held, deadline);
+    for (size_t held = 0; held < sizeof handshake;) {
+        long got = nomad_receive(line.fd, handshake + held, sizeof handshake - held, deadline);
         if (got <= 0) {
-            nomad_complain("connect_robot: a N200 says %d bytes first, and they did not come; is the robot of this "
-                           "model?", HELLO_SIZE);
+            nomad_report_error("connect_robot: the %d handshake bytes of an N200 did not arrive; is the robot of this "
+                               "model?",
+                               HANDSHAKE_SIZE);
             return 0;
         }
         held += (size_t)got;
     }
     for (int k = 0; k < 40; k++)
-        line.terms.mask[1 + k] = hello[k / 8] >> k % 8 & 1;
-    line.terms.mask[41] = 1;
-    line.terms.mask[SMASK_COMPASS] = hello[5] & 1;
-    line.terms.mask[SMASK_LASER] = hello[6] & 1;
-    line.terms.mask[SMASK_POS_DATA] = hello[6] >> 1 & POS_ALL;
-    line.terms.laser_mode = hello[7];
-    line.terms.laser_width = nomad_line_laser_width(hello[7]);
-    nomad_begin_holding(line.terms.mask);
+        line.wire.mask[1 + k] = handshake[k / 8] >> k % 8 & 1;
+    line.wire.mask[41] = 1;
+    line.wire.mask[SMASK_COMPASS] = handshake[5] & 1;
+    line.wire.mask[SMASK_LASER] = handshake[6] & 1;
+    line.wire.mask[SMASK_POS_DATA] = handshake[6] >> 1 & POS_ALL;
+    line.wire.laser_mode = handshake[7];
+    line.wire.laser_width = nomad_serial_laser_width(handshake[7]);
+    nomad_reset_client_state(line.wire.mask);
     return 1;
 }
 
-static int greet(const struct place *place)
+static int perform_handshake(const struct serial_config *config)
 {
-    if (place->model != MODEL_N200)
-        return 1; /* their mask is fixed and never sent */
-    if (!place->is_port)
-        return adopt_hello();
-    for (int k = 0; k < GREETINGS && line.fd >= 0; k++)
+    if (config->model != MODEL_N200)
+        return 1; /* the mask of the other models is fixed and never sent */
+    if (!config->is_device)
+        return read_handshake();
+    for (int k = 0; k < HANDSHAKE_ATTEMPTS && line.fd >= 0; k++)
         if (ct())
             return 1;
     return 0;
 }
 
-static void begin(const struct place *place)
+static void begin(const struct serial_config *config)
 {
-    const int *mask = place->model == MODEL_N200 ? nomad_everything : nomad_fixed_mask;
+    const int *mask = config->model == MODEL_N200 ? nomad_full_mask : nomad_fixed_mask;
 
-    line.terms.model = place->model;
-    memcpy(line.terms.mask, mask, sizeof line.terms.mask);
-    line.terms.laser_mode = DEFAULT_LASER_MODE;
-    line.terms.laser_width = PIXELS;
+    line.wire.model = config->model;
+    memcpy(line.wire.mask, mask, sizeof line.wire.mask);
+    line.wire.laser_mode = DEFAULT_LASER_MODE;
+    line.wire.laser_width = PIXELS;
     line.frames.held = 0;
-    memset(line.owed, 0, sizeof line.owed);
-    doubtful[0].command = doubtful[1].command = NULL;
-    nomad_begin_holding(mask);
+    memset(line.pending, 0, sizeof line.pending);
+    unconfirmed[0].command = unconfirmed[1].command = NULL;
+    nomad_reset_client_state(mask);
 }
 
-int nomad_connect(enum command_id how, long robot_id, va_list *more, int known)
+int nomad_connect(enum command_id how, long robot_id, va_list *extra, int has_end_marker)
 {
-    struct place place;
+    struct serial_config config;
 
     if (how != CMD_CONNECT_ROBOT) {
-        nomad_complain("%s: exists only on an Nserver", nomad_commands[how].name);
+        nomad_report_error("%s: available only with an Nserver", nomad_commands[how].name);
         return FALSE;
     }
     if (nomad_is_connected())
         nomad_disconnect(robot_id);
-    if (!nomad_place_from_arguments(&place, more, known))
+    if (!nomad_config_from_arguments(&config, extra, has_end_marker))
         return FALSE;
-    if (place.model < 0 || place.model > MODEL_SCOUT) {
-        nomad_complain("connect_robot: a model's number is 0 (N200), 1 (N150) or 2 (Scout), not %d", place.model);
+    if (config.model < 0 || config.model > MODEL_SCOUT) {
+        nomad_report_error("connect_robot: the model number must be 0 (N200), 1 (N150) or 2 (Scout), not %d",
+                           config.model);
         return FALSE;
     }
-    line.fd = place.is_port ? nomad_open_serial(place.name, place.number)
-                            : nomad_open_tcp(place.name, place.number, nomad_patience(OPEN_MS), 1);
+    line.fd = config.is_device ? nomad_open_serial(config.name, config.number)
+                               : nomad_open_tcp(config.name, config.number, nomad_reply_timeout(OPEN_MS), 1);
     if (line.fd < 0)
         return FALSE;
-    begin(&place);
-    if (greet(&place) && (!place.tm_s || conf_tm(place.tm_s)))
+    begin(&config);
+    if (perform_handshake(&config) && (!config.tm_s || conf_tm(config.tm_s)))
         return TRUE;
     nomad_close(&line.fd);
     return FALSE;
@@ -214,23 +219,20 @@ int nomad_disconnect(long robot_id)
     return TRUE;
 }
 
-int nomad_is_connected(void)
-{
-    return line.fd >= 0;
-}
+int nomad_is_connected(void) { return line.fd >= 0; }
 
-/* There is no server; what can be told is whether the line can be opened. */
+/* Without a server, return TRUE if the line can be opened. */
 int nomad_is_running(void)
 {
-    struct place place;
+    struct serial_config config;
     int found, running;
 
     if (nomad_is_connected())
         return TRUE;
-    if (!nomad_place_from_outside(&place))
+    if (!nomad_default_config(&config))
         return FALSE;
-    found = place.is_port ? nomad_open_serial(place.name, place.number)
-                          : nomad_open_tcp(place.name, place.number, nomad_patience(OPEN_MS), 0);
+    found = config.is_device ? nomad_open_serial(config.name, config.number)
+                             : nomad_open_tcp(config.name, config.number, nomad_reply_timeout(OPEN_MS), 0);
     running = found >= 0;
     nomad_close(&found);
     return running;

@@ -1,4 +1,4 @@
-/* What both languages share of masks and replies. */
+/* Masks and replies: the functions that both codecs share. */
 #include "message.h"
 
 #include <string.h>
@@ -11,7 +11,7 @@ void nomad_put_mask(const int mask[NUM_MASK], unsigned char bytes[5])
             bytes[k / 8] |= (unsigned char)(1u << k % 8);
 }
 
-void nomad_begin(struct reply *reply, enum shape shape)
+void nomad_reset_reply(struct reply *reply, enum shape shape)
 {
     memset(reply, 0, sizeof *reply);
     reply->shape = shape;
@@ -35,7 +35,7 @@ void nomad_add_to_laser(struct reply *reply, long number)
         reply->laser[reply->laser_size++] = (int)number;
 }
 
-/* More lines than Laser has room for are left out, and the count says how many there are. */
+/* Omit lines that do not fit into Laser; the count gives the lines stored. */
 void nomad_end_laser(struct reply *reply, long readings, int width)
 {
     long room = 2 * NUM_LASER / width;

@@ -1,9 +1,9 @@
-/* What goes between a program's call and the robot: a request, the terms both ends have agreed, and a reply.
+/* Requests, replies, and the wire state that determines the layout of replies.
  *
  *     call -> struct request -> bytes ... bytes -> struct reply -> State, Laser, the caller's buffers
  *
- * Rules: bytes are made and read by tcp_language.c and line_language.c, without a socket or a clock. A reply is read
- * whole or not at all: what does not fit to its last byte changes nothing that the program sees.
+ * tcp_codec.c and serial_codec.c encode and decode the bytes, without sockets or clocks. A reply is decoded completely
+ * or not at all: bytes that do not fit exactly change nothing that the program sees.
  */
 #ifndef NOMAD_MESSAGE_H
 #define NOMAD_MESSAGE_H
@@ -20,12 +20,12 @@ enum {
     PACKET_HEAD = 4,
     MAX_PACKET = 254,
     MAX_VALUES = 1024,
-    STAMPS = 35,           /* 16 infrared, 16 sonar, bumper, laser, compass */
+    STAMPS = 35, /* 16 infrared, 16 sonar, bumper, laser, compass */
     STAMP_SONAR = 16,
     STAMP_BUMPER = 32,
     STAMP_LASER = 33,
     STAMP_COMPASS = 34,
-    POINTS = 2,            /* numbers of a laser reading, by its kind */
+    POINTS = 2, /* numbers per laser reading, by kind of reading */
     LINES = 4,
     PIXELS = 1,
     DEFAULT_LASER_MODE = 51
@@ -35,18 +35,18 @@ struct request {
     const struct command *command;
     long args[MAX_ARGS];
     int count;
-    const char *text;             /* T */
-    const unsigned char *packet;  /* P */
+    const char *text;            /* T */
+    const unsigned char *packet; /* P */
     size_t packet_size;
-    int mask[NUM_MASK];           /* M */
+    int mask[NUM_MASK]; /* M */
 };
 
-/* What shapes the replies of a conversation. */
-struct terms {
+/* Settings that determine the layout of the replies of a session. */
+struct wire_state {
     int model;
     int mask[NUM_MASK];
     int laser_mode;
-    int laser_width; /* numbers a reading in a state reply */
+    int laser_width; /* numbers per laser reading in a state reply */
 };
 
 struct reply {
@@ -54,39 +54,39 @@ struct reply {
     long slots[NUM_STATE];
     unsigned char has_slot[NUM_STATE];
     int laser[2 * NUM_LASER + 1];
-    int laser_size;                    /* numbers in it; 0: the reply has none */
+    int laser_size; /* numbers in `laser`; 0: the reply has no laser data */
     PosData stamps[STAMPS];
     unsigned char has_stamp[STAMPS];
     int has_clock, has_volts;
     uint32_t clock_ms;
-    int volts[2];                      /* raw bytes: CPU, motors */
+    int volts[2]; /* raw bytes: CPU, motors */
     long values[MAX_VALUES];
     int count;
 };
 
-/* Bytes of a request; 0 where it cannot be said. */
-size_t nomad_tcp_request(const struct request *request, unsigned char *bytes, size_t size);
-size_t nomad_line_request(const struct request *request, unsigned char *bytes, size_t size);
+/* Encode a request. Return its size in bytes, or 0 if it does not fit into a message. */
+size_t nomad_encode_tcp_request(const struct request *request, unsigned char *bytes, size_t size);
+size_t nomad_encode_serial_request(const struct request *request, unsigned char *bytes, size_t size);
 
-/* A reply out of its bytes, without head and checksum; 0 where it is none of this shape. */
-int nomad_read_tcp_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct terms *terms,
-                         struct reply *reply);
-int nomad_read_line_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct terms *terms,
-                          struct reply *reply);
+/* Decode a reply from its data, without header and checksum. Return 0 if it does not have this shape. */
+int nomad_decode_tcp_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct wire_state *wire,
+                           struct reply *reply);
+int nomad_decode_serial_reply(enum shape shape, const unsigned char *bytes, size_t size, const struct wire_state *wire,
+                              struct reply *reply);
 
-/* What a request changes for the replies that follow it. */
-void nomad_note_on_tcp(const struct request *request, struct terms *terms);
-void nomad_note_on_line(const struct request *request, struct terms *terms);
+/* Apply the changes that a request makes to the layout of later replies. */
+void nomad_update_tcp_state(const struct request *request, struct wire_state *wire);
+void nomad_update_serial_state(const struct request *request, struct wire_state *wire);
 int nomad_tcp_laser_width(int mode);
-int nomad_line_laser_width(int mode);
+int nomad_serial_laser_width(int mode);
 
-/* The mask in bytes: b0 .. b4 hold Smask[1..40], lowest bit first. */
+/* Pack Smask[1..40] into five bytes, lowest bit first. */
 void nomad_put_mask(const int mask[NUM_MASK], unsigned char bytes[5]);
 
-/* For both readers. */
-void nomad_begin(struct reply *reply, enum shape shape);
+/* Shared by both decoders. */
+void nomad_reset_reply(struct reply *reply, enum shape shape);
 void nomad_set_slot(struct reply *reply, int slot, long value);
-int nomad_begin_laser(struct reply *reply, long readings); /* 0: no laser sends so many */
+int nomad_begin_laser(struct reply *reply, long readings); /* 0: more than a laser can send */
 void nomad_add_to_laser(struct reply *reply, long number);
 void nomad_end_laser(struct reply *reply, long readings, int width);
 

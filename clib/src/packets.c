@@ -1,6 +1,7 @@
-/* Speech, user packets, the arm. A packet: length, 2 bytes low first, its head included | serial | type | data */
-#include "complain.h"
-#include "conversation.h"
+/* Speech, user packets and the arm. A packet: length (2 bytes, low byte first, including the header) | serial | type |
+ * data */
+#include "error.h"
+#include "session.h"
 
 #include <string.h>
 
@@ -11,12 +12,12 @@ int tk(char *talk)
     struct request request = {0};
 
     if (strlen(talk) > MAX_TEXT) {
-        nomad_complain("tk: a text has at most %d characters", MAX_TEXT);
+        nomad_report_error("tk: the text may have at most %d characters", MAX_TEXT);
         return FALSE;
     }
     request.command = &nomad_commands[CMD_TK];
     request.text = talk;
-    return nomad_ask(&request) != NULL;
+    return nomad_request(&request) != NULL;
 }
 
 static const struct reply *send_packet(enum command_id id, const unsigned char *packet, size_t size)
@@ -26,7 +27,7 @@ static const struct reply *send_packet(enum command_id id, const unsigned char *
     request.command = &nomad_commands[id];
     request.packet = packet;
     request.packet_size = size;
-    return nomad_ask(&request);
+    return nomad_request(&request);
 }
 
 int special_request(unsigned char *user_send_buffer, unsigned char *user_receive_buffer)
@@ -36,19 +37,19 @@ int special_request(unsigned char *user_send_buffer, unsigned char *user_receive
     const struct reply *reply;
 
     if (size < PACKET_HEAD || size > MAX_PACKET) {
-        nomad_complain("special_request: a packet has %d to %d bytes, not %lu", PACKET_HEAD, MAX_PACKET,
-                       (unsigned long)size);
+        nomad_report_error("special_request: a packet must have %d to %d bytes, not %lu", PACKET_HEAD, MAX_PACKET,
+                           (unsigned long)size);
         return FALSE;
     }
     memcpy(packet, user_send_buffer, size);
-    packet[2] = 0; /* the serial: clients send 0 */
+    packet[2] = 0; /* serial number: clients send 0 */
     reply = send_packet(CMD_SPECIAL_REQUEST, packet, size);
     for (int k = 0; reply && k < reply->count; k++)
         user_receive_buffer[k] = (unsigned char)reply->values[k];
     return reply != NULL;
 }
 
-/* The result of the arm's packet, 0 where it failed; `rest`: what of a timeout is left. */
+/* Send an arm packet. Return its result, or 0 if it failed; `rest` receives the remaining time of a wait. */
 static int arm(enum command_id id, const long *numbers, long *rest)
 {
     const struct command *command = &nomad_commands[id];

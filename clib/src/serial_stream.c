@@ -1,9 +1,9 @@
-/* Opening a serial port: 8 bits, no parity, one stop bit, no flow control, nothing translated.
+/* Opens a serial port: 8 data bits, no parity, one stop bit, no flow control, no translation.
  *
- * Rules: one program at a time (flock, as the Python side and other serial programs do); a port that another program
- * has is left as it is.
+ * The port is locked with flock, as the Python package and other serial programs do. The settings of a port that
+ * another program has locked are not changed.
  */
-#include "complain.h"
+#include "error.h"
 #include "stream.h"
 
 #include <errno.h>
@@ -30,16 +30,16 @@ static int find_speed(int baud, speed_t *speed)
     return 0;
 }
 
-static int set_up(int fd, speed_t speed)
+static int configure(int fd, speed_t speed)
 {
     struct termios port;
 
     if (tcgetattr(fd, &port) != 0)
         return 0;
-    port.c_iflag &= (tcflag_t)~(IGNBRK | BRKINT | PARMRK | ISTRIP | INLCR | IGNCR | ICRNL | IXON | IXOFF | INPCK);
+    port.c_iflag &= (tcflag_t) ~(IGNBRK | BRKINT | PARMRK | ISTRIP | INLCR | IGNCR | ICRNL | IXON | IXOFF | INPCK);
     port.c_oflag &= (tcflag_t)~OPOST;
-    port.c_lflag &= (tcflag_t)~(ECHO | ECHONL | ICANON | ISIG | IEXTEN);
-    port.c_cflag &= (tcflag_t)~(CSIZE | PARENB | CSTOPB | CRTSCTS);
+    port.c_lflag &= (tcflag_t) ~(ECHO | ECHONL | ICANON | ISIG | IEXTEN);
+    port.c_cflag &= (tcflag_t) ~(CSIZE | PARENB | CSTOPB | CRTSCTS);
     port.c_cflag |= CS8 | CLOCAL | CREAD;
     port.c_cc[VMIN] = 1;
     port.c_cc[VTIME] = 0;
@@ -47,13 +47,13 @@ static int set_up(int fd, speed_t speed)
            && tcflush(fd, TCIOFLUSH) == 0;
 }
 
-static void complain_of(const char *device, int error)
+static void report_open_error(const char *device, int error)
 {
     if (error == EWOULDBLOCK || error == EBUSY)
-        nomad_complain("%s is in use by another program; one program at a time can talk to a robot", device);
+        nomad_report_error("%s is in use by another program; only one program at a time can use a robot", device);
     else
-        nomad_complain("%s cannot be opened as a serial port (%s)%s", device, strerror(error),
-                       error == EACCES ? "; are you in the group dialout?" : "");
+        nomad_report_error("%s cannot be opened as a serial port (%s)%s", device, strerror(error),
+                           error == EACCES ? "; is your user in the group dialout?" : "");
 }
 
 int nomad_open_serial(const char *device, int baud)
@@ -62,13 +62,14 @@ int nomad_open_serial(const char *device, int baud)
     int fd;
 
     if (!find_speed(baud, &speed)) {
-        nomad_complain("%d is no speed of a serial port; robots leave the works at 38400", baud);
+        nomad_report_error("%d is not a valid baud rate; the factory setting of robots is 38400", baud);
         return -1;
     }
     fd = open(device, O_RDWR | O_NOCTTY | O_NONBLOCK | O_CLOEXEC);
-    /* the lock first: setting up would change the speed, and empty the line, of a program that drives */
-    if (fd < 0 || flock(fd, LOCK_EX | LOCK_NB) != 0 || !set_up(fd, speed)) {
-        complain_of(device, errno);
+    /* Lock before configuring: configuring would change the speed and discard the input of a program that uses the
+     * port. */
+    if (fd < 0 || flock(fd, LOCK_EX | LOCK_NB) != 0 || !configure(fd, speed)) {
+        report_open_error(device, errno);
         nomad_close(&fd);
     }
     return fd;

@@ -1,4 +1,4 @@
-/* Bytes over any descriptor: waiting, sending, receiving. */
+/* Waits, sends and receives on a file descriptor of any kind. */
 #include "stream.h"
 
 #include <errno.h>
@@ -8,7 +8,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { FLUSHES = 64 };
+enum { MAX_FLUSH_READS = 64 };
 
 milliseconds nomad_now(void)
 {
@@ -18,7 +18,7 @@ milliseconds nomad_now(void)
     return (milliseconds)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-/* Until the descriptor is ready for these events: 1, SILENT at the deadline, LOST. */
+/* Wait until the descriptor is ready for these events: 1, TIMED_OUT at the deadline, or DISCONNECTED. */
 static int wait_for(int fd, short events, milliseconds deadline)
 {
     for (;;) {
@@ -29,16 +29,13 @@ static int wait_for(int fd, short events, milliseconds deadline)
         if (ready > 0)
             return 1;
         if (ready < 0 && errno != EINTR)
-            return LOST;
+            return DISCONNECTED;
         if (nomad_now() >= deadline)
-            return SILENT;
+            return TIMED_OUT;
     }
 }
 
-static int is_for_later(void)
-{
-    return errno == EINTR || errno == EAGAIN || errno == EWOULDBLOCK;
-}
+static int is_temporary_error(void) { return errno == EINTR || errno == EAGAIN || errno == EWOULDBLOCK; }
 
 int nomad_send(int fd, const unsigned char *bytes, size_t size, milliseconds deadline)
 {
@@ -50,8 +47,8 @@ int nomad_send(int fd, const unsigned char *bytes, size_t size, milliseconds dea
         if (sent > 0) {
             bytes += sent;
             size -= (size_t)sent;
-        } else if (!is_for_later() || wait_for(fd, POLLOUT, deadline) != 1) {
-            return LOST;
+        } else if (!is_temporary_error() || wait_for(fd, POLLOUT, deadline) != 1) {
+            return DISCONNECTED;
         }
     }
     return 1;
@@ -68,18 +65,18 @@ long nomad_receive(int fd, unsigned char *bytes, size_t size, milliseconds deadl
         got = read(fd, bytes, size);
         if (got > 0)
             return (long)got;
-        if (got == 0 || !is_for_later())
-            return LOST;
+        if (got == 0 || !is_temporary_error())
+            return DISCONNECTED;
     }
 }
 
 void nomad_flush(int fd)
 {
-    unsigned char rubbish[512];
+    unsigned char discarded[512];
 
     if (tcflush(fd, TCIFLUSH) == 0)
         return;
-    for (int k = 0; k < FLUSHES && nomad_receive(fd, rubbish, sizeof rubbish, nomad_now()) > 0; k++)
+    for (int k = 0; k < MAX_FLUSH_READS && nomad_receive(fd, discarded, sizeof discarded, nomad_now()) > 0; k++)
         ;
 }
 

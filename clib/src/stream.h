@@ -1,7 +1,7 @@
-/* How bytes move: a TCP connection or a serial port, as a file descriptor that never blocks.
+/* Byte streams: a TCP connection or a serial port as a non-blocking file descriptor.
  *
- * Rules: every wait has a deadline of the monotonic clock; signals interrupt nothing; a peer that is gone is an error
- * that is said, never a SIGPIPE. Nothing here knows what the bytes mean.
+ * Every wait has a deadline on the monotonic clock and continues after signals. Writing to a closed connection is an
+ * error and raises no SIGPIPE.
  */
 #ifndef NOMAD_STREAM_H
 #define NOMAD_STREAM_H
@@ -10,22 +10,23 @@
 
 typedef long long milliseconds;
 
-enum { LOST = -1, SILENT = 0 };
+enum { DISCONNECTED = -1, TIMED_OUT = 0 };
 
 milliseconds nomad_now(void);
 
-/* A descriptor, or -1 and a complaint if `aloud`. `host` may bring its own port: lab:7654 or [::1]:7654. */
-int nomad_open_tcp(const char *host, int port, milliseconds patience, int aloud);
+/* Return a descriptor, or -1 (with an error report if `report_errors`). `host` may include a port: lab:7654,
+ * [::1]:7654. */
+int nomad_open_tcp(const char *host, int port, milliseconds reply_timeout, int report_errors);
 int nomad_open_serial(const char *device, int baud);
 void nomad_close(int *fd);
 
-/* All of it: 1, or LOST. */
+/* Send all bytes: 1, or DISCONNECTED. */
 int nomad_send(int fd, const unsigned char *bytes, size_t size, milliseconds deadline);
 
-/* What has come, at most `size`: its size, SILENT at the deadline, or LOST. */
+/* Receive at most `size` bytes. Return their number, TIMED_OUT at the deadline, or DISCONNECTED. */
 long nomad_receive(int fd, unsigned char *bytes, size_t size, milliseconds deadline);
 
-/* Throw away what has come and was not read. */
+/* Discard received bytes that were not read. */
 void nomad_flush(int fd);
 
 #endif

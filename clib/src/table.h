@@ -1,8 +1,8 @@
-/* The table of commands, as C sees it. The rows are in commands.inc, made from the project's one table.
+/* The table of commands. scripts/clib-table generates its rows, commands.inc, from the project's Python table.
  *
- * A letter an argument:  w word of TCP · f flag, 0 or 1 · s u signed, unsigned of two bytes · b byte
- *                        h history of the infrareds · m laser mode · L four bytes, in the arm's packets
- * or one for all:        M the mask · T a text · P a packet of bytes · * words, as many as there are
+ * One letter per argument:  w TCP word · f flag, 0 or 1 · s, u signed, unsigned, two bytes · b byte
+ *                           h infrared history · m laser mode · L four bytes, in packets of the arm
+ * or one letter for all:    M the mask · T a text · P a packet of bytes · * any number of words
  */
 #ifndef NOMAD_TABLE_H
 #define NOMAD_TABLE_H
@@ -15,14 +15,14 @@ enum shape {
     SHAPE_COMPASS,
     SHAPE_LASER,
     SHAPE_SEGMENTS,
-    SHAPE_POSE,        /* get_rc: State[34..37] */
-    SHAPE_VELOCITY,    /* State[38..40] */
-    SHAPE_PREDICTION,  /* 44 numbers and a laser block; held nowhere */
-    SHAPE_SIMPLE,      /* from here: numbers that are no State */
-    SHAPE_LIST,        /* n and what it counts */
+    SHAPE_POSE,       /* get_rc: State[34..37] */
+    SHAPE_VELOCITY,   /* State[38..40] */
+    SHAPE_PREDICTION, /* 44 numbers and a laser block; not stored in State */
+    SHAPE_SIMPLE,     /* from here on: numbers that do not belong to State */
+    SHAPE_LIST,       /* n, then the elements */
     SHAPE_COLLISION,
     SHAPE_CLICKED,
-    SHAPE_SPECIAL,     /* bytes */
+    SHAPE_SPECIAL, /* bytes */
     SHAPE_TRUTH,
     SHAPE_CONTROL,
     SHAPE_CALIBRATION, /* three scores of the compass */
@@ -38,12 +38,12 @@ enum command_id {
 
 struct command {
     const char *name;
-    int tcp_type, line_type;        /* -1: does not exist there */
+    int tcp_type, line_type; /* -1: not available there */
     const char *tcp_args, *line_args;
     enum shape tcp_reply, line_reply;
-    unsigned models;                /* bit n: the line of model number n has it */
+    unsigned models; /* bit n: available on the line of model n */
     int line_timeout_s;
-    int packet_type;                /* of the arm's packets, else -1 */
+    int packet_type; /* for packets of the arm, else -1 */
     const char *packet_data;
 };
 

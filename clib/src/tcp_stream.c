@@ -1,5 +1,5 @@
-/* Connecting over TCP. */
-#include "complain.h"
+/* Opens TCP connections. */
+#include "error.h"
 #include "stream.h"
 
 #include <errno.h>
@@ -14,26 +14,26 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-enum { LAST_PORT = 65535 };
+enum { MAX_PORT = 65535 };
 
-/* Where the port begins in "lab:7654" and "[::1]:7654"; NULL where none is brought: a bare IPv6 address has colons of
- * its own. */
-static const char *port_in(const char *given)
+/* Return the start of the port in "lab:7654" or "[::1]:7654"; NULL if there is none. Several colons without brackets
+ * are an IPv6 address without a port. */
+static const char *find_port(const char *given)
 {
     const char *colon = strrchr(given, ':');
 
     return colon && colon[1] != '\0' && (strchr(given, ':') == colon || colon[-1] == ']') ? colon + 1 : NULL;
 }
 
-/* 0, and a complaint if `aloud`, for what is none: the system would take 72555 for 7019. */
-static int port_of(const char *given, const char *digits, int aloud)
+/* Return the port, or 0 if it is invalid: the system would silently use 72555 modulo 65536. */
+static int parse_port(const char *given, const char *digits, int report_errors)
 {
     long port = digits[strspn(digits, "0123456789")] == '\0' ? strtol(digits, NULL, 10) : 0;
 
-    if (port >= 1 && port <= LAST_PORT)
+    if (port >= 1 && port <= MAX_PORT)
         return (int)port;
-    if (aloud)
-        nomad_complain("%s: a port is 1 to %d, not %s", given, LAST_PORT, digits);
+    if (report_errors)
+        nomad_report_error("%s: the port must be 1 to %d, not %s", given, MAX_PORT, digits);
     return 0;
 }
 
@@ -48,8 +48,8 @@ static void copy_host(char *host, size_t size, const char *given, const char *po
     snprintf(host, size, "%.*s", (int)length, given);
 }
 
-/* 0, or the errno that says why not. */
-static int join(int fd, const struct addrinfo *at, milliseconds deadline)
+/* Wait for a connection. Return 0, or an errno value. */
+static int wait_for_connection(int fd, const struct addrinfo *at, milliseconds deadline)
 {
     int error = 0;
     socklen_t size = sizeof error;
@@ -72,7 +72,7 @@ static int join(int fd, const struct addrinfo *at, milliseconds deadline)
     }
 }
 
-static int opened(const struct addrinfo *at, milliseconds deadline, int *error)
+static int open_socket(const struct addrinfo *at, milliseconds deadline, int *error)
 {
     int fd = socket(at->ai_family, at->ai_socktype, at->ai_protocol), on = 1;
 
@@ -82,7 +82,7 @@ static int opened(const struct addrinfo *at, milliseconds deadline, int *error)
     }
     fcntl(fd, F_SETFD, FD_CLOEXEC);
     fcntl(fd, F_SETFL, O_NONBLOCK);
-    *error = join(fd, at, deadline);
+    *error = wait_for_connection(fd, at, deadline);
     if (*error == 0)
         setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
     else
@@ -90,15 +90,15 @@ static int opened(const struct addrinfo *at, milliseconds deadline, int *error)
     return fd;
 }
 
-int nomad_open_tcp(const char *given, int port, milliseconds patience, int aloud)
+int nomad_open_tcp(const char *given, int port, milliseconds reply_timeout, int report_errors)
 {
     struct addrinfo wanted, *found = NULL;
-    const char *brought = port_in(given);
+    const char *brought = find_port(given);
     char host[256], service[16];
     int fd = -1, error = 0, unknown;
 
     snprintf(service, sizeof service, "%d", port);
-    port = port_of(given, brought ? brought : service, aloud);
+    port = parse_port(given, brought ? brought : service, report_errors);
     if (port == 0)
         return -1;
     snprintf(service, sizeof service, "%d", port);
@@ -107,15 +107,15 @@ int nomad_open_tcp(const char *given, int port, milliseconds patience, int aloud
     wanted.ai_socktype = SOCK_STREAM;
     unknown = getaddrinfo(host, service, &wanted, &found);
     if (unknown) {
-        if (aloud)
-            nomad_complain("there is no host %s (%s); is its name right, and this machine on its network?", host,
-                           gai_strerror(unknown));
+        if (report_errors)
+            nomad_report_error("unknown host %s (%s); check the name and the network connection", host,
+                               gai_strerror(unknown));
         return -1;
     }
     for (const struct addrinfo *at = found; at && fd < 0; at = at->ai_next)
-        fd = opened(at, nomad_now() + patience, &error);
+        fd = open_socket(at, nomad_now() + reply_timeout, &error);
     freeaddrinfo(found);
-    if (fd < 0 && aloud)
-        nomad_complain("nobody answers at %s:%d (%s); is nserver running there?", host, port, strerror(error));
+    if (fd < 0 && report_errors)
+        nomad_report_error("cannot connect to %s:%d (%s); is nserver running there?", host, port, strerror(error));
     return fd;
 }

@@ -1,4 +1,4 @@
-/* Numbers to bytes and back. */
+/* Converts numbers to bytes and back. */
 #include "wire.h"
 
 struct writer nomad_writer(unsigned char *bytes, size_t size)
@@ -13,10 +13,7 @@ struct reader nomad_reader(const unsigned char *bytes, size_t size)
     return from;
 }
 
-size_t nomad_left(const struct reader *from)
-{
-    return (size_t)(from->end - from->at);
-}
+size_t nomad_remaining(const struct reader *from) { return (size_t)(from->end - from->at); }
 
 static void put(struct writer *to, uint32_t number, int count, int high_first)
 {
@@ -41,67 +38,37 @@ static uint32_t get(struct reader *from, int count, int high_first)
     return number;
 }
 
-static long within(long number, long least, long most)
-{
-    return number < least ? least : number > most ? most : number;
-}
+static long clamp(long number, long min, long max) { return number < min ? min : number > max ? max : number; }
 
-/* Two's complement by arithmetic alone: a cast would leave the answer to the compiler. */
+/* Two's complement by arithmetic: the result of a cast would be implementation-defined. */
 int32_t nomad_signed_word(uint32_t bits)
 {
     return bits < 0x80000000u ? (int32_t)bits : -(int32_t)(0xFFFFFFFFu - bits) - 1;
 }
 
-void nomad_put_word(struct writer *to, long number)
-{
-    put(to, (uint32_t)within(number, INT32_MIN, INT32_MAX), 4, 1);
-}
+void nomad_put_word(struct writer *to, long number) { put(to, (uint32_t)clamp(number, INT32_MIN, INT32_MAX), 4, 1); }
 
-void nomad_put_short_high_first(struct writer *to, unsigned number)
-{
-    put(to, number, 2, 1);
-}
+void nomad_put_uint16_be(struct writer *to, unsigned number) { put(to, number, 2, 1); }
 
-uint32_t nomad_get_unsigned_word(struct reader *from)
-{
-    return get(from, 4, 1);
-}
+uint32_t nomad_get_unsigned_word(struct reader *from) { return get(from, 4, 1); }
 
-int32_t nomad_get_word(struct reader *from)
-{
-    return nomad_signed_word(get(from, 4, 1));
-}
+int32_t nomad_get_word(struct reader *from) { return nomad_signed_word(get(from, 4, 1)); }
 
-void nomad_put_byte(struct writer *to, long number)
-{
-    put(to, (uint32_t)within(number, 0, 0xFF), 1, 0);
-}
+void nomad_put_byte(struct writer *to, long number) { put(to, (uint32_t)clamp(number, 0, 0xFF), 1, 0); }
 
-void nomad_put_unsigned(struct writer *to, long number)
-{
-    put(to, (uint32_t)within(number, 0, 0xFFFF), 2, 0);
-}
+void nomad_put_unsigned(struct writer *to, long number) { put(to, (uint32_t)clamp(number, 0, 0xFFFF), 2, 0); }
 
 void nomad_put_signed(struct writer *to, long number)
 {
-    long bounded = within(number, -0x7FFF, 0x7FFF);
+    long bounded = clamp(number, -0x7FFF, 0x7FFF);
     put(to, bounded < 0 ? 0x8000u + (uint32_t)-bounded : (uint32_t)bounded, 2, 0);
 }
 
-void nomad_put_four_bytes(struct writer *to, uint32_t number)
-{
-    put(to, number, 4, 0);
-}
+void nomad_put_four_bytes(struct writer *to, uint32_t number) { put(to, number, 4, 0); }
 
-int nomad_get_byte(struct reader *from)
-{
-    return (int)get(from, 1, 0);
-}
+int nomad_get_byte(struct reader *from) { return (int)get(from, 1, 0); }
 
-uint32_t nomad_get_bytes(struct reader *from, int count)
-{
-    return get(from, count, 0);
-}
+uint32_t nomad_get_bytes(struct reader *from, int count) { return get(from, count, 0); }
 
 int32_t nomad_get_signed(struct reader *from, int count)
 {

@@ -1,10 +1,10 @@
-/* Numbers to bytes and back: the one place that knows how either language writes them.
+/* Converts numbers to bytes and back, for both protocols.
  *
- *     over TCP       words of 32 bits, high byte first, two's complement
- *     on the line    1, 2 or 4 bytes, low byte first; signed numbers are sign-magnitude, -50 is 32 80
+ *     TCP       32-bit words, high byte first, two's complement
+ *     serial    1, 2 or 4 bytes, low byte first; signed numbers are sign-magnitude: -50 is 32 80
  *
- * Rules: bytes are taken and put one by one, so that neither the size of a long nor the order of its bytes matters.
- * A writer or reader that runs over its end does nothing more and says so in `failed`; reads then give 0.
+ * Bytes are read and written one by one, so that neither the size nor the byte order of a long matters. A reader or
+ * writer that reaches its end sets `failed` and does nothing more; reads then return 0.
  */
 #ifndef NOMAD_WIRE_H
 #define NOMAD_WIRE_H
@@ -24,15 +24,15 @@ struct reader {
 
 struct writer nomad_writer(unsigned char *bytes, size_t size);
 struct reader nomad_reader(const unsigned char *bytes, size_t size);
-size_t nomad_left(const struct reader *from);
+size_t nomad_remaining(const struct reader *from);
 
-/* TCP. A long beyond 32 bits is brought to the nearest that a word holds. */
+/* TCP. A long beyond 32 bits is clamped to the range of a word. */
 void nomad_put_word(struct writer *to, long number);
-void nomad_put_short_high_first(struct writer *to, unsigned number);
+void nomad_put_uint16_be(struct writer *to, unsigned number);
 int32_t nomad_get_word(struct reader *from);
 uint32_t nomad_get_unsigned_word(struct reader *from);
 
-/* The line. Numbers are brought to the nearest that the bytes hold. */
+/* Serial. Numbers are clamped to the range of the bytes. */
 void nomad_put_byte(struct writer *to, long number);
 void nomad_put_unsigned(struct writer *to, long number);
 void nomad_put_signed(struct writer *to, long number);

@@ -8,9 +8,9 @@ from math import degrees
 import numpy as np
 
 from localization.calibration.precision import numbers
-from localization.estimation.belief import Belief
-from localization.estimation.systematic import Constant
-from localization.filters.calibrating import OFFSET, OWN, RING_TURN, SIZE
+from localization.filters.belief import Belief
+from localization.filters.calibration import OFFSET, OWN, RING_TURN, SIZE
+from localization.filters.odometry import Constant
 from worlds.calibration import Calibration, Spread
 
 

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 from localization.calibration.square import Driver
 from localization.driving.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command, standing_after
-from localization.filters.method import Filter
-from localization.filters.surroundings import Surroundings
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Filter, Surroundings
 from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState

@@ -19,13 +19,13 @@ from typing import NamedTuple
 from localization.command_line import resuming
 from localization.command_line.readers import UNKNOWN, constants, noise, positive, stds
 from localization.driving.navigation import Speeds
-from localization.estimation.belief import Belief, independent
-from localization.estimation.systematic import with_constants
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
-from localization.filters.table import METHODS
-from localization.live.calibrated import with_wheels
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.base import THESIS_ODOMETRY, Surroundings
+from localization.filters.belief import Belief, independent
+from localization.filters.odometry import with_constants
+from localization.filters.registry import METHODS
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.live.sensor_input import with_wheels
 from localization.taken.sonars import Taken, taken
 from nclient import Robot, RobotState
 from worlds.bodies import BODIES

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from localization.estimation.belief import Belief
-from localization.estimation.systematic import LARGEST, POSE, with_constants
-from localization.filters.watch import Trust
+from localization.filters.belief import Belief
+from localization.filters.health import Trust
+from localization.filters.odometry import LARGEST, POSE, with_constants
 from localization.keeping import kept_file
 from localization.keeping.kept import Kept, Moved, resumed, site_of
 from localization.live.localizer import Estimate
-from localization.live.odometry import EncoderPose
+from localization.live.sensor_input import EncoderPose
 from localization.runs.run import Run
 from nclient.errors import EstimateFileError
 from nclient.robot_state import RobotState

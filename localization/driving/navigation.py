@@ -19,13 +19,12 @@ from localization.driving.control import Gains, distance_to, next_step
 from localization.driving.groping import Groping
 from localization.driving.pace import Pace
 from localization.driving.steadying import SteadyPose
-from localization.estimation.belief import Belief, Floats
-from localization.filters.method import Filter
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import DEFAULT_METHOD
-from localization.filters.watch import Trust
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Filter, Surroundings
+from localization.filters.belief import Belief, Floats
+from localization.filters.health import Trust
+from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
 from nclient.errors import NomadError
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot

@@ -19,11 +19,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Belief, Floats, add, difference
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.systematic import step_jacobians
-from localization.filters.hearing import Hearing
-from localization.filters.kalman import KalmanFilter
+from localization.filters.belief import Belief, Floats, add, difference
+from localization.filters.ekf import KalmanFilter
+from localization.filters.odometry import OdometryNoise, step_jacobians
+from localization.filters.update import Hearing
 
 LAG: Final = 32
 """Two rings of sixteen: some two seconds."""

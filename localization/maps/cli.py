@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from localization.command_line.readers import check_writable, noise, positive
-from localization.estimation.belief import Floats
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.filters.base import THESIS_ODOMETRY, Surroundings
+from localization.filters.belief import Floats
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import WIRE_SONAR
 from localization.maps.weakness import Weakness, weakness
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
 from nclient.errors import WorldFileError
 from nclient.exit_codes import ExitCode
 from nclient.unwritable import unwritable

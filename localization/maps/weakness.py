@@ -22,12 +22,13 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.estimation.belief import HEADING, Floats
-from localization.estimation.motion import OdometryNoise, step_jacobian, step_variance
-from localization.filters.surroundings import Surroundings
-from localization.sonar.cone import ConeModel, Ear, cone_returns
-from localization.sonar.gating import STRICT
-from localization.sonar.measurement import (
+from localization.filters.base import Surroundings
+from localization.filters.belief import HEADING, Floats
+from localization.filters.odometry import OdometryNoise, step_jacobian, step_variance
+from localization.filters.reflectors import Reflectors, reflectors
+from localization.filters.sonar_cone import ConeModel, Ear, cone_returns
+from localization.filters.sonar_ray import (
+    STRICT,
     SonarModel,
     SonarRing,
     WallMap,
@@ -38,7 +39,6 @@ from localization.sonar.measurement import (
     sight,
     wall_map,
 )
-from localization.sonar.reflectors import Reflectors, reflectors
 from worlds.bodies import SONARS
 
 HEADINGS: Final = 4

@@ -17,9 +17,9 @@ import numpy as np
 
 from localization.driving.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
 from localization.driving.pace import Pace
-from localization.estimation.belief import Belief, Floats
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import DEFAULT_METHOD
+from localization.filters.base import Surroundings
+from localization.filters.belief import Belief, Floats
+from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
 from localization.planning.following import STAND, Velocities
 from localization.planning.hearing import spared, take_in

@@ -12,7 +12,7 @@ from typing import Final
 
 from localization.driving.groping import DRIVE_IN_S, Groping
 from localization.driving.navigation import PERIOD_S
-from localization.filters.watch import Trust
+from localization.filters.health import Trust
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm
 from localization.missions.settings import OnLost, Settings

@@ -22,8 +22,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
-from localization.filters.watch import Trust
+from localization.filters.belief import Floats
+from localization.filters.health import Trust
 from localization.missions.arguments import check, points
 from localization.missions.failures import INTERRUPTED, MissionOver, StepFailed, ending_of
 from localization.missions.helm import Helm, Sight

@@ -16,9 +16,9 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.watch import Trust
+from localization.filters.health import Trust
 from localization.live.localizer import Estimate
-from localization.live.told import Told, retold
+from localization.live.sensor_input import Told, retold
 from localization.planning.unmapped import NEAREST_IN, Unmapped
 from nclient.robot_state import RobotState
 

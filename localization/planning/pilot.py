@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
-from localization.filters.watch import Trust
+from localization.filters.belief import Floats
+from localization.filters.health import Trust
 from localization.live.localizer import Estimate
 from localization.planning.caution import allowed_share
 from localization.planning.circles import room

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats, add, difference
-from localization.estimation.observation import Refusal
-from localization.filters.watch import Trust
+from localization.filters.belief import Floats, add, difference
+from localization.filters.health import Trust
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.live.odometry import LONGEST_GAP_S
+from localization.live.sensor_input import LONGEST_GAP_S
 from localization.taken.sonars import AS_CONES, Taken, hint
 
 MOST_PLACES = 4

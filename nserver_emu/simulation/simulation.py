@@ -17,7 +17,7 @@ from nserver_emu.simulation.noise import Identity
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.standing import Standing
-from worlds.compiled import load_for
+from worlds.raycast import load_for
 from worlds.world import StartPose, World
 
 

@@ -23,10 +23,8 @@ from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sighting import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
 from worlds.bodies import SONARS, Body
-from worlds.compiled import FIRST_MET
 from worlds.geometry import FloatArray
-from worlds.ray import ray_to_disc
-from worlds.raycast import cast_each
+from worlds.raycast import FIRST_MET, cast_each, ray_to_disc
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""

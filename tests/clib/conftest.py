@@ -1,4 +1,4 @@
-"""The C library's tests share one workshop a run, whatever the number of workers."""
+"""Fixtures of the C library's tests."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "nclient"))
 
-from building import KINDS, Kind, Workshop, makes_32_bits
+from clib_build import KINDS, BuildCache, BuildKind, can_build_32_bit
 
-NO_32_BITS = "32 BITS ARE NOT TESTED: cc -m32 makes no program on this machine; install gcc-multilib"
+NO_32_BITS = "32-bit builds are not tested: cc -m32 does not work on this machine; install gcc-multilib"
 
 
 @pytest.fixture(scope="session")
-def workshop(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Workshop:
-    """Where libraries and programs are made."""
+def builds(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> BuildCache:
+    """Return the build cache, shared by all workers of the test run."""
     base = tmp_path_factory.getbasetemp()
-    return Workshop((base if worker_id == "master" else base.parent) / "clib")
+    return BuildCache((base if worker_id == "master" else base.parent) / "clib")
 
 
 @pytest.fixture(params=KINDS, ids=lambda kind: kind.name)
-def kind(request: pytest.FixtureRequest) -> Kind:
-    """Each way to build; 32 bits are left out, aloud, where they cannot be made."""
-    wanted: Kind = request.param
-    if wanted.bits == 32 and not makes_32_bits():
+def kind(request: pytest.FixtureRequest) -> BuildKind:
+    """Return each build configuration; skip 32-bit builds if the compiler does not support them."""
+    wanted: BuildKind = request.param
+    if wanted.bits == 32 and not can_build_32_bit():
         pytest.skip(NO_32_BITS)
     return wanted
 
 
 @pytest.fixture
-def can_build(request: pytest.FixtureRequest) -> None:
-    """For tests with a `width` of their own: 32 bits only where they can be made."""
-    width: Kind = request.getfixturevalue("width")
-    if width.bits == 32 and not makes_32_bits():
+def skip_unbuildable(request: pytest.FixtureRequest) -> None:
+    """Skip tests whose own parameter `width` is a build that the compiler does not support."""
+    width: BuildKind = request.getfixturevalue("width")
+    if width.bits == 32 and not can_build_32_bit():
         pytest.skip(NO_32_BITS)
 
 
 @pytest.fixture(autouse=True)
-def nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No robot of the tester's own."""
+def no_default_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unset NOMAD_ROBOT."""
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For silence that is waited out."""
+def short_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the reply time-out for tests that wait for it."""
     monkeypatch.setenv("REPLAY_TIMEOUT_MS", "400")

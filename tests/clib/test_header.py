@@ -1,4 +1,4 @@
-"""Nclient.h against the Python mirror: the same names, arguments and numbers, for compilers old and new."""
+"""Nclient.h compared with nclient.capi: the same names, arguments and numbers; it compiles in every C standard."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from building import CLIB, PLAIN, Workshop
+from clib_build import CLIB, PLAIN, BuildCache
 
 from nclient import capi
 from nclient.protocol.state import ERROR_SLOT, STATE_SIZE
 
 INCLUDE = CLIB / "include"
 HEADER = (INCLUDE / "Nclient.h").read_text()
-OURS = (INCLUDE / "nomad.h").read_text()
-NOT_OF_THE_OLD = {"last_error": "nomad_last_error", "sim_truth": "nomad_sim_truth", "sim_control": "nomad_sim_control"}
-"""What the mirror has beyond the old library, by the names it has in nomad.h."""
+NOMAD_H = (INCLUDE / "nomad.h").read_text()
+ADDITIONS = {"last_error": "nomad_last_error", "sim_truth": "nomad_sim_truth", "sim_control": "nomad_sim_control"}
+"""Names of capi that the old library does not have, and their names in nomad.h."""
 
 
-def declared(text: str) -> dict[str, str]:
-    """Functions of a header, each with what stands between its brackets."""
+def declared_functions(text: str) -> dict[str, str]:
+    """Return the functions of a header with their parameter lists."""
     plain = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
     found = re.findall(r"^extern (?:const )?\w+ \*?(\w+)\(([^)]*)\);", plain, re.MULTILINE)
     return {name: " ".join(arguments.split()) for name, arguments in found}
@@ -32,13 +32,13 @@ def numbers(text: str) -> dict[str, str]:
     return dict(re.findall(r"^#define (\w+)(?:\([\w, ]*\))? (\S+)", text, re.MULTILINE))
 
 
-FUNCTIONS, NUMBERS = declared(HEADER), numbers(HEADER)
+FUNCTIONS, NUMBERS = declared_functions(HEADER), numbers(HEADER)
 
 
 @pytest.mark.parametrize("name", capi.__all__)
-def test_every_name_of_the_mirror_is_in_the_header(name: str) -> None:
-    if name in NOT_OF_THE_OLD:
-        assert NOT_OF_THE_OLD[name] in declared(OURS)
+def test_header_has_every_name_of_capi(name: str) -> None:
+    if name in ADDITIONS:
+        assert ADDITIONS[name] in declared_functions(NOMAD_H)
         assert name not in HEADER
         return
     arrays = set(re.findall(r"^extern \w+ (\w+)\[", HEADER, re.MULTILINE))
@@ -46,17 +46,17 @@ def test_every_name_of_the_mirror_is_in_the_header(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS.keys() & set(capi.__all__) - {"connect_robot"}))
-def test_arguments_are_the_mirrors_in_name_and_order(name: str) -> None:
+def test_arguments_equal_capi(name: str) -> None:
     given = [re.sub(r"\[\d*\]", "", argument).split()[-1].lstrip("*") for argument in FUNCTIONS[name].split(",")]
     wanted = list(inspect.signature(getattr(capi, name)).parameters)
     assert [argument for argument in given if argument != "void"] == wanted
 
 
-def test_nothing_in_the_header_is_unknown_to_the_mirror() -> None:
+def test_capi_has_every_function_of_header() -> None:
     assert FUNCTIONS.keys() - set(capi.__all__) == {"nomad_connect_robot"}
 
 
-def test_the_numbers_are_the_mirrors() -> None:
+def test_constants_equal_capi() -> None:
     for name in ("TRUE", "FALSE", "MODEL_N200", "MODEL_N150", "MODEL_SCOUT", "ROTATION_CONSTANT"):
         assert float(NUMBERS[name]) == getattr(capi, name)
     assert len(capi.State) == int(NUMBERS["NUM_STATE"]) == STATE_SIZE
@@ -76,7 +76,7 @@ if shutil.which("c++"):
 
 
 @pytest.mark.parametrize(("standard", "language"), LANGUAGES)
-def test_the_headers_are_clean_in_every_standard(standard: str, language: str, tmp_path: Path) -> None:
+def test_headers_compile_in_every_standard(standard: str, language: str, tmp_path: Path) -> None:
     program = tmp_path / "program"
     program.write_text('#include "Nclient.h"\n#include "nomad.h"\n#include "Nclient.h"\n'
                        "int main(void) { return connect_robot(1) && vm(1, RIGHT(3, 4), 0); }\n")  # fmt: skip
@@ -88,11 +88,11 @@ def test_the_headers_are_clean_in_every_standard(standard: str, language: str, t
 
 
 @pytest.mark.parametrize("library", ["libnclient.a", "libndirect.a"])
-def test_the_libraries_have_the_headers_names_and_no_others(library: str, workshop: Workshop) -> None:
-    made = workshop.libraries(PLAIN) / library
+def test_libraries_export_only_header_names(library: str, builds: BuildCache) -> None:
+    made = builds.libraries(PLAIN) / library
     listed = subprocess.run(["nm", "-g", "--defined-only", str(made)], capture_output=True, text=True, check=True)
     symbols = {line.split()[-1] for line in listed.stdout.splitlines() if len(line.split()) == 3}
     globals_ = set(re.findall(r"^extern (?:char|int|long) (\w+)(?:\[.*?\])?;", HEADER, re.MULTILINE))
     assert len(globals_) == 10
-    ours = {symbol for symbol in symbols if symbol.startswith("nomad_")}
-    assert symbols - ours == FUNCTIONS.keys() - {"nomad_connect_robot"} | globals_
+    internal = {symbol for symbol in symbols if symbol.startswith("nomad_")}
+    assert symbols - internal == FUNCTIONS.keys() - {"nomad_connect_robot"} | globals_

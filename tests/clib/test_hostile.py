@@ -1,4 +1,4 @@
-"""Answers that nobody should give: the C library refuses them, tells why, and neither crashes nor reads too far."""
+"""Invalid replies: the C library rejects them with an error, without crashing or reading out of bounds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 
-from building import PROGRAMS, SANITIZED, Kind, Workshop, held
+from clib_build import PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
 from recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
 
 from nclient.protocol import language
@@ -22,15 +22,15 @@ ROUNDS = 120
 
 
 def corpus() -> Iterator[str]:
-    """Every recorded reply, a line each, with the terms under which it was said."""
+    """Yield a line for every recorded reply, with the wire state under which it was received."""
     for session in TCP_SESSIONS:
-        yield from said(exchanges(TCP[session], None), tcp_terms(N150), None)
+        yield from corpus_lines(exchanges(TCP[session], None), tcp_terms(N150), None)
     for session in LINE_SESSIONS:
         model = model_of(session)
-        yield from said(exchanges(SERIAL[session], model), line_terms(model), model)
+        yield from corpus_lines(exchanges(SERIAL[session], model), line_terms(model), model)
 
 
-def said(session: Iterator[Exchange], terms: Terms, model: Model | None) -> Iterator[str]:
+def corpus_lines(session: Iterator[Exchange], terms: Terms, model: Model | None) -> Iterator[str]:
     for exchange in session:
         reply = exchange.reply
         language.note(exchange.call, terms)
@@ -44,13 +44,13 @@ def said(session: Iterator[Exchange], terms: Terms, model: Model | None) -> Iter
         )
 
 
-def test_mutated_replies_are_read_or_refused(kind: Kind, workshop: Workshop) -> None:
-    program = workshop.program(PROGRAMS / "fuzz.c", kind, beside=("-lndirect",))
+def test_mutated_replies_are_decoded_or_rejected(kind: BuildKind, builds: BuildCache) -> None:
+    program = builds.program(PROGRAMS / "fuzz.c", kind, extra_libraries=("-lndirect",))
     times = MUTATED if kind.sanitized else MUTATED // 10
     done = subprocess.run([str(program), "20260", str(times)], input="".join(corpus()), capture_output=True, text=True,
                           timeout=60, check=False)  # fmt: skip
     assert done.returncode == 0, done.stderr
-    counts = re.fullmatch(rf"(\d+) recorded, {times} mutated: (\d+) read, (\d+) refused\n", done.stdout)
+    counts = re.fullmatch(rf"(\d+) recorded, {times} mutated: (\d+) decoded, (\d+) rejected\n", done.stdout)
     assert counts
     assert int(counts[1]) > 180
     assert int(counts[2]) > times // 10
@@ -59,11 +59,11 @@ def test_mutated_replies_are_read_or_refused(kind: Kind, workshop: Workshop) -> 
 
 CONNECTED = (bytes.fromhex(TCP["session_1"][0]["exchanges"][0]["reply"]),
              bytes.fromhex(TCP["session_1"][0]["exchanges"][1]["reply"]))  # fmt: skip
-ASKED = ("gs", "get_sn", "get_rpx", "move_obstacle", "special_request", "predict_sensors", "get_robot_conf")
+HOSTILE_CALLS = ("gs", "get_sn", "get_rpx", "move_obstacle", "special_request", "predict_sensors", "get_robot_conf")
 
 
 def mutated(rng: random.Random, reply: bytes) -> bytes:
-    """A reply with other bytes, another count, or another length."""
+    """Return a reply with changed bytes, count, or length."""
     data = bytearray(reply)
     for _ in range(rng.randrange(1, 4)):
         at = rng.choice((2, 3, 4, 5, 6, 7, rng.randrange(len(data))))
@@ -74,7 +74,7 @@ def mutated(rng: random.Random, reply: bytes) -> bytes:
 
 
 def serve(listener: socket.socket, replies: list[bytes]) -> None:
-    """Greet each client well, answer its next question as told, and hang up."""
+    """Accept clients one by one, send each its reply after the handshake, and close the connection."""
     for reply in replies:
         with listener.accept()[0] as client:
             for answer in (*CONNECTED, reply):
@@ -83,11 +83,11 @@ def serve(listener: socket.socket, replies: list[bytes]) -> None:
                 client.sendall(answer)
 
 
-def test_a_hostile_server_gets_no_further_than_an_error(workshop: Workshop) -> None:
-    program = workshop.program(PROGRAMS / "replay.c", SANITIZED)
+def test_hostile_replies_only_cause_errors(builds: BuildCache) -> None:
+    program = builds.program(PROGRAMS / "replay.c", SANITIZED)
     rng = random.Random(7)
     recorded = {case["call"]: case for case in TCP["session_1"]}
-    calls = [rng.choice(ASKED) for _ in range(ROUNDS)]
+    calls = [rng.choice(HOSTILE_CALLS) for _ in range(ROUNDS)]
     replies = [mutated(rng, bytes.fromhex(recorded[call]["exchanges"][0]["reply"])) for call in calls]
     script = "".join(
         f"connect_robot 1\n{call} {' '.join(map(str, recorded[call]['args']))}\n" for call in calls
@@ -95,7 +95,7 @@ def test_a_hostile_server_gets_no_further_than_an_error(workshop: Workshop) -> N
     with socket.create_server(("127.0.0.1", 0)) as listener:
         server = threading.Thread(target=serve, args=(listener, replies), daemon=True)
         server.start()
-        *found, _ = held([str(program), str(listener.getsockname()[1])], script)
+        *found, _ = run_calls([str(program), str(listener.getsockname()[1])], script)
         server.join(30)
     assert len(found) == 2 * ROUNDS
     failed = 0

@@ -1,4 +1,4 @@
-"""The C library against the recorded exchanges: its bytes, and what a program then holds, at 64 and at 32 bits."""
+"""The C library against the recorded sessions: bytes sent and client state, at 64 and at 32 bits."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from building import PROGRAMS, Kind, Workshop, held
+from clib_build import PROGRAMS, BuildCache, BuildKind, run_calls
 from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 from nclient.protocol.commands import COMMANDS
 from nclient.protocol.hello import Hello, build_hello
 from nclient.protocol.mask import EVERYTHING
 
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 Cases = list[dict[str, Any]]
 Step = tuple[str, bytes, bytes]
 
 
 def script_of(cases: Cases) -> str:
-    """The calls of a session, one a line."""
+    """Return the calls of a session, one per line."""
     lines = []
     for case in cases:
         args = case["args"]
@@ -33,15 +33,15 @@ def script_of(cases: Cases) -> str:
     return "\n".join(lines) + "\n"
 
 
-class Recorder(threading.Thread):
-    """The other end of a recorded session: takes each request, insists on its bytes, answers as it was answered."""
+class ReplayServer(threading.Thread):
+    """The peer in a recorded session: compares each request with the recorded bytes and sends the recorded reply."""
 
     def __init__(
         self, script: list[Step], read: Callable[[int], bytes], write: Callable[[bytes], Any]
     ) -> None:
         super().__init__(daemon=True)
         self._script, self._read, self._write = script, read, write
-        self.wrong: list[str] = []
+        self.mismatches: list[str] = []
         self.played = 0
 
     def run(self) -> None:
@@ -53,17 +53,17 @@ class Recorder(threading.Thread):
                 except OSError:
                     data = b""
                 if not data:
-                    self.wrong.append(f"hung up in {call}")
+                    self.mismatches.append(f"connection closed in {call}")
                     return
                 request += data
             if comparable(call, request) != comparable(call, wanted):
-                self.wrong.append(f"{call}: {request.hex()} for {wanted.hex()}")
+                self.mismatches.append(f"{call}: {request.hex()} for {wanted.hex()}")
             self._write(reply)
             self.played += 1
 
 
 def comparable(call: str, request: bytes) -> bytes:
-    """A request over TCP without what a C client leaves in it by chance: process id, words it does not use."""
+    """Return a TCP request without its undefined parts: process id and unused words."""
     if request[:2] in (b"\0\x66", b"\0\x67"):
         return request[:-4]
     if call == "motion_check" and request[4:8] == bytes(4):
@@ -75,7 +75,7 @@ def comparable(call: str, request: bytes) -> bytes:
 
 
 def check(case: dict[str, Any], found: dict[str, Any]) -> None:
-    """Compare all that was recorded of a case."""
+    """Compare the recorded values of a call with the values found."""
     for name, wanted in case["decoded"].items():
         match name:
             case "return" if "arm" in case["decoded"]:
@@ -97,8 +97,8 @@ def check(case: dict[str, Any], found: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def on_socket(steps: list[Step], hello: bytes = b"") -> Iterator[tuple[str, Recorder]]:
-    """A recorder behind a port of this machine; the port."""
+def on_socket(steps: list[Step], hello: bytes = b"") -> Iterator[tuple[str, ReplayServer]]:
+    """Run a replay server on a TCP port and yield the port."""
     with contextlib.ExitStack() as open_things:
         listener = open_things.enter_context(socket.create_server(("127.0.0.1", 0)))
         accepted: list[socket.socket] = []
@@ -112,60 +112,65 @@ def on_socket(steps: list[Step], hello: bytes = b"") -> Iterator[tuple[str, Reco
         def write(data: bytes) -> None:
             accepted[0].sendall(data)
 
-        recorder = Recorder(steps, read, write)
-        recorder.start()
-        yield str(listener.getsockname()[1]), recorder
-        recorder.join(PATIENCE_S)
+        server = ReplayServer(steps, read, write)
+        server.start()
+        yield str(listener.getsockname()[1]), server
+        server.join(TIMEOUT_S)
 
 
 @contextlib.contextmanager
-def on_terminal(steps: list[Step]) -> Iterator[tuple[str, Recorder]]:
-    """A recorder behind a pseudo-terminal; its name."""
+def on_terminal(steps: list[Step]) -> Iterator[tuple[str, ReplayServer]]:
+    """Run a replay server on a pseudo-terminal and yield its name."""
     master, slave = os.openpty()
     try:
         tty.setraw(slave)
-        recorder = Recorder(steps, lambda count: os.read(master, count), lambda data: os.write(master, data))
-        recorder.start()
-        yield os.ttyname(slave), recorder
+        server = ReplayServer(steps, lambda count: os.read(master, count), lambda data: os.write(master, data))
+        server.start()
+        yield os.ttyname(slave), server
         os.close(slave)
-        recorder.join(PATIENCE_S)
+        server.join(TIMEOUT_S)
     finally:
         os.close(master)
 
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
-def test_a_recorded_session_with_a_server(session: str, kind: Kind, workshop: Workshop) -> None:
+def test_recorded_tcp_session(session: str, kind: BuildKind, builds: BuildCache) -> None:
     cases: Cases = TCP[session]
-    program = workshop.program(PROGRAMS / "replay.c", kind)
+    program = builds.program(PROGRAMS / "replay.c", kind)
     steps = [
         (f"tk {case['args']}" if case["call"] == "tk" else case["call"],
          bytes.fromhex(exchange["request"]), bytes.fromhex(exchange.get("reply", "")))
         for case in cases for exchange in case["exchanges"]
     ]  # fmt: skip
-    with on_socket(steps) as (port, recorder):
-        *found, _ = held([str(program), port], script_of(cases))
-    assert recorder.wrong == []
-    assert recorder.played == len(steps)
+    with on_socket(steps) as (port, server):
+        *found, _ = run_calls([str(program), port], script_of(cases))
+    assert server.mismatches == []
+    assert server.played == len(steps)
     assert len(cases) > 20
     for case, after in zip(cases, found, strict=True):
         check(case, after)
 
 
-def narrowed(message: bytes, value_at: int) -> bytes:
-    """A message of the old library's 64-bit build as it should have been: four bytes a word, not eight."""
+def with_32_bit_words(message: bytes, value_at: int) -> bytes:
+    """Convert a message of the old library's 64-bit build from eight to four bytes per word."""
     words = [message[k + value_at : k + value_at + 4] for k in range(4, len(message), 8)]
     return message[:4] + b"".join(words)
 
 
-def test_what_the_old_library_got_wrong_at_64_bits(kind: Kind, workshop: Workshop) -> None:
+def test_64_bit_errors_of_old_library_are_fixed(kind: BuildKind, builds: BuildCache) -> None:
+    # the requests and replies of the 64-bit build, with the word size of the protocol
     steps = [
-        (str(k), narrowed(bytes.fromhex(exchange["request"]), 4), narrowed(bytes.fromhex(exchange.get("reply", "")), 0))
+        (
+            str(k),
+            with_32_bit_words(bytes.fromhex(exchange["request"]), 4),
+            with_32_bit_words(bytes.fromhex(exchange.get("reply", "")), 0),
+        )
         for k, exchange in enumerate(LP64["exchanges"])
     ]
-    program = workshop.program(PROGRAMS / "replay.c", kind)
-    with on_socket(steps) as (port, recorder):
-        *found, _ = held([str(program), port], "connect_robot 1\nvm 100 -50 0\ngs\ndisconnect_robot 1\n")
-    assert recorder.wrong == []
+    program = builds.program(PROGRAMS / "replay.c", kind)
+    with on_socket(steps) as (port, server):
+        *found, _ = run_calls([str(program), port], "connect_robot 1\nvm 100 -50 0\ngs\ndisconnect_robot 1\n")
+    assert server.mismatches == []
     for after, old in zip(found, LP64["decoded"], strict=True):
         assert old["State"][35] == 2**32 - 200
         assert after["State"] == [*old["State"][:35], -200, *old["State"][36:]]
@@ -173,31 +178,31 @@ def test_what_the_old_library_got_wrong_at_64_bits(kind: Kind, workshop: Worksho
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
-def test_a_recorded_session_on_the_line(session: str, kind: Kind, workshop: Workshop) -> None:
+def test_recorded_serial_session(session: str, kind: BuildKind, builds: BuildCache) -> None:
     cases: Cases = SERIAL[session]
     model = model_of(session)
-    program = str(workshop.program(PROGRAMS / "replay.c", kind, "ndirect"))
+    program = str(builds.program(PROGRAMS / "replay.c", kind, "ndirect"))
     steps = [(x.call.name, x.request, x.reply) for x in exchanges(cases, model)]
     if session.endswith("_tcp"):
         hello = build_hello(Hello(EVERYTHING, 51)) if model.name == "n200" else b""
-        with on_socket(steps, hello) as (port, recorder):
-            *found, last = held([program, str(model.number), "127.0.0.1", port], script_of(cases))
+        with on_socket(steps, hello) as (port, server):
+            *found, last = run_calls([program, str(model.number), "127.0.0.1", port], script_of(cases))
     else:
-        with on_terminal(steps) as (terminal, recorder):
-            *found, last = held([program, str(model.number), terminal, "38400"], script_of(cases))
-    assert recorder.wrong == []
-    assert recorder.played == len(steps)
+        with on_terminal(steps) as (terminal, server):
+            *found, last = run_calls([program, str(model.number), terminal, "38400"], script_of(cases))
+    assert server.mismatches == []
+    assert server.played == len(steps)
     for case, after in zip(cases, found, strict=True):
         check(case, after)
-    for said in (line for case in cases for line in case.get("prints", ())):
-        assert said in last["stderr"].splitlines()
+    for expected in (line for case in cases for line in case.get("prints", ())):
+        assert expected in last["stderr"].splitlines()
 
 
-def test_every_call_of_the_table_was_recorded_or_is_ours() -> None:
+def test_every_command_was_recorded_or_is_new() -> None:
     recorded = {case["call"] for session in TCP_SESSIONS for case in TCP[session]}
     recorded |= {case["call"] for session in LINE_SESSIONS for case in SERIAL[session]}
     assert {row.name for row in COMMANDS} - recorded == {"create_robot", "conf_ser", "sim_truth", "sim_control"}
 
 
-def test_the_workshop_is_outside_the_tree(workshop: Workshop) -> None:
-    assert not workshop.folder.is_relative_to(Path(__file__).parents[2])
+def test_builds_are_outside_the_source_tree(builds: BuildCache) -> None:
+    assert not builds.folder.is_relative_to(Path(__file__).parents[2])

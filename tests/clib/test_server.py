@@ -1,4 +1,4 @@
-"""What a call gives with a server where all is not well, or not simple: refusals, silence, a server that has gone."""
+"""Calls to a server under faults: error replies, time-outs, closed connections, invalid addresses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from answering import ScriptedServer, by_script, error, on_socket, simple
-from building import NARROW_SANITIZED, PROGRAMS, SANITIZED, Kind, Workshop, held
+from clib_build import NARROW_SANITIZED, PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
 from recorded import TCP
 
 from nclient.protocol.commands import Call
@@ -19,26 +19,26 @@ from nclient.protocol.replies import Reply
 
 
 @pytest.fixture(scope="module")
-def client(workshop: Workshop) -> str:
-    return str(workshop.program(PROGRAMS / "replay.c", SANITIZED))
+def client(builds: BuildCache) -> str:
+    return str(builds.program(PROGRAMS / "replay.c", SANITIZED))
 
 
-def with_server(client: str, server: ScriptedServer, asked: int, *calls: str) -> list[dict[str, Any]]:
-    """What is held after each call, connected first; the server hears `asked` of them."""
-    with on_socket(by_script(server, 2 + asked)) as port:
-        *found, _ = held([client, str(port)], "\n".join(("connect_robot 1", *calls, "")))
+def calls_with_server(client: str, server: ScriptedServer, request_count: int, *calls: str) -> list[dict[str, Any]]:
+    """Connect, make the calls, and return the state after each; the server receives `request_count` of the calls."""
+    with on_socket(by_script(server, 2 + request_count)) as port:
+        *found, _ = run_calls([client, str(port)], "\n".join(("connect_robot 1", *calls, "")))
     assert found[0]["return"] == 7019
     after: list[dict[str, Any]] = found[1:]
     return after
 
 
-def test_a_refusal_is_zero_and_its_code_stands_in_state_44(client: str) -> None:
+def test_error_reply_returns_zero_and_sets_state_44(client: str) -> None:
     server = ScriptedServer({"vm": error(5)})
     server.slots = {0: 10, 17: 80}
-    refused, fine = with_server(client, server, 2, "vm 1 2 3", "gs")
+    refused, fine = calls_with_server(client, server, 2, "vm 1 2 3", "gs")
     assert (refused["return"], refused["State"][44], refused["State"][17]) == (0, 5, 80)
     why = "not allowed by the setup or a limit, or another client drives the robot"
-    assert refused["error"] == f"vm: refused with error 5, {why}"
+    assert refused["error"] == f"vm: error 5, {why}"
     assert (fine["return"], fine["State"][44]) == (1, 0)
 
 
@@ -48,91 +48,92 @@ def test_a_refusal_is_zero_and_its_code_stands_in_state_44(client: str) -> None:
     ("mv 0 0 0 0 8 0", "modes 6, 7 and 8"),
     ("pa 1 2 3", "robot's own line"),
     ("conf_ser 1 9600", "robot's own line"),
-    ("mask 32", "no sum of 1, 2, 4, 8, 16"),
-    ("posDataRequest -1", "no sum of 1, 2, 4, 8, 16"),
+    ("mask 32", "not a sum of 1, 2, 4, 8, 16"),
+    ("posDataRequest -1", "not a sum of 1, 2, 4, 8, 16"),
     ("tk " + "x" * 256, "at most 255"),
     ("add_obstacle 0", "1 to 10 vertices"),
     ("move_obstacle 11 0 0", "1 to 10 vertices"),
 ])  # fmt: skip
-def test_what_is_refused_without_a_word_to_the_server(client: str, call: str, reason: str) -> None:
+def test_invalid_calls_are_not_sent(client: str, call: str, reason: str) -> None:
     server = ScriptedServer()
-    (found,) = with_server(client, server, 0, call)
+    (found,) = calls_with_server(client, server, 0, call)
     assert found["return"] == 0
     assert reason in found["error"]
     assert server.names() == []
 
 
-def test_a_robot_that_is_not_there(client: str) -> None:
+def test_unknown_robot(client: str) -> None:
     server = ScriptedServer({"connect_robot": simple(0)})
     with on_socket(by_script(server, 1)) as port:
-        connected, asked, left, _ = held([client, str(port)], "connect_robot 9\ngs\ndisconnect_robot 9\n")
-    assert [connected["return"], asked["return"], left["return"]] == [0, 0, 0]
+        connected, queried, left, _ = run_calls([client, str(port)], "connect_robot 9\ngs\ndisconnect_robot 9\n")
+    assert [connected["return"], queried["return"], left["return"]] == [0, 0, 0]
     assert connected["error"] == "connect_robot: the server has no robot number 9"
-    assert asked["error"] == "gs: no robot is connected; connect_robot comes first"
+    assert queried["error"] == "gs: no robot is connected; call connect_robot first"
 
 
-def test_no_robot_is_made(client: str) -> None:
+def test_robot_cannot_be_created(client: str) -> None:
     server = ScriptedServer({"create_robot": simple(0)})
     with on_socket(by_script(server, 1)) as port:
-        (created, *_) = held([client, str(port)], "create_robot 9\n")
+        (created, *_) = run_calls([client, str(port)], "create_robot 9\n")
     assert created["return"] == 0
     assert created["error"] == (
-        "create_robot: the server makes no robot number 9: no room for one more, or no more are made (nserver -v)"
+        "create_robot: the server cannot create robot number 9: no free space, or the number of robots is limited "
+        "(see nserver -v)"
     )
 
 
-@pytest.mark.usefixtures("quick")
-def test_a_server_that_is_silent_is_left(client: str) -> None:
+@pytest.mark.usefixtures("short_timeout")
+def test_silent_server_is_disconnected(client: str) -> None:
     server = ScriptedServer({"gs": None})
 
     def talk(connection: socket.socket) -> None:
         by_script(server, 3)(connection)
-        assert connection.recv(1) == b""  # it hangs up, and asks no more
+        assert connection.recv(1) == b""  # the client closes the connection without another request
 
     with on_socket(talk) as port:
-        _, silent, after, _ = held([client, str(port)], "connect_robot 1\ngs\nst\n")
+        _, silent, after, _ = run_calls([client, str(port)], "connect_robot 1\ngs\nst\n")
     assert (silent["return"], after["return"]) == (0, 0)
-    assert silent["error"] == "gs: no answer in time; the connection is closed"
+    assert silent["error"] == "gs: no reply in time; the connection is closed"
 
 
-def test_a_server_that_has_gone(client: str) -> None:
-    gone, after = with_server(client, ScriptedServer(), 0, "gs", "st")
-    assert gone["return"] == after["return"] == 0
-    assert gone["error"] == "gs: the server has gone; the connection is closed"
-    assert after["error"] == "st: no robot is connected; connect_robot comes first"
+def test_server_closes_connection(client: str) -> None:
+    closed, after = calls_with_server(client, ScriptedServer(), 0, "gs", "st")
+    assert closed["return"] == after["return"] == 0
+    assert closed["error"] == "gs: the server closed the connection; the connection is closed"
+    assert after["error"] == "st: no robot is connected; call connect_robot first"
 
 
-NOBODY = "no robot is connected; connect_robot comes first"
+NOT_CONNECTED = "no robot is connected; call connect_robot first"
 
 
-def test_a_loop_that_asks_on_is_told_once_that_nobody_is_connected(client: str) -> None:
+def test_missing_connection_is_printed_once(client: str) -> None:
     server = ScriptedServer()
     with on_socket(by_script(server, 3)) as port:
         script = "vm 1 2 3\n", "connect_robot 1\n", "disconnect_robot 1\n", "gs\n" * 100, "st\n"
-        before, _, left, *loop, after, said = held([client, str(port)], "".join(script))
-    assert before["error"] == f"vm: {NOBODY}"
+        before, _, left, *loop, after, last = run_calls([client, str(port)], "".join(script))
+    assert before["error"] == f"vm: {NOT_CONNECTED}"
     assert left["return"] == 1
-    assert {asked["error"] for asked in loop} == {f"gs: {NOBODY}"}
-    assert {asked["return"] for asked in loop} == {0}
-    assert after["error"] == f"st: {NOBODY}"
-    assert said["stderr"] == f"Nclient: vm: {NOBODY}\nNclient: gs: {NOBODY}\n"
+    assert {queried["error"] for queried in loop} == {f"gs: {NOT_CONNECTED}"}
+    assert {queried["return"] for queried in loop} == {0}
+    assert after["error"] == f"st: {NOT_CONNECTED}"
+    assert last["stderr"] == f"Nclient: vm: {NOT_CONNECTED}\nNclient: gs: {NOT_CONNECTED}\n"
 
 
-def test_a_server_that_has_gone_is_told_of_in_two_lines(client: str) -> None:
+def test_lost_connection_prints_two_lines(client: str) -> None:
     with on_socket(by_script(ScriptedServer(), 2)) as port:
-        *_, said = held([client, str(port)], "connect_robot 1\n" + "gs\n" * 50)
-    gone = "gs: the server has gone; the connection is closed"
-    assert said["stderr"] == f"Nclient: {gone}\nNclient: gs: {NOBODY}\n"
+        *_, last = run_calls([client, str(port)], "connect_robot 1\n" + "gs\n" * 50)
+    closed = "gs: the server closed the connection; the connection is closed"
+    assert last["stderr"] == f"Nclient: {closed}\nNclient: gs: {NOT_CONNECTED}\n"
 
 
 @pytest.mark.parametrize("reply", ["005b0000", "00500001000000ff", "0050ffff", "00520000"])
-def test_an_answer_that_does_not_fit_closes_the_connection(client: str, reply: str) -> None:
-    wrong, after = with_server(client, ScriptedServer({"gs": bytes.fromhex(reply)}), 1, "gs", "st")
-    assert (wrong["return"], after["return"]) == (0, 0)
-    assert wrong["error"].endswith("; the connection is closed")
+def test_invalid_reply_closes_connection(client: str, reply: str) -> None:
+    mismatches, after = calls_with_server(client, ScriptedServer({"gs": bytes.fromhex(reply)}), 1, "gs", "st")
+    assert (mismatches["return"], after["return"]) == (0, 0)
+    assert mismatches["error"].endswith("; the connection is closed")
 
 
-def test_an_answer_that_comes_byte_by_byte(client: str) -> None:
+def test_reply_arriving_byte_by_byte(client: str) -> None:
     case = TCP["session_1"][0]
 
     def dribble(connection: socket.socket) -> None:
@@ -143,17 +144,17 @@ def test_an_answer_that_comes_byte_by_byte(client: str) -> None:
                 connection.sendall(bytes((byte,)))
 
     with on_socket(dribble) as port:
-        found, _ = held([client, str(port)], "connect_robot 1\n")
+        found, _ = run_calls([client, str(port)], "connect_robot 1\n")
     assert (found["return"], found["State"]) == (7019, case["decoded"]["State"])
 
 
-def test_no_more_robots_or_lines_than_there_is_room_for(client: str) -> None:
+def test_lists_are_limited_to_array_sizes(client: str) -> None:
     lines = (300, *range(1200))
     server = ScriptedServer({
         "get_rpx": simple(12, *range(36)), "get_sg": Reply("laser", laser=lines),
         "move_obstacle": simple(2, 1, 2, 3, 4),
     })  # fmt: skip
-    robots, segments, moved = with_server(
+    robots, segments, moved = calls_with_server(
         client, server, 3, "get_rpx", "get_sg", "move_obstacle 3 0 0 50 0 0 50 10 -20")
     assert robots["obs"] == [10, *range(30)]
     assert segments["Laser"] == [241, *range(6)]
@@ -161,76 +162,76 @@ def test_no_more_robots_or_lines_than_there_is_room_for(client: str) -> None:
     assert "counts 2" in moved["error"]
 
 
-def test_a_long_beyond_a_word_is_brought_to_the_nearest(client: str) -> None:
+def test_long_is_clamped_to_word(client: str) -> None:
     server = ScriptedServer({"move_obstacle": simple(1, 5, 6)})
-    (found,) = with_server(client, server, 1, f"move_obstacle 1 7 8 {1 << 40} {-(1 << 40)}")
+    (found,) = calls_with_server(client, server, 1, f"move_obstacle 1 7 8 {1 << 40} {-(1 << 40)}")
     assert server.last() == Call("move_obstacle", (1, 7, 8, 2**31 - 1, -(2**31)))
     assert (found["return"], found["obs"][:3]) == (1, [1, 5, 6])
 
 
-def test_calls_of_our_own_simulation_and_a_scouts_wheels(client: str) -> None:
+def test_simulator_and_scout_calls(client: str) -> None:
     server = ScriptedServer({"sim_truth": Reply("truth", values=(1, 500, -2, 3, 4, 5, 6, 7))})
-    truth, control, wheels, way = with_server(
+    truth, control, wheels, moved = calls_with_server(
         client, server, 4, "sim_truth", "sim_control 3 100", "scout_vm 100 -450", "scout_pr 0 450")
     assert truth["obs"][:8] == [1, 500, -2, 3, 4, 5, 6, 7]
-    assert control["return"] == wheels["return"] == way["return"] == 1
+    assert control["return"] == wheels["return"] == moved["return"] == 1
     assert server.calls[3:] == [Call("sim_control", (3, 100)), Call("vm", (47, 153, 0)), Call("pr", (53, -53, 0))]
 
 
-def test_where_the_server_is_can_be_said_outside(client: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_from_environment(client: str, monkeypatch: pytest.MonkeyPatch) -> None:
     with on_socket(by_script(ScriptedServer(), 2)) as port:
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}/1?model=n150")
-        found, _ = held([client], "create_robot 1\n")
+        found, _ = run_calls([client], "create_robot 1\n")
         assert found["return"] == 7019
 
 
 @pytest.mark.parametrize("call", ["connect_robot", "create_robot"])
-def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(
+def test_robot_number_in_address_must_match(
     client: str, call: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as nobody:
-        monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{nobody.getsockname()[1]}/2")
-        refused, running, _ = held([client], f"{call} 1\nserver_is_running\n")
-        nobody.settimeout(10)
-        nobody.accept()[0].close()  # who only looked
-        nobody.settimeout(0)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{listener.getsockname()[1]}/2")
+        refused, running, _ = run_calls([client], f"{call} 1\nserver_is_running\n")
+        listener.settimeout(10)
+        listener.accept()[0].close()  # the connection of server_is_running
+        listener.settimeout(0)
         with pytest.raises(BlockingIOError):
-            nobody.accept()
+            listener.accept()
     assert (refused["return"], running["return"]) == (0, 1)
-    assert refused["error"] == ("NOMAD_ROBOT names robot 2, the program asks for robot 1: let both say the same, or "
-                                "leave the number out of the address")  # fmt: skip
+    assert refused["error"] == ("NOMAD_ROBOT names robot 2, the program connects to robot 1: use the same number, or "
+                                "leave it out of the address")  # fmt: skip
     for path in ("/2", "/2/", "/", ""):
         server = ScriptedServer()
         with on_socket(by_script(server, 2)) as port:
             monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{port}{path}")
-            assert held([client], f"{call} 2\n")[0]["return"] == 7019
+            assert run_calls([client], f"{call} 2\n")[0]["return"] == 7019
         assert server.calls[0].args[0] == 2
 
 
 @pytest.mark.parametrize(("address", "reason"), [
-    ("lab:7019", "no address such as nserver://host:7019/1"),
+    ("lab:7019", "not an address such as nserver://host:7019/1"),
     ("serial:///dev/ttyUSB0", "link it with -lndirect"),
-    ("nserver://127.0.0.1:1/1?color=red", "color=red is no option"),
-    ("nserver://127.0.0.1:1/1?model=n300", "model=n300 is no option"),
-    ("nserver://[::1]:1/1", "nobody answers at ::1:1"),
-    ("nserver://" + "x" * 120, "longer than the name of a machine"),
-    ("nserver://127.0.0.1:1/one", "the robot's number, 1 or more, not /one"),
-    ("nserver://127.0.0.1:1/0", "the robot's number, 1 or more, not /0"),
-    ("nserver://127.0.0.1:1/1/2", "the robot's number, 1 or more, not /1/2"),
-    ("nserver://127.0.0.1:1/99999999999", "the robot's number, 1 or more, not /99999999999"),
-    ("nserver://no.such.host.invalid/1", "there is no host no.such.host.invalid"),
+    ("nserver://127.0.0.1:1/1?color=red", "unknown option or value color=red"),
+    ("nserver://127.0.0.1:1/1?model=n300", "unknown option or value model=n300"),
+    ("nserver://[::1]:1/1", "cannot connect to ::1:1"),
+    ("nserver://" + "x" * 120, "longer than a host name"),
+    ("nserver://127.0.0.1:1/one", "only a robot number, 1 or more, may follow the host, not /one"),
+    ("nserver://127.0.0.1:1/0", "only a robot number, 1 or more, may follow the host, not /0"),
+    ("nserver://127.0.0.1:1/1/2", "only a robot number, 1 or more, may follow the host, not /1/2"),
+    ("nserver://127.0.0.1:1/99999999999", "only a robot number, 1 or more, may follow the host, not /99999999999"),
+    ("nserver://no.such.host.invalid/1", "unknown host no.such.host.invalid"),
 ])  # fmt: skip
-def test_an_address_that_leads_nowhere(client: str, monkeypatch: pytest.MonkeyPatch, address: str, reason: str) -> None:
+def test_address_errors(client: str, monkeypatch: pytest.MonkeyPatch, address: str, reason: str) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", address)
-    found, _ = held([client], "connect_robot 1\n")
+    found, _ = run_calls([client], "connect_robot 1\n")
     assert found["return"] == 0
     assert reason in found["error"]
 
 
-@pytest.mark.usefixtures("can_build")
+@pytest.mark.usefixtures("skip_unbuildable")
 @pytest.mark.parametrize("width", [SANITIZED, NARROW_SANITIZED], ids=lambda kind: kind.name)
-def test_a_port_that_is_none_is_not_taken_for_another(
-    workshop: Workshop, width: Kind, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_invalid_port_is_rejected(
+    builds: BuildCache, width: BuildKind, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     source = tmp_path / "machine.c"
     source.write_text("""\
@@ -246,7 +247,7 @@ int main(int count, char **words)
     return server_is_running() || connect_robot(1) ? 0 : 9;
 }
 """)
-    program = str(workshop.program(source, width))
+    program = str(builds.program(source, width))
 
     def refused(*words: str) -> str:
         done = subprocess.run([program, *words], capture_output=True, text=True, timeout=60, check=False)
@@ -256,28 +257,28 @@ int main(int count, char **words)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
         wrapped = port + 65536
-        why = f"a port is 1 to 65535, not {wrapped}\n"
+        why = f"the port must be 1 to 65535, not {wrapped}\n"
         assert refused(f"127.0.0.1:{wrapped}") == f"Nclient: 127.0.0.1:{wrapped}: {why}"
         assert refused("127.0.0.1", str(wrapped)) == f"Nclient: 127.0.0.1: {why}"
         assert refused("", str(wrapped)).endswith(why)
         monkeypatch.setenv("NOMAD_ROBOT", f"nserver://127.0.0.1:{wrapped}/1")
         assert refused() == f"Nclient: 127.0.0.1:{wrapped}: {why}"
         for none in ("70x9", "0", "-1", f"+{port}", "99999999999999999999"):
-            assert refused(f"127.0.0.1:{none}").endswith(f"a port is 1 to 65535, not {none}\n")
-            assert refused(f"[::1]:{none}").endswith(f"a port is 1 to 65535, not {none}\n")
+            assert refused(f"127.0.0.1:{none}").endswith(f"the port must be 1 to 65535, not {none}\n")
+            assert refused(f"[::1]:{none}").endswith(f"the port must be 1 to 65535, not {none}\n")
         assert refused("127.0.0.1", "0").endswith("not 0\n")
         assert refused("127.0.0.1", "-58517").endswith("not -58517\n")
 
 
-def test_whether_a_server_runs(client: str) -> None:
+def test_server_is_running(client: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
-        assert held([client, port], "server_is_running\n")[0]["return"] == 1
-    assert held([client, port], "server_is_running\n")[0]["return"] == 0
+        assert run_calls([client, port], "server_is_running\n")[0]["return"] == 1
+    assert run_calls([client, port], "server_is_running\n")[0]["return"] == 0
 
 
-def test_edges(workshop: Workshop) -> None:
-    program = workshop.program(PROGRAMS / "edges.c", SANITIZED)
+def test_edges(builds: BuildCache) -> None:
+    program = builds.program(PROGRAMS / "edges.c", SANITIZED)
     server = ScriptedServer({"special_request": Reply("special", values=(4, 0, 0, 200))})
 
     def two_clients() -> None:
@@ -297,15 +298,15 @@ def test_edges(workshop: Workshop) -> None:
     assert checks[1].args[:5] == (1, -21474836470, 21474836470, 1570, -3140)
 
 
-@pytest.mark.usefixtures("quick")
-def test_nobody_takes_the_connection(client: str) -> None:
+@pytest.mark.usefixtures("short_timeout")
+def test_connection_not_accepted_times_out(client: str) -> None:
     with socket.socket() as full, contextlib.ExitStack() as waiting:
         full.bind(("127.0.0.1", 0))
         full.listen(0)
-        for _ in range(3):  # who comes now is not answered at all
+        for _ in range(3):  # further connections are neither accepted nor rejected
             first = waiting.enter_context(socket.socket())
             first.setblocking(False)
             first.connect_ex(full.getsockname())
-        found, _ = held([client, str(full.getsockname()[1])], "connect_robot 1\n")
+        found, _ = run_calls([client, str(full.getsockname()[1])], "connect_robot 1\n")
     assert found["return"] == 0
     assert "Connection timed out" in found["error"]

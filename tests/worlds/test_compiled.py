@@ -13,10 +13,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nclient.errors import VariableError
-from worlds import compiled, ray
-from worlds.compiled import CROWD, VARIABLE, Kernel, load_for
+from worlds import raycast as compiled
+from worlds import raycast as ray
 from worlds.geometry import FloatArray, polygon_segments
-from worlds.raycast import cast_discs, cast_ray
+from worlds.raycast import CROWD, VARIABLE, Kernel, cast_discs, cast_ray, load_for
 
 FARTHEST_IN = 500.0
 WHOLE = st.integers(-6, 6).map(float)

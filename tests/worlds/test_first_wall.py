@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from worlds.files import load_world
-from worlds.first_wall import FEW, FirstWall
 from worlds.geometry import FloatArray
-from worlds.raycast import NO_WALL, cast_rays
+from worlds.raycast import FEW, NO_WALL, FirstWall, cast_rays
 
 ROOM = np.array(load_world("several_walls").walls)
 MANY = np.random.default_rng(7).uniform(-90.0, 90.0, size=(FEW + 20, 4))
@@ -30,21 +29,11 @@ def test_any_rays_meet_what_the_ray_caster_says(walls: FloatArray) -> None:
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     ranges, rows = asked(origins, directions, walls)
     first = FirstWall(walls)
-    found = first.rows(origins[:, 0] + 1j * origins[:, 1], directions[:, 0] + 1j * directions[:, 1])
-    assert found.tolist() == rows
     assert len(set(rows)) > 3
     for (x, y), (dx, dy), far, row in zip(origins.tolist(), directions.tolist(), ranges, rows, strict=True):
         met, which = first.first(x, y, dx, dy)
         assert which == row
         assert met == pytest.approx(far, abs=1e-9) or met == far == inf
-
-
-def test_rays_in_any_shape() -> None:
-    first, origins = FirstWall(ROOM), np.array([40.0 + 45.0j])
-    ways = np.exp(1j * np.arange(12).reshape(2, 6))
-    together = first.rows(origins, ways)
-    assert together.shape == (2, 6)
-    assert together.ravel().tolist() == [int(first.rows(origins[0], way)) for way in ways.ravel()]
 
 
 def test_rays_through_corners_and_along_walls_meet_them() -> None:
@@ -60,24 +49,19 @@ def test_rays_through_corners_and_along_walls_meet_them() -> None:
         met, row = first.first(x, y, dx, dy)
         assert met == pytest.approx(far)
         assert row in rows
-        if not far:
-            continue
-        assert int(first.rows(np.array(complex(x, y)), np.array(complex(dx, dy)))) in rows
 
 
 def test_walls_beside_and_behind_are_not_met() -> None:
     first = FirstWall([[10.0, -1.0, 10.0, 1.0]])
     for angle, row in ((0.0, 0), (0.2, 1), (np.pi, 1), (atan2(1.0, 10.0) - 0.01, 0)):
         assert first.first(0.0, 0.0, cos(angle), sin(angle))[1] == row
-        assert int(first.rows(np.array(0j), np.exp(1j * np.array(angle)))) == row
 
 
 def test_a_wall_parallel_to_the_ray_is_no_division_by_zero() -> None:
     first = FirstWall([[10.0, 5.0, 20.0, 5.0], [30.0, -5.0, 30.0, 5.0]])
-    assert int(first.rows(np.array(0j), np.array(1.0 + 0j))) == 1
+    assert first.first(0.0, 0.0, 1.0, 0.0) == (30.0, 1)
 
 
 def test_no_walls_are_met_by_nobody() -> None:
     nowhere = FirstWall(np.empty((0, 4)))
     assert nowhere.first(1.0, 2.0, 1.0, 0.0) == (inf, 0)
-    assert nowhere.rows(np.zeros(3, complex), np.ones(3, complex)).tolist() == [0, 0, 0]

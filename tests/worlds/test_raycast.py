@@ -14,8 +14,17 @@ from hypothesis import strategies as st
 
 from worlds import raycast
 from worlds.geometry import polygon_segments
-from worlds.ray import ON_LINE_IN, ON_WALL_IN, first_wall, ray_to_disc
-from worlds.raycast import NO_WALL, cast_discs, cast_each, cast_ray, cast_rays
+from worlds.raycast import (
+    NO_WALL,
+    ON_LINE_IN,
+    ON_WALL_IN,
+    cast_discs,
+    cast_each,
+    cast_ray,
+    cast_rays,
+    first_wall,
+    ray_to_disc,
+)
 
 Pair = tuple[float, float]
 Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.live.echoes import FiringSchedule
-from localization.live.told import Told, retold
+from localization.live.sensor_input import FiringSchedule, Told, retold
 
 LOWEST_IN, HIGHEST_IN = 6, 255
 

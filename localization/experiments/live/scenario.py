@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.motion import OdometryNoise
-from localization.filters.surroundings import THESIS_ODOMETRY
-from localization.live.echoes import CLOCK_STEP_S
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR, SonarModel
+from localization.filters.base import THESIS_ODOMETRY
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import WIRE_SONAR, SonarModel
+from localization.live.sensor_input import CLOCK_STEP_S
 
 COURSES: Final[Mapping[str, str]] = MappingProxyType(
     {"5.4": "thesis_room", "5.8": "several_walls", "5.9": "centre_vertex"}

@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.driving.navigation import PERIOD_S, Navigator, Speeds
-from localization.estimation.belief import Floats, add, difference, independent
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.bad_readings import BadReadings
 from localization.experiments.live.scenario import BAD, COURSES, START_STD, Scenario
-from localization.filters.surroundings import Surroundings
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Surroundings
+from localization.filters.belief import Floats, add, difference, independent
+from localization.filters.odometry import with_constants
 from localization.live.localizer import Estimate, Localizer, Smoothed
+from localization.live.sensor_input import FiringSchedule
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot

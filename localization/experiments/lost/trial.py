@@ -21,16 +21,16 @@ from typing import Any, Final
 import numpy as np
 
 from localization.driving.navigation import PERIOD_S, Command, Speeds
-from localization.estimation.belief import HEADING, Floats, difference, independent
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.bad_readings import BadReadings
 from localization.experiments.live.scenario import BAD, START_STD, Scenario
 from localization.experiments.lost.wanderer import Wanderer
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import finder
-from localization.filters.watch import Trust
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Surroundings
+from localization.filters.belief import HEADING, Floats, difference, independent
+from localization.filters.health import Trust
+from localization.filters.odometry import with_constants
+from localization.filters.registry import finder
 from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
 from localization.planning.roadmap import Roadmap
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE

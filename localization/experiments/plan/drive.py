@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 
 from localization.driving.navigation import PERIOD_S
-from localization.estimation.belief import add, independent
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.scenario import START_STD
 from localization.experiments.plan.pairs import METHOD, SPEED_IN_S, Ends, Pair, ends_of
-from localization.filters.surroundings import Surroundings
+from localization.filters.base import Surroundings
+from localization.filters.belief import add, independent
+from localization.filters.odometry import with_constants
 from localization.missions.helm import Helm, Sight
 from localization.missions.mission import Mission
 from localization.missions.running import run_mission

@@ -1,4 +1,4 @@
-/* Drives, and asks on and on, as a control loop does. */
+/* Drives and polls the state until the connection is lost, as a control loop does. */
 #define _POSIX_C_SOURCE 200809L
 #include "Nclient.h"
 

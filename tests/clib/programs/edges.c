@@ -1,6 +1,6 @@
-/* Calls that replay.c cannot make: wild pointers' sizes, wild doubles, and a server on this machine that is not named.
+/* Calls that replay.c cannot make: extreme packet sizes and doubles, and a server found on localhost by default.
  *
- *     edges PORT        what is not as it should be is said, and counted in what it returns
+ *     edges PORT        prints each failed check; the exit code is their number
  */
 #include "Nclient.h"
 #include "nomad.h"
@@ -16,7 +16,7 @@ static void expect(int truth, const char *what)
 {
     if (truth)
         return;
-    printf("not so: %s (%s)\n", what, nomad_last_error());
+    printf("failed: %s (%s)\n", what, nomad_last_error());
     wrong++;
 }
 
@@ -26,7 +26,7 @@ static int special(int size)
 
     sent[0] = (unsigned char)size;
     sent[1] = (unsigned char)(size >> 8);
-    sent[2] = 77; /* a serial is sent as 0 */
+    sent[2] = 77; /* the library sends 0 as serial number */
     sent[3] = 200;
     return special_request(sent, received);
 }
@@ -38,15 +38,15 @@ int main(int count, char **words)
 
     SERV_TCP_PORT = count > 1 ? atoi(words[1]) : 0;
     nomad_verbose = 0;
-    expect(!gs() && strstr(nomad_last_error(), "connect_robot comes first") != NULL, "gs before connecting is FALSE");
-    expect(connect_robot(1) == 7019, "a server that is not named is looked for on this machine");
-    expect(connect_robot(2) == 7019, "connecting again leaves the first");
+    expect(!gs() && strstr(nomad_last_error(), "call connect_robot first") != NULL, "gs before connecting is FALSE");
+    expect(connect_robot(1) == 7019, "the default server is localhost");
+    expect(connect_robot(2) == 7019, "connecting again closes the first session");
     expect(!posSonarGet(&at, 16) && !posInfraredGet(&at, -1), "there are sixteen sensors");
-    expect(posSonarGet(&at, 15) && at.x == 0, "a sensor that has not read has zeros");
+    expect(posSonarGet(&at, 15) && at.x == 0, "a sensor without a reading has zeros");
     expect(!special(3) && !special(255) && special(4) && special(254), "packets have 4 to 254 bytes");
-    expect(motion_check(0, -12.345, 0.29, 1e300, -1e300, 0, 0, 0, collide) == 0, "far away nothing is hit");
-    expect(motion_check(1, NAN, HUGE_VAL, 1.57, -3.14, 1, 2, 3, collide) == 0, "what is no number is no crash");
+    expect(motion_check(0, -12.345, 0.29, 1e300, -1e300, 0, 0, 0, collide) == 0, "no collision far away");
+    expect(motion_check(1, NAN, HUGE_VAL, 1.57, -3.14, 1, 2, 3, collide) == 0, "NaN causes no crash");
     expect(nomad_sim_control(1, 0), "the simulation pauses");
-    expect(disconnect_robot(2) && !disconnect_robot(2), "it is left once");
+    expect(disconnect_robot(2) && !disconnect_robot(2), "disconnecting works once");
     return wrong;
 }

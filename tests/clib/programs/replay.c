@@ -1,4 +1,4 @@
-/* Makes the calls that stand on its input, one a line, and says as JSON what each gave and what the program then holds.
+/* Reads calls from stdin, one per line, and prints the result and the client state after each as JSON.
  *
  *     replay PORT                     libnclient, a server on this machine
  *     replay MODEL DEVICE CONN        libndirect, as connect_robot(1, MODEL, DEVICE, CONN)
@@ -14,7 +14,7 @@ static char line[4096];
 static long a[64];
 static int argument_count;
 static long predicted_laser[7];
-static int predicted_count; /* numbers in it; 0: nothing was predicted */
+static int predicted_count; /* number of values; 0: no prediction */
 static const char *extra_name;
 static double extra[64];
 static int extra_count;
@@ -34,7 +34,7 @@ static void print_stamp(const char *name, const PosData *at)
     print_longs(name, values, 9);
 }
 
-static void print_held(int returned)
+static void print_state(int returned)
 {
     PosData at, ring[16];
     long laser[7];
@@ -71,7 +71,7 @@ static void print_held(int returned)
     fflush(stdout);
 }
 
-static void give(const char *name, const long *values, int count)
+static void set_extra(const char *name, const long *values, int count)
 {
     extra_name = name;
     extra_count = count;
@@ -129,7 +129,7 @@ static int call_list(const char *name)
                                                           : move_obstacle(list, a[argument_count - 2],
                                                                           a[argument_count - 1]);
     }
-    give("obs", list, 31);
+    set_extra("obs", list, 31);
     return returned;
 }
 
@@ -139,7 +139,7 @@ static int call_prediction(void)
     int laser[2 * NUM_LASER + 1] = {0};
     int returned = predict_sensors((int)a[0], (int)a[1], (int)a[2], (int)a[3], state, laser);
 
-    give("pred_state", state, NUM_STATE);
+    set_extra("pred_state", state, NUM_STATE);
     predicted_count = 7;
     for (int k = 0; k < predicted_count; k++)
         predicted_laser[k] = laser[k];
@@ -166,22 +166,22 @@ static int call_special(void)
 
     sent[0] = (unsigned char)(4 + argument_count);
     sent[1] = (unsigned char)((4 + argument_count) >> 8);
-    sent[3] = 200; /* the type that the recorder used */
+    sent[3] = 200; /* the packet type used in the recordings */
     for (int k = 0; k < argument_count; k++)
         sent[4 + k] = (unsigned char)a[k];
     returned = special_request(sent, received);
     for (int k = 0; k < 32; k++)
         bytes[k] = received[k];
-    give("special", bytes, 32);
+    set_extra("special", bytes, 32);
     return returned;
 }
 
 static int call_arm_ws(void)
 {
-    long rest = 0;
-    int returned = arm_ws((int)a[0], (int)a[1], a[2], &rest);
+    long remaining = 0;
+    int returned = arm_ws((int)a[0], (int)a[1], a[2], &remaining);
 
-    give("remain", &rest, 1);
+    set_extra("remain", &remaining, 1);
     return returned;
 }
 
@@ -307,7 +307,7 @@ int main(int count, char **words)
         read_numbers(rest);
         extra_name = NULL;
         predicted_count = 0;
-        print_held(call(line, rest, words, count));
+        print_state(call(line, rest, words, count));
     }
     return 0;
 }

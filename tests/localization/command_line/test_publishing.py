@@ -17,11 +17,11 @@ from published_to import page_that
 
 from localization.command_line.publishing import AGAIN_S, MOST_PLACES, Publisher, message, waypoints_in
 from localization.driving.navigation import COMMAND_TIMEOUT_S, Navigator
-from localization.estimation.belief import Belief
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import with_constants
-from localization.filters.method import Place
-from localization.filters.watch import Trust, Verdict
+from localization.filters.base import Place
+from localization.filters.belief import Belief
+from localization.filters.health import Trust, Verdict
+from localization.filters.odometry import with_constants
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
 from localization.runs.run import RunMoment
 from nclient.errors import AddressError, ConnectionLost

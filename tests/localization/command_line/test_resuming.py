@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from localization.command_line import resuming
-from localization.estimation.belief import independent
-from localization.filters.watch import Trust, Verdict
+from localization.filters.belief import independent
+from localization.filters.health import Trust, Verdict
 from localization.keeping import kept_file
 from localization.live.localizer import Estimate
 from localization.runs.run import Run, RunMoment

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from localization.driving.navigation import PERIOD_S, Navigator, Progress, Speeds, begin, follow
-from localization.estimation.belief import difference, independent
-from localization.filters.surroundings import Surroundings
-from localization.filters.watch import Trust
-from localization.sonar.cone import ConeModel
+from localization.filters.base import Surroundings
+from localization.filters.belief import difference, independent
+from localization.filters.health import Trust
+from localization.filters.sonar_cone import ConeModel
 from nclient import connect
 from worlds.bodies import N150
 from worlds.files import load_world

@@ -6,18 +6,25 @@ import numpy as np
 import pytest
 
 from localization.calibration.found import calibration_in, table
-from localization.estimation.belief import independent
-from localization.estimation.motion import OdometryNoise, move
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.scenario import EXACT_RAYS
-from localization.filters.calibrating import CONSTANTS_STD, OFFSET, OWN, RING_TURN, SIZE, CalibratingFilter
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import make
-from localization.filters.watch import Trust
-from localization.sonar.aim import Aiming, Look
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import pick, rays, ring, wall_map
+from localization.filters.base import Surroundings
+from localization.filters.belief import independent
+from localization.filters.calibration import (
+    CONSTANTS_STD,
+    OFFSET,
+    OWN,
+    RING_TURN,
+    SIZE,
+    Aiming,
+    CalibratingFilter,
+    Look,
+)
+from localization.filters.health import Trust
+from localization.filters.odometry import OdometryNoise, move, with_constants
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import pick, rays, ring, wall_map
+from localization.filters.update import Refusal
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays

@@ -7,16 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from localization.estimation import ekf
-from localization.estimation.belief import Belief, independent
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import with_constants
-from localization.estimation.updates import Rule, iterated, unscented
-from localization.filters.hearing import Hearing, hearing_of
-from localization.filters.sense import ConeSense, RaySense, pose_of, sense_of
-from localization.sonar.cone import ConeModel
-from localization.sonar.gating import observe
-from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
+from localization.filters.base import sense_of
+from localization.filters.belief import Belief, independent
+from localization.filters.ekf import correct
+from localization.filters.odometry import pose_of, with_constants
+from localization.filters.registry import hearing_of
+from localization.filters.sonar_cone import ConeModel, ConeSense
+from localization.filters.sonar_ray import WIRE_SONAR, RaySense, SonarModel, observe, pick, ring, wall_map
+from localization.filters.update import Hearing, Refusal, Rule, iterated, unscented
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -67,7 +65,7 @@ def test_a_ray_is_the_gate_and_the_filter_of_the_experiments() -> None:
     heard = RAYS.hear(BELIEF, 3, 0.2, 40.0)
     seen = observe(BELIEF, pick(ring(N150, 0.2), 3), np.array([40.0]), wall_map(ROOM), WIRE_SONAR)
     assert heard.judgement.refusal is seen.reasons()[0]
-    np.testing.assert_allclose(heard.belief.mean, ekf.correct(BELIEF, seen).mean, atol=1e-12)
+    np.testing.assert_allclose(heard.belief.mean, correct(BELIEF, seen).mean, atol=1e-12)
 
 
 @pytest.mark.parametrize("hearing", [CONE, RAYS])

@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.candidates import Candidates
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.observation import Refusal
-from localization.estimation.updates import linear
-from localization.filters.finding.atlas import draw_atlas
-from localization.filters.finding.finder import Finder
-from localization.filters.hearing import Hearing, hearing_of
-from localization.filters.kalman import KalmanFilter
-from localization.filters.sense import Sensed, sense_of
-from localization.filters.watch import ALL_WELL, Bounds, Trust
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import SonarModel
+from localization.filters.base import sense_of
+from localization.filters.belief import Belief, independent
+from localization.filters.ekf import KalmanFilter
+from localization.filters.global_localization import Finder
+from localization.filters.health import ALL_WELL, Bounds, Trust
+from localization.filters.odometry import OdometryNoise
+from localization.filters.range_table import draw_atlas
+from localization.filters.registry import hearing_of
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import SonarModel
+from localization.filters.update import Candidates, Hearing, Refusal, Sensed, linear
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -7,9 +7,9 @@ from math import exp, pi, sqrt
 import numpy as np
 import pytest
 
-from localization.filters.likelihood import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.particles import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import WIRE_SONAR
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation import ekf
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.motion import OdometryNoise, move
-from localization.estimation.observation import Observation, Refusal
-from localization.filters.likelihood import RayLikelihood, Weighed
-from localization.filters.particles import ParticleFilter, drawn_from, low_variance, moments
-from localization.filters.watch import Trust
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.ekf import correct
+from localization.filters.health import Trust
+from localization.filters.odometry import OdometryNoise, move, predict
+from localization.filters.particles import ParticleFilter, RayLikelihood, Weighed, drawn_from, low_variance, moments
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.update import Observation, Refusal
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
@@ -46,12 +45,12 @@ def test_on_a_linear_problem_it_agrees_with_the_kalman_filter() -> None:
     step = np.array([1.0, 0.05])
     for reading in (41.3, 42.0, 43.4):
         particles.move(step)
-        gaussian = ekf.predict(gaussian, step, OdometryNoise())
+        gaussian = predict(gaussian, step, OdometryNoise())
         particles.hear(0, 0.0, reading)
         seen = Observation(
             np.array([reading - gaussian.mean[0]]), np.array([[1.0, 0, 0]]), np.array([0.25]), np.zeros(1, np.int8)
         )
-        gaussian = ekf.correct(gaussian, seen)
+        gaussian = correct(gaussian, seen)
     np.testing.assert_allclose(particles.belief.mean, gaussian.mean, atol=0.02)
     np.testing.assert_allclose(particles.belief.std, gaussian.std, rtol=0.04)
 

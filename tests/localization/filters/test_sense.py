@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.candidates import Candidates
-from localization.estimation.observation import Refusal
-from localization.filters.sense import Sensed, sense_of
-from localization.sonar.cone import ConeModel
-from localization.sonar.gating import associate
-from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
+from localization.filters.base import sense_of
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import WIRE_SONAR, SonarModel, associate, pick, ring, wall_map
+from localization.filters.update import Candidates, Refusal, Sensed
 from worlds.bodies import N150
 from worlds.files import load_world
 

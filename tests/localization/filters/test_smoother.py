@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import rts_smoother
 
-from localization.estimation.belief import Belief, Floats, add, difference, independent
-from localization.estimation.candidates import Candidates
-from localization.estimation.motion import OdometryNoise, move, step_variance
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import step_jacobians, with_constants
-from localization.filters.hearing import Hearing
-from localization.filters.kalman import KalmanFilter
-from localization.filters.method import Smoothing
-from localization.filters.sense import Sensed
+from localization.filters.base import Smoothing
+from localization.filters.belief import Belief, Floats, add, difference, independent
+from localization.filters.ekf import KalmanFilter
+from localization.filters.odometry import OdometryNoise, move, step_jacobians, step_variance, with_constants
 from localization.filters.smoother import FixedLagSmoother
+from localization.filters.update import Candidates, Hearing, Refusal, Sensed
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
 ROWS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])

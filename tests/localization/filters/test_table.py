@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.systematic import with_constants
-from localization.filters.finding.atlas import draw_atlas
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import METHODS, finder, make
+from localization.filters.base import Surroundings
+from localization.filters.belief import Belief, independent
+from localization.filters.odometry import OdometryNoise, with_constants
+from localization.filters.range_table import draw_atlas
+from localization.filters.registry import METHODS, finder, make
 from worlds.bodies import N150
 from worlds.files import load_world
 

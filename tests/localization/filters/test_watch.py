@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from localization.estimation.belief import independent
-from localization.filters.watch import ALL_WELL, Bounds, Trust, Watch
+from localization.filters.belief import independent
+from localization.filters.health import ALL_WELL, Bounds, Trust, Watch
 
 SHARP, BLUNT = independent([0, 0, 0], [0.2, 0.2, 0.01]), independent([0, 0, 0], [0.2, 4.0, 0.01])
 

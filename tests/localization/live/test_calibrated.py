@@ -7,14 +7,12 @@ from math import radians
 import numpy as np
 import pytest
 
-from localization.estimation.belief import independent
-from localization.filters.surroundings import Surroundings
-from localization.live import calibrated
-from localization.live.calibrated import with_wheels
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Surroundings
+from localization.filters.belief import independent
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.live import sensor_input as calibrated
 from localization.live.localizer import Localizer
-from localization.live.told import Retold
-from localization.sonar.measurement import WIRE_SONAR
+from localization.live.sensor_input import FiringSchedule, Retold, with_wheels
 from worlds.bodies import N150
 from worlds.calibration import FAULTLESS, Calibration, Spread
 from worlds.files import load_world

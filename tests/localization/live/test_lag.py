@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Floats, independent
-from localization.estimation.motion import move
-from localization.live.echoes import CLOCK_STEP_S
-from localization.live.lag import with_lag
-from localization.live.odometry import EncoderPose
+from localization.filters.belief import Floats, independent
+from localization.filters.odometry import move
+from localization.live.localizer import with_lag
+from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose
 
 
 def encoders(clock_s: float, pose: Floats) -> EncoderPose:

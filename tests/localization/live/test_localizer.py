@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.observation import Refusal
-from localization.filters.surroundings import Surroundings
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Surroundings
+from localization.filters.belief import Belief, independent
+from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
-from localization.live.told import Retold
+from localization.live.sensor_input import FiringSchedule, Retold
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world

@@ -7,15 +7,14 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Floats, difference, independent
-from localization.estimation.motion import OdometryNoise, move, step_variance
 from localization.experiments.live.scenario import EXACT_RAYS
-from localization.filters.sense import sense_of
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import make
+from localization.filters.base import Surroundings, sense_of
+from localization.filters.belief import Floats, difference, independent
+from localization.filters.odometry import OdometryNoise, move, step_variance
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_ray import rays, ring
 from localization.maps.weakness import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, weakness
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import rays, ring
 from worlds.bodies import N150, SONARS
 from worlds.raycast import cast_rays
 

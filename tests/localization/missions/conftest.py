@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from localization.estimation.belief import independent
-from localization.filters.surroundings import Surroundings
+from localization.filters.base import Surroundings
+from localization.filters.belief import independent
 from localization.missions.helm import Helm
 from nclient import connect
 from worlds.bodies import BODIES

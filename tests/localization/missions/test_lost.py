@@ -10,7 +10,7 @@ import pytest
 
 from localization.driving.groping import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
 from localization.driving.navigation import PERIOD_S
-from localization.filters.watch import Trust, Verdict
+from localization.filters.health import Trust, Verdict
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm, Sight
 from localization.missions.lost import _searching

@@ -8,9 +8,9 @@ from math import hypot
 import numpy as np
 import pytest
 
-from localization.estimation.belief import independent
-from localization.estimation.observation import Refusal
-from localization.filters.watch import ALL_WELL, Trust, Verdict
+from localization.filters.belief import independent
+from localization.filters.health import ALL_WELL, Trust, Verdict
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
 from localization.planning.hearing import MOST_SPARED, spared, take_in
 from localization.planning.unmapped import Unmapped

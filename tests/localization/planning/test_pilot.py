@@ -9,8 +9,8 @@ from math import cos, hypot, sin
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief
-from localization.filters.watch import ALL_WELL, Trust, Verdict
+from localization.filters.belief import Belief
+from localization.filters.health import ALL_WELL, Trust, Verdict
 from localization.live.localizer import Estimate
 from localization.planning.circles import room
 from localization.planning.following import STAND

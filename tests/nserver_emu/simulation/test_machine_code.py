@@ -9,7 +9,7 @@ import pytest
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from worlds.compiled import Kernel
+from worlds.raycast import Kernel
 from worlds.world import Polygon, StartPose, World
 
 

@@ -10,8 +10,8 @@ import pytest
 from viewed_daemon import served
 from wire_client import simulation
 
-from localization.estimation.observation import Refusal
-from localization.filters.watch import Trust
+from localization.filters.health import Trust
+from localization.filters.update import Refusal
 from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.desk import STALE_S, Desk

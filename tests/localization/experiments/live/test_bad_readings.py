@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from localization.experiments.live.bad_readings import BadReadings
-from localization.live.echoes import FiringSchedule
-from localization.live.told import Retold
+from localization.live.sensor_input import FiringSchedule, Retold
 
 ROUND_S = FiringSchedule(0.0).round_s
 

@@ -9,7 +9,7 @@ from localization.experiments.live.matrix import Trial
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.live.store import Store
 from localization.experiments.live.summary import TrialResult
-from localization.sonar.cone import ConeModel
+from localization.filters.sonar_cone import ConeModel
 
 TRIAL = Trial(SCENARIOS["measured"], "5.4", 7)
 RESULT = TrialResult(7, True, 10, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 9, 1.0, 2.0, 3.0, 4.5)

@@ -9,7 +9,7 @@ import pytest
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.lost import trial
 from localization.experiments.lost.trial import Case, Kind, drive
-from localization.filters.watch import Watch
+from localization.filters.health import Watch
 
 pytestmark = pytest.mark.long
 
