@@ -15,7 +15,8 @@ passes between them.
     cast_rays, cast_discs                                    arrays, for many rays at once
 
 The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
-filter casts one to three rays at a time; in arrays that takes about ten times as long (docs/decisions/023-machine-code.md).
+filter casts one to three rays at a time; in arrays that takes about ten times as long
+(docs/decisions/023-machine-code.md).
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ NO_WALL: Final = -1
 """The row reported for a ray that meets nothing."""
 
 ON_LINE_IN: Final = 1e-9
-"""An end this close to a ray's line counts as on it, inches. Rounding of coordinates up to 1e5 in is about 1e-11 and the
-finest unit of a robot is 1e-2, so 1e-9 is far from both: every answer is exact for walls moved by no more than this."""
+"""An end this close to a ray's line counts as on it, inches. Rounding of coordinates up to 1e5 in is about 1e-11 and
+the finest unit of a robot is 1e-2, so 1e-9 is far from both: every answer is exact for walls moved by no more than this."""
 
 ON_WALL_IN: Final = 1e-9
 """A ray that starts this little behind a wall starts on it, inches; for the same reason."""
@@ -120,14 +121,13 @@ def nearest_wall(x: float, y: float, dx: float, dy: float, walls: Columns) -> tu
     tuple of float and int
         Range >= 0 in inches and row; inf and NO_WALL where nothing is met.
     """
-    nearest, hit, row = inf, NO_WALL, 0
-    for x1, y1, x2, y2 in zip(walls[0], walls[1], walls[2], walls[3]):  # noqa: B905  numba knows no `strict`
+    nearest, hit = inf, NO_WALL
+    for row, (x1, y1, x2, y2) in enumerate(zip(walls[0], walls[1], walls[2], walls[3])):  # noqa: B905  for numba
         # Both ends clearly on one side: the usual case, decided with the fewest operations.
         if (dx * (y1 - y) - dy * (x1 - x)) * (dx * (y2 - y) - dy * (x2 - x)) <= SAME_SIDE_IN2:
             range_in = nearer_hit(nearest, x, y, dx, dy, x1, y1, x2, y2)
             if range_in < nearest:
                 nearest, hit = range_in, row
-        row += 1
     return max(nearest, 0.0), hit
 
 
@@ -229,9 +229,7 @@ def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: 
     rays, rows = np.divmod(pairs, max(len(walls), 1))
     for ray, wall in zip(rays.tolist(), walls[rows].tolist(), strict=True):
         origin, direction = origins[ray], directions[ray]
-        ranges[ray] = nearer_hit(
-            ranges[ray], origin.real, origin.imag, direction.real, direction.imag, *wall
-        )
+        ranges[ray] = nearer_hit(ranges[ray], origin.real, origin.imag, direction.real, direction.imag, *wall)
     return [max(nearest, 0.0) for nearest in ranges]
 
 
@@ -403,7 +401,7 @@ class CompiledKernel:
 
     def __init__(self) -> None:
         self.run: Callable[..., float] | None = None
-        """The compiled `nearest_obstacle`; None until loaded: use `cast_each` then, which is faster than plain Python."""
+        """The compiled `nearest_obstacle`; None until loaded: `cast_each` is then faster than plain Python."""
         self.tried = False
         """True once loading was tried: a missing numba is looked for only once."""
 

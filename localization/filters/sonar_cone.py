@@ -285,7 +285,7 @@ class ConeSensor:
     """A model of cones in a map."""
 
     def __init__(self, around: Reflectors, model: ConeSonar) -> None:
-        self._model, self._first = model, WallIndex(around.walls).first
+        self._model, self._first = model, WallIndex(around.walls).nearest
         self._walls = list(
             enumerate(zip(*(part.tolist() for part in (around.corners, around.normals, around.lengths)), strict=True))
         )

@@ -53,7 +53,7 @@ import numpy.typing as npt
 
 from localization.filters.belief import HEADING, Belief, Floats, chi_square_quantile
 from localization.filters.update import SPAN_IN, Association, Codes, Hypotheses, Mask, Observation, Refusal
-from worlds.raycast import WallIndex, cast_rays
+from worlds.raycast import NO_WALL, WallIndex, cast_rays
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,16 +144,16 @@ class Sight(NamedTuple):
 class WallMap:
     """The walls a filter knows: `segments` (m, 4) for the ray caster and `lines` (m + 1, 3) of unit normal and offset.
 
-    The last line is no line (zeros): index -1, the ray caster's "nothing", leads there. `first_wall`: the caster for
+    The last line is no line (zeros): index -1, the ray caster's "nothing", leads there. `index`: the caster for
     few rays.
     """
 
     segments: Floats
     lines: Floats
-    first_wall: WallIndex = field(init=False, repr=False)
+    index: WallIndex = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "first_wall", WallIndex(self.segments))
+        object.__setattr__(self, "index", WallIndex(self.segments))
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,11 +375,11 @@ def predict_beam(
     x, y, heading = belief.mean[:3].tolist()
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = belief.cov[:3, :3].tolist()
     dx, dy = cos(heading + direction_rad), sin(heading + direction_rad)
-    first = walls.first_wall.first
+    first = walls.index.nearest
     row = first(x, y, dx, dy)[1]
     normal_x, normal_y, offset = walls.lines[row].tolist()
     cosine = normal_x * dx + normal_y * dy
-    if row == walls.first_wall.nothing:
+    if row == NO_WALL:
         return BeamPrediction(row, 0.0, (0.0, 0.0, 0.0), 0.0, Refusal.NO_WALL)
     if not cosine:
         return BeamPrediction(row, 0.0, (0.0, 0.0, 0.0), 0.0, Refusal.AMBIGUOUS_WALL)

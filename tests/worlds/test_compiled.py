@@ -13,8 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nclient.errors import VariableError
-from worlds import raycast as compiled
-from worlds import raycast as ray
+from worlds import raycast
 from worlds.geometry import FloatArray, polygon_segments
 from worlds.raycast import CROWD, VARIABLE, CompiledKernel, cast_discs, cast_ray, load_compiled
 
@@ -61,7 +60,7 @@ def test_machine_code_numbers_and_arrays_are_the_same_to_the_bit(
     assert kernel.run is not None
     robots = by_x(discs)
     handed = *place, *way, walls, robots, own, 20.0, FARTHEST_IN
-    found, in_numbers = kernel.run(*handed), float(ray.nearest_obstacle(*handed))
+    found, in_numbers = kernel.run(*handed), float(raycast.nearest_obstacle(*handed))
     in_reach = np.abs(robots[:, 0] - place[0]) <= FARTHEST_IN
     to_disc = float(cast_discs(place, way, robots[(robots[:, 3] != own) & in_reach, :3]))
     to_wall = cast_ray(*place, *way, walls)[0] if len(walls) else inf
@@ -81,8 +80,8 @@ def test_arrays_that_may_be_written_and_those_that_may_not_are_taken_by_the_same
 def fresh(monkeypatch: pytest.MonkeyPatch) -> CompiledKernel:
     """The process' own, not loaded."""
     unloaded = CompiledKernel()
-    monkeypatch.setattr(compiled, "NEAREST_OBSTACLE", unloaded)
-    monkeypatch.setattr(compiled, "_compile", lambda _: ray.nearest_obstacle)
+    monkeypatch.setattr(raycast, "NEAREST_OBSTACLE", unloaded)
+    monkeypatch.setattr(raycast, "_compile", lambda _: raycast.nearest_obstacle)
     monkeypatch.setitem(sys.modules, "numba", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "numba.extending", SimpleNamespace())
     monkeypatch.delenv(VARIABLE, raising=False)
@@ -151,5 +150,5 @@ def test_where_nothing_can_be_cached_it_is_compiled_all_the_same() -> None:
         types=SimpleNamespace(Array=lambda *what, **how: (what, how)),
         extending=SimpleNamespace(register_jitable=lambda function: function),
     )
-    assert compiled._compile(numba) is ray.nearest_obstacle
+    assert raycast._compile(numba) is raycast.nearest_obstacle
     assert caches == [True, False]
