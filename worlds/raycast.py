@@ -41,7 +41,7 @@ NO_WALL: Final = -1
 
 ON_LINE_IN: Final = 1e-9
 """An end this close to a ray's line counts as on it, inches. Rounding of coordinates up to 1e5 in is about 1e-11 and
-the finest unit of a robot is 1e-2, so 1e-9 is far from both: every answer is exact for walls moved by no more than this."""
+the finest unit of a robot is 1e-2, so 1e-9 is far from both: answers are exact for walls moved by no more than this."""
 
 ON_WALL_IN: Final = 1e-9
 """A ray that starts this little behind a wall starts on it, inches; for the same reason."""
