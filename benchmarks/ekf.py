@@ -24,14 +24,14 @@ from ekf_peers import FilterPy, Linear, StoneSoup
 from localization.experiments.pool import drive
 from localization.experiments.settings import FIGURES, Course, course_of
 from localization.experiments.trial import run
-from localization.filters.base import Surroundings
+from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import correct
 from localization.filters.odometry import predict, transition
 from localization.filters.particles import MonteCarlo
 from localization.filters.registry import make
-from localization.filters.sonar_cone import ConeModel
-from localization.filters.sonar_ray import WIRE_SONAR, SonarModel, meet, observe, rays, sight
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR, RaySonar, meet, observe, rays, sight
 from localization.filters.update import Observation
 from worlds.bodies import N150
 from worlds.files import load_world
@@ -146,11 +146,11 @@ def times_us(works: list[Callable[[], object]], rounds: int, block: int = BLOCK)
     return taken
 
 
-def particle_ring(sonar: SonarModel | ConeModel) -> Callable[[], object]:
+def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
     """A ring of sixteen readings, each of the wall ahead, for a particle filter: it moves and weighs, and resamples."""
     world = load_world("several_walls")
     belief = independent(POSE, (0.2, 0.2, 0.01))
-    known = Surroundings(world.walls, N150, sonar=sonar)
+    known = LocalizationConfig(world.walls, N150, sonar=sonar)
     particles = make("mcl", known, belief)
     course = course_of(FIGURES["5.8"])
     aimed = rays(belief.mean[None], course.beams)
@@ -197,7 +197,7 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     works: list[Callable[[], object]] = [ours, filterpy.step, stonesoup.step, full]
     samples = times_us(works, rounds)
     given_us, filterpy_us, stonesoup_us, full_us = (statistics.median(sample) for sample in samples)
-    rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeModel())], max(1, rounds // BLOCK), RINGS)
+    rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeSonar())], max(1, rounds // BLOCK), RINGS)
     rays_ms, cones_ms = (statistics.median(sample) / 1e3 for sample in rings)
     wall_s, cpu_s = figure_s(seeds, jobs)
     single, batch = batch_steps_per_s(1), batch_steps_per_s(min(seeds, 100))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from localization.calibration.square import Driver
 from localization.driving.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command, standing_after
-from localization.filters.base import Filter, Surroundings
+from localization.filters.base import Filter, LocalizationConfig
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
@@ -28,7 +28,7 @@ class Progress(NamedTuple):
 
 
 def run(
-    robot: Robot, known: Surroundings, method: Filter, driver: Driver, wait: Callable[[float], None]
+    robot: Robot, known: LocalizationConfig, method: Filter, driver: Driver, wait: Callable[[float], None]
 ) -> Generator[Progress, None, None]:
     """Drive until the driver is done, and tell of each period; the robot stands at the end, however it ends."""
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)

@@ -17,11 +17,11 @@ from typing import Final, NamedTuple, Protocol, runtime_checkable
 import numpy.typing as npt
 
 from localization.filters.belief import Belief, Floats
-from localization.filters.health import Verdict
+from localization.filters.health import FilterHealth
 from localization.filters.odometry import OdometryNoise
-from localization.filters.sonar_cone import ConeModel, ConeSense
-from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RaySense, SonarModel, SonarRing
-from localization.filters.update import Judgement, Sense
+from localization.filters.sonar_cone import ConeModel, ConeSonar
+from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, SonarRing
+from localization.filters.update import MeasurementModel, UpdateResult
 from worlds.calibration import FAULTLESS, Calibration
 
 
@@ -34,7 +34,7 @@ class Filter(Protocol):
         ...
 
     @property
-    def verdict(self) -> Verdict:
+    def health(self) -> FilterHealth:
         """How far it can be believed."""
         ...
 
@@ -46,7 +46,7 @@ class Filter(Protocol):
         """The belief after such a step, which is not taken."""
         ...
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
         ...
 
@@ -87,7 +87,7 @@ THESIS_ODOMETRY: Final = OdometryNoise()
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class LocalizationConfig:
     """Walls (m, 4) in inches, the robot's ring, and how motion and sonars err.
 
     `clearance_in`: no wall is nearer to the robot's axis than this: its radius, or a little less.
@@ -98,14 +98,16 @@ class Surroundings:
     walls: npt.ArrayLike
     body: SonarRing
     odometry: OdometryNoise = THESIS_ODOMETRY
-    sonar: SonarModel | ConeModel = WIRE_SONAR
+    sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
     clearance_in: float = 9.0
     errs: Calibration = FAULTLESS
 
 
-def sense_of(walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, gate: Gate = STRICT) -> Sense:
+def measurement_model(
+    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, gate: Gate = STRICT
+) -> MeasurementModel:
     """How sonars of this model are understood."""
-    if isinstance(sonar, ConeModel):
-        return ConeSense(walls, body, sonar)
-    return RaySense(walls, body, sonar, gate)
+    if isinstance(sonar, ConeSonar):
+        return ConeModel(walls, body, sonar)
+    return RayModel(walls, body, sonar, gate)

@@ -35,14 +35,14 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.filters.base import Surroundings, sense_of
+from localization.filters.base import LocalizationConfig, measurement_model
 from localization.filters.belief import HEADING, Belief, Floats, add, chi_square_quantile
-from localization.filters.health import Verdict, Watch
+from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import LARGEST, POSE, move_states, step_jacobians, step_variance
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, Ear, Listener, Return
-from localization.filters.sonar_ray import SonarModel, SonarRing, wall_map
-from localization.filters.update import TELLING, Judgement, Refusal, Sense, told_as
+from localization.filters.sonar_cone import ConeSensor, ConeSonar, EchoCandidate, SonarMount
+from localization.filters.sonar_ray import RaySonar, SonarRing, wall_map
+from localization.filters.update import INFORMATIVE, MeasurementModel, Refusal, UpdateResult, refusal_of
 from worlds.bodies import SONARS
 
 EDGE_STD_RAD: Final = radians(0.5)
@@ -78,8 +78,8 @@ class Look(NamedTuple):
 class Aiming:
     """The sonars of a body in a map."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeModel) -> None:
-        self._listener = Listener(reflectors(wall_map(walls).segments), model)
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeSonar) -> None:
+        self._listener = ConeSensor(reflectors(wall_map(walls).segments), model)
         self._body, self._model = body, model
 
     def after(self, look: Look) -> tuple[float, float]:
@@ -89,7 +89,7 @@ class Aiming:
         likelihood = np.empty(len(NODES))
         known: dict[int, float] = {}
         for count, at in enumerate(_FROM_THE_ENDS):
-            ear = Ear(direction_rad + float(NODES[at]) * look.std_rad, self._body.sonar_ring_radius_in)
+            ear = SonarMount(direction_rad + float(NODES[at]) * look.std_rad, self._body.sonar_ring_radius_in)
             likelihood[at] = _likelihood(self._listener.hear(look.pose, edge_rad, ear), known, self._model, look)
             if count == 2 and look.std_rad < NARROW_RAD and _alike(likelihood[_FROM_THE_ENDS[:3]]):
                 return 0.0, 1.0
@@ -104,9 +104,9 @@ def _alike(likelihood: Floats) -> bool:
     return float(likelihood.max() - likelihood.min()) <= ALIKE * float(likelihood.max())
 
 
-def _likelihood(heard: list[Return], known: dict[int, float], model: ConeModel, look: Look) -> float:
+def _likelihood(heard: list[EchoCandidate], known: dict[int, float], model: ConeSonar, look: Look) -> float:
     """p(reading | what may be heard); `known`: densities by reflector, which hold for all offs alike."""
-    good = 1.0 - model.bad_share
+    good = 1.0 - model.outlier_probability
     if look.reading_in >= model.highest_in:
         return 1.0 - good * sum([found.probability for found in heard])
     total, any_of = 0.0, 0.0
@@ -136,7 +136,7 @@ class CalibratingFilter:
     """See the head of this file. `start`: the belief over states (n,) at the start, 3 <= n <= 6: `stds` is of all
     constants, those that it has already are its own."""
 
-    def __init__(self, known: Surroundings, start: Belief, stds: tuple[float, ...] = CONSTANTS_STD) -> None:
+    def __init__(self, known: LocalizationConfig, start: Belief, stds: tuple[float, ...] = CONSTANTS_STD) -> None:
         size = len(start.mean)
         self.belief = Belief(np.zeros(SIZE), np.diag(np.append(np.zeros(POSE), stds) ** 2))
         self.belief.mean[:size] = start.mean
@@ -146,15 +146,15 @@ class CalibratingFilter:
         self._variance: Callable[[Floats], Floats] = known.sonar.variance
         self._sense = _tolerant(known.walls, known)
         self._aiming = None
-        if isinstance(known.sonar, ConeModel):
+        if isinstance(known.sonar, ConeSonar):
             self._aiming = Aiming(known.walls, known.body, known.sonar)
-        self._watch = Watch()
+        self._watch = IntegrityMonitor()
         self._threshold = chi_square_quantile(GATE_PROBABILITY, 1)
 
     @property
-    def verdict(self) -> Verdict:
+    def health(self) -> FilterHealth:
         """How far it can be believed."""
-        return self._watch.verdict(self.belief)
+        return self._watch.health(self.belief)
 
     def move(self, step: Floats) -> None:
         """The encoders told of a step (2,)."""
@@ -170,25 +170,25 @@ class CalibratingFilter:
         cov[:POSE, :POSE] += (by_step * step_variance(step, self._odometry)) @ by_step.T
         return Belief(mean, 0.5 * (cov + cov.T))
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """A reading of sonar number `sonar`, the turret being turned by so much against the heading."""
         judgement = self._hear(sonar, turret_offset_rad, reading_in)
-        if judgement.refusal in TELLING:
+        if judgement.refusal in INFORMATIVE:
             self._watch.look(judgement)
         return judgement
 
-    def _hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def _hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         if reading_in > self._lowest_in:
             self._aim(sonar, turret_offset_rad, reading_in)
         if not self._lowest_in < reading_in < self._highest_in:
-            return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
+            return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
         mean = self.belief.mean
         range_in = float(np.clip(reading_in - mean[OFFSET] - mean[OWN + sonar], self._lowest_in + _INSIDE_IN,
                                  self._highest_in - _INSIDE_IN))  # fmt: skip
         sensed = self._sense.sense(self._looking(), sonar, turret_offset_rad + float(mean[RING_TURN]), range_in)
         heard = sensed.candidates
         if heard is None:
-            return Judgement(sensed.refusal, 0.0, 0.0, 1.0)
+            return UpdateResult(sensed.refusal, 0.0, 0.0, 1.0)
         by_state = np.zeros((len(heard.ranges_in), SIZE))
         by_state[:, :POSE] = heard.jacobian
         by_state[:, RING_TURN] = heard.jacobian[:, HEADING]
@@ -197,28 +197,30 @@ class CalibratingFilter:
         spread = (pull * by_state).sum(axis=-1) + self._variance(heard.ranges_in)
         innovation = range_in - heard.ranges_in
         nis = innovation * innovation / spread
-        if not heard.bad_share and nis[0] > self._threshold:
-            return Judgement(Refusal.GATE, float(innovation[0]), float(nis[0]), 1.0)
-        return self._absorb(heard.probability, heard.bad_share, heard.bad_density, pull, spread, innovation)
+        if not heard.outlier_probability and nis[0] > self._threshold:
+            return UpdateResult(Refusal.GATE, float(innovation[0]), float(nis[0]), 1.0)
+        return self._absorb(heard.probability, heard.outlier_probability, heard.bad_density, pull, spread, innovation)
 
     def _absorb(
-        self, probability: Floats, bad_share: float, bad_density: float, pull: Floats, spread: Floats,
+        self, probability: Floats, outlier_probability: float, bad_density: float, pull: Floats, spread: Floats,
         innovation: Floats,
-    ) -> Judgement:  # fmt: skip
+    ) -> UpdateResult:  # fmt: skip
         """Probabilistic data association (mixture.py): the first two moments of all hypotheses."""
-        good, nis = 1.0 - bad_share, innovation * innovation / spread
+        good, nis = 1.0 - outlier_probability, innovation * innovation / spread
         weight = good * probability * np.exp(-0.5 * nis) / np.sqrt(2.0 * np.pi * spread)
         bad = bad_density * (1.0 - good * probability.sum())
         total = weight.sum() + bad
-        share, bad_share = weight / total, float(bad / total)
+        share, outlier_probability = weight / total, float(bad / total)
         moves = pull * (innovation / spread)[:, None]
         change = share @ moves
         away = moves - change
         cov = self.belief.cov - (pull * (share / spread)[:, None]).T @ pull
-        cov += (away * share[:, None]).T @ away + bad_share * np.outer(change, change)
+        cov += (away * share[:, None]).T @ away + outlier_probability * np.outer(change, change)
         self.belief = Belief(add(self.belief.mean, change), 0.5 * (cov + cov.T))
         best = int(np.argmax(share))
-        return Judgement(told_as(bad_share), float(innovation[best]), float(nis[best]), bad_share)
+        return UpdateResult(
+            refusal_of(outlier_probability), float(innovation[best]), float(nis[best]), outlier_probability
+        )
 
     def _aim(self, sonar: int, turret_offset_rad: float, reading_in: float) -> None:
         """What is heard at all tells where the sonar looks: heading and ring together."""
@@ -232,9 +234,7 @@ class CalibratingFilter:
         spread_in2 = float(cov[0, 0] + cov[1, 1] + cov[np.ix_(offset, offset)].sum())
         x, y, heading = mean[:POSE].tolist()
         ring_rad = turret_offset_rad + float(mean[RING_TURN])
-        off_rad, share = self._aiming.after(
-            Look((x, y, heading), sonar, ring_rad, sqrt(variance), read_in, spread_in2)
-        )
+        off_rad, share = self._aiming.after(Look((x, y, heading), sonar, ring_rad, sqrt(variance), read_in, spread_in2))
         gain = pull / variance
         self.belief = Belief(add(mean, gain * off_rad), cov - np.outer(gain, pull) * (1.0 - share))
 
@@ -248,9 +248,9 @@ class CalibratingFilter:
         return Belief(self.belief.mean[:POSE], cov)
 
 
-def _tolerant(walls: npt.ArrayLike, known: Surroundings) -> Sense:
+def _tolerant(walls: npt.ArrayLike, known: LocalizationConfig) -> MeasurementModel:
     """A sense whose own gate, which knows poses only, leaves room for the offsets; ours is taken afterwards."""
-    sonar: SonarModel | ConeModel = known.sonar
-    if isinstance(sonar, SonarModel):
+    sonar: RaySonar | ConeSonar = known.sonar
+    if isinstance(sonar, RaySonar):
         sonar = replace(sonar, rounding_var_in2=sonar.rounding_var_in2 + _LOOSE_IN2)
-    return sense_of(walls, known.body, sonar, known.gate)
+    return measurement_model(walls, known.body, sonar, known.gate)

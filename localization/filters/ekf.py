@@ -26,9 +26,16 @@ from functools import lru_cache
 import numpy as np
 
 from localization.filters.belief import Belief, Floats, add, difference
-from localization.filters.health import Verdict, Watch
+from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import OdometryNoise, predict
-from localization.filters.update import TELLING, Hearing, Judgement, Observation, Refusal, Repeats
+from localization.filters.update import (
+    INFORMATIVE,
+    CorrelatedReadings,
+    MeasurementUpdate,
+    Observation,
+    Refusal,
+    UpdateResult,
+)
 
 Predict = Callable[[Belief, Floats, OdometryNoise], Belief]
 """The belief after a step (2,) that the encoders tell."""
@@ -38,18 +45,18 @@ class KalmanFilter:
     """A gaussian belief over poses, or longer states."""
 
     def __init__(
-        self, belief: Belief, hearing: Hearing, odometry: OdometryNoise, prediction: Predict = predict
+        self, belief: Belief, hearing: MeasurementUpdate, odometry: OdometryNoise, prediction: Predict = predict
     ) -> None:
         self.belief = belief
         self._hearing = hearing
         self._odometry = odometry
         self._predict = prediction
-        self._watch = Watch()
-        self._repeats = Repeats()
+        self._watch = IntegrityMonitor()
+        self._repeats = CorrelatedReadings()
 
     @property
-    def verdict(self) -> Verdict:
-        return self._watch.verdict(self.belief)
+    def health(self) -> FilterHealth:
+        return self._watch.health(self.belief)
 
     def move(self, step: Floats) -> None:
         self.belief = self._predict(self.belief, step, self._odometry)
@@ -58,13 +65,13 @@ class KalmanFilter:
     def ahead(self, step: Floats) -> Belief:
         return self._predict(self.belief, step, self._odometry)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         times = self._repeats.before(sonar, turret_offset_rad) + 1
         heard = self._hearing.hear(self.belief, sonar, turret_offset_rad, reading_in, times)
         self.belief = heard.belief
         if heard.judgement.refusal is Refusal.NONE:
             self._repeats.take(sonar, turret_offset_rad)
-        if heard.judgement.refusal in TELLING:
+        if heard.judgement.refusal in INFORMATIVE:
             self._watch.look(heard.judgement)
         return heard.judgement
 

@@ -46,10 +46,10 @@ import numpy as np
 
 from localization.filters.base import Place
 from localization.filters.belief import HEADING, Belief, Floats, add, difference, independent
-from localization.filters.health import Trust, Verdict, Watch
-from localization.filters.odometry import POSE, OdometryNoise, move, moved_to, predict, step_between, with_constants
-from localization.filters.range_table import CELL_IN, DIRECTIONS, Atlas
-from localization.filters.update import Hearing, Judgement, Refusal, Repeats
+from localization.filters.health import FilterHealth, HealthStatus, IntegrityMonitor
+from localization.filters.odometry import POSE, OdometryNoise, move, predict, step_between, with_parameters, with_pose
+from localization.filters.range_table import CELL_IN, DIRECTIONS, RangeTable
+from localization.filters.update import CorrelatedReadings, MeasurementUpdate, Refusal, UpdateResult
 
 CELL_STD_IN: Final = 2.0
 """How far a reading may be off what the middle of its cell would hear: a cell's half diagonal, and its heading's."""
@@ -72,7 +72,7 @@ NEAREST_IN, NOTHING_IN = 6.0, 255.0
 """Limits: "no nearer", which says little, and "nothing", which speaks against what ought to be heard."""
 
 
-class Clue(NamedTuple):
+class EchoRecord(NamedTuple):
     """An echo, and where the encoders stood (3,) when it was heard, in any frame that is the same for all clues."""
 
     encoders: Floats
@@ -90,12 +90,14 @@ class Hypothesis:
     share: float
 
 
-def search(clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise) -> list[Hypothesis]:
+def search(
+    clues: Sequence[EchoRecord], atlas: RangeTable, hearing: MeasurementUpdate, odometry: OdometryNoise
+) -> list[Hypothesis]:
     """All places that explain the clues, the likeliest first; none where there is no clue or no floor."""
     return merged(_weighed(clues, atlas, hearing, odometry))
 
 
-class Rivals(NamedTuple):
+class Alternatives(NamedTuple):
     """Beliefs over the pose at the last clue that a search holds against one: the best place near it and the best
     elsewhere, None where none was found; and by how many nats the better of the two explains the clues better than the
     belief itself, -inf where there is none."""
@@ -105,9 +107,9 @@ class Rivals(NamedTuple):
     lead_nats: float
 
 
-def rivals(
-    here: Belief, clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise
-) -> Rivals:
+def alternatives(
+    here: Belief, clues: Sequence[EchoRecord], atlas: RangeTable, hearing: MeasurementUpdate, odometry: OdometryNoise
+) -> Alternatives:
     """What else explains the clues. Near is within the spread of the belief `here`, or as far off as it may slip."""
     wide = Belief(here.mean[:POSE], here.cov[:POSE, :POSE] + np.diag(np.square(REFINED_STD)))
     information = np.linalg.inv(wide.cov)
@@ -119,11 +121,11 @@ def rivals(
             best[near] = place, score
     lead = max((score for _, score in best.values()), default=-inf) - _led(wide, clues, hearing, odometry)[1]
     near_by, elsewhere = (best[near][0] if near in best else None for near in (True, False))
-    return Rivals(near_by, elsewhere, lead)
+    return Alternatives(near_by, elsewhere, lead)
 
 
 def _weighed(
-    clues: Sequence[Clue], atlas: Atlas, hearing: Hearing, odometry: OdometryNoise
+    clues: Sequence[EchoRecord], atlas: RangeTable, hearing: MeasurementUpdate, odometry: OdometryNoise
 ) -> list[tuple[Belief, float]]:
     """Beliefs of all places that explain the clues, each with its log likelihood."""
     places = atlas.places_in
@@ -153,7 +155,7 @@ def _same(one: Belief, other: Belief) -> bool:
     return bool(np.hypot(off[0], off[1]) < CELL_IN and abs(off[HEADING]) < 0.15)
 
 
-def _coarse(clues: Sequence[Clue], atlas: Atlas, places: Floats) -> tuple[Floats, Floats]:
+def _coarse(clues: Sequence[EchoRecord], atlas: RangeTable, places: Floats) -> tuple[Floats, Floats]:
     """All poses (n, 3) of the grid at the last clue, and their log likelihoods (n,)."""
     turns = np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
     poses = np.empty((len(places) * HEADINGS, 3))
@@ -207,14 +209,14 @@ def _may_slip(off: Floats) -> bool:
 
 
 def _refined(
-    peak: Floats, clues: Sequence[Clue], hearing: Hearing, odometry: OdometryNoise
+    peak: Floats, clues: Sequence[EchoRecord], hearing: MeasurementUpdate, odometry: OdometryNoise
 ) -> tuple[Belief, float]:
     """A peak, as wide as a cell, led along the clues."""
     return _led(independent(peak, REFINED_STD), clues, hearing, odometry)
 
 
 def _led(
-    last: Belief, clues: Sequence[Clue], hearing: Hearing, odometry: OdometryNoise
+    last: Belief, clues: Sequence[EchoRecord], hearing: MeasurementUpdate, odometry: OdometryNoise
 ) -> tuple[Belief, float]:
     """A belief carried from the last clue to the first and led along all of them: what it is then, and how likely all
     that was heard is by it, as a logarithm."""
@@ -241,15 +243,15 @@ class Side(Enum):
     ELSEWHERE = "elsewhere"
 
 
-class Contest:
+class SequentialTest:
     """See the head of this file. Rivals are None where there is none; the estimate itself is its filter's to keep."""
 
     def __init__(
-        self, near: Belief | None, elsewhere: Belief | None, hearing: Hearing, odometry: OdometryNoise
+        self, near: Belief | None, elsewhere: Belief | None, hearing: MeasurementUpdate, odometry: OdometryNoise
     ) -> None:
         self._hearing, self._odometry = hearing, odometry
-        rivals = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
-        self._rivals = {side: belief for side, belief in rivals.items() if belief is not None}
+        alternatives = {Side.NEAR: near, Side.ELSEWHERE: elsewhere}
+        self._rivals = {side: belief for side, belief in alternatives.items() if belief is not None}
         self._nats = dict.fromkeys((Side.HERE, *self._rivals), 0.0)
         self.heard = 0
         """Echoes so far."""
@@ -273,7 +275,7 @@ class Contest:
         """The encoders told of a step (2,)."""
         self._rivals = {side: predict(belief, step, self._odometry) for side, belief in self._rivals.items()}
 
-    def hear(self, clue: Clue, likelihood: float) -> None:
+    def hear(self, clue: EchoRecord, likelihood: float) -> None:
         """An echo, and how well the estimate explained it."""
         self.heard += 1
         self._nats[Side.HERE] += _weight(clue.reading_in, likelihood)
@@ -301,27 +303,27 @@ NOWHERE_STD: Final = (1000.0, 1000.0, 3.0)
 """How uncertain a belief is that knows nothing: inches and radians."""
 
 
-class Finder:
+class GlobalLocalizer:
     """See the head of this file. `ears`: the direction of each sonar on the turret, radians."""
 
     def __init__(
         self,
         belief: Belief | None,
-        hearing: Hearing,
+        hearing: MeasurementUpdate,
         odometry: OdometryNoise,
-        atlas: Callable[[], Atlas],
+        atlas: Callable[[], RangeTable],
         ears: Sequence[float],
         constants: tuple[float, ...] = (),
-        watch: Watch | None = None,
+        watch: IntegrityMonitor | None = None,
     ) -> None:
         self._hearing, self._odometry, self._ears, self._constants = hearing, odometry, ears, constants
         self._draw_atlas = atlas
-        self._atlas: Atlas | None = None
-        self._watch = watch or Watch()
-        self._encoders, self._repeats = np.zeros(3), Repeats()
-        self._clues: deque[Clue] = deque(maxlen=CLUES)
+        self._atlas: RangeTable | None = None
+        self._watch = watch or IntegrityMonitor()
+        self._encoders, self._repeats = np.zeros(3), CorrelatedReadings()
+        self._clues: deque[EchoRecord] = deque(maxlen=CLUES)
         self._fresh = 0
-        self._contest: Contest | None = None
+        self._contest: SequentialTest | None = None
         self._why = "nothing was told of the place"
         self.hypotheses: list[Hypothesis] = [] if belief is None else [Hypothesis(belief, 1.0)]
         """Where the robot may be, the likeliest first; none while searching."""
@@ -331,7 +333,7 @@ class Finder:
         """The likeliest hypothesis; as good as nothing while searching."""
         if self.hypotheses:
             return self.hypotheses[0].belief
-        return with_constants(Belief(np.zeros(3), np.diag(np.square(NOWHERE_STD))), self._constants)
+        return with_parameters(Belief(np.zeros(3), np.diag(np.square(NOWHERE_STD))), self._constants)
 
     @property
     def places(self) -> tuple[Place, ...]:
@@ -339,14 +341,16 @@ class Finder:
         return tuple(Place(known.belief, known.share) for known in self.hypotheses)
 
     @property
-    def verdict(self) -> Verdict:
+    def health(self) -> FilterHealth:
         """How far that can be believed."""
         if not self.hypotheses:
-            return Verdict(Trust.LOST, f"searching: {self._why}")
+            return FilterHealth(HealthStatus.LOST, f"searching: {self._why}")
         if len(self.hypotheses) > 1:
             count = len(self.hypotheses)
-            return Verdict(Trust.LOST, f"{count} places look alike, the likeliest with {self.hypotheses[0].share:.0%}")
-        return self._watch.verdict(self.belief)
+            return FilterHealth(
+                HealthStatus.LOST, f"{count} places look alike, the likeliest with {self.hypotheses[0].share:.0%}"
+            )
+        return self._watch.health(self.belief)
 
     def move(self, step: Floats) -> None:
         """The encoders told of a step (2,)."""
@@ -362,10 +366,10 @@ class Finder:
         """The belief after such a step, which is not taken."""
         return predict(self.belief, step, self._odometry)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """A reading: every hypothesis takes it in; those it speaks against lose their share."""
         direction = turret_offset_rad + self._ears[sonar]
-        self._clues.append(Clue(self._encoders, direction, sonar, turret_offset_rad, reading_in))
+        self._clues.append(EchoRecord(self._encoders, direction, sonar, turret_offset_rad, reading_in))
         self._fresh += 1
         if not self.hypotheses:
             return self._search()
@@ -387,7 +391,7 @@ class Finder:
             self._watch.reset()
         return judgement
 
-    def _look_on(self, clue: Clue, likelihood: float, judgement: Judgement) -> None:
+    def _look_on(self, clue: EchoRecord, likelihood: float, judgement: UpdateResult) -> None:
         """Watch one estimate; lost, it is given up."""
         if clue.reading_in <= NEAREST_IN:
             return
@@ -404,12 +408,12 @@ class Finder:
     def _doubt(self) -> None:
         """Look for places that explain more; one that does is heard along from now on."""
         self._fresh = 0
-        found = rivals(self.belief, list(self._clues), self._map, self._hearing, self._odometry)
+        found = alternatives(self.belief, list(self._clues), self._map, self._hearing, self._odometry)
         if found.lead_nats >= BETTER_NATS:
-            near, elsewhere = (place and moved_to(_wider(place), self.belief) for place in found[:2])
-            self._contest = Contest(near, elsewhere, self._hearing, self._odometry)
+            near, elsewhere = (place and with_pose(_wider(place), self.belief) for place in found[:2])
+            self._contest = SequentialTest(near, elsewhere, self._hearing, self._odometry)
 
-    def _decide(self, contest: Contest) -> None:
+    def _decide(self, contest: SequentialTest) -> None:
         """End a contest that is won, or has lasted long enough."""
         winner = contest.winner
         if winner is Side.ELSEWHERE:
@@ -428,18 +432,18 @@ class Finder:
         self.hypotheses = []
         self._fresh = 0
 
-    def _search(self) -> Judgement:
+    def _search(self) -> UpdateResult:
         if self._fresh >= CLUES:
             self._fresh = CLUES // 2
             found = search(list(self._clues), self._map, self._hearing, self._odometry)
             self.hypotheses = [
-                Hypothesis(with_constants(_wider(place.belief), self._constants), place.share) for place in found
+                Hypothesis(with_parameters(_wider(place.belief), self._constants), place.share) for place in found
             ]
             self._watch.reset()
-        return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
+        return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
 
     @property
-    def _map(self) -> Atlas:
+    def _map(self) -> RangeTable:
         """Drawn when first needed."""
         if self._atlas is None:
             self._atlas = self._draw_atlas()

@@ -23,7 +23,7 @@ from localization.filters.belief import Belief, chi_square_quantile
 from localization.filters.update import MOSTLY_BAD
 
 
-class Trust(Enum):
+class HealthStatus(Enum):
     """How far an estimate can be believed."""
 
     OK = "OK"
@@ -31,10 +31,10 @@ class Trust(Enum):
     LOST = "LOST"
 
 
-class Verdict(NamedTuple):
+class FilterHealth(NamedTuple):
     """How far, and why in words; "" where all is well."""
 
-    trust: Trust
+    status: HealthStatus
     reason: str
 
 
@@ -42,7 +42,7 @@ class Judged(Protocol):
     """What a filter made of a range; filters.method.Judgement has it."""
 
     @property
-    def bad_share(self) -> float: ...
+    def outlier_probability(self) -> float: ...
     @property
     def nis(self) -> float: ...
 
@@ -69,10 +69,10 @@ class Bounds:
     most_std_in: float = 3.0
 
 
-ALL_WELL: Final = Verdict(Trust.OK, "")
+HEALTHY: Final = FilterHealth(HealthStatus.OK, "")
 
 
-class Watch:
+class IntegrityMonitor:
     """Looks on while a filter hears; see the head of this file."""
 
     def __init__(self, bounds: Bounds | None = None) -> None:
@@ -107,8 +107,8 @@ class Watch:
 
     def look(self, judged: Judged) -> None:
         """A range, and what the filter made of it: all that a filter can tell which knows no other place."""
-        self._matched.append(1.0 - judged.bad_share)
-        if judged.bad_share < MOSTLY_BAD:
+        self._matched.append(1.0 - judged.outlier_probability)
+        if judged.outlier_probability < MOSTLY_BAD:
             self._nis.append(judged.nis)
 
     @property
@@ -121,20 +121,22 @@ class Watch:
         """Why the estimate would be given up."""
         return f"what is heard fits anywhere better than here, by e^{self._fall:.0f}"
 
-    def verdict(self, belief: Belief) -> Verdict:
+    def health(self, belief: Belief) -> FilterHealth:
         """What is to be thought of the estimate now."""
         bounds = self.bounds
         if self.lost:
-            return Verdict(Trust.LOST, self.reason)
+            return FilterHealth(HealthStatus.LOST, self.reason)
         (xx, xy), (_, yy) = belief.cov[:2, :2].tolist()
         spread = sqrt(0.5 * (xx + yy) + hypot(0.5 * (xx - yy), xy))
         if spread > bounds.most_std_in:
-            return Verdict(Trust.DEGRADED, f"the position is known to {spread:.1f} in only")
+            return FilterHealth(HealthStatus.DEGRADED, f"the position is known to {spread:.1f} in only")
         if len(self._matched) < bounds.window:
-            return ALL_WELL
+            return HEALTHY
         matched = self._share()
         if matched < bounds.least_matched:
-            return Verdict(Trust.DEGRADED, f"only {matched:.0%} of the last {bounds.window} echoes are explained")
+            return FilterHealth(
+                HealthStatus.DEGRADED, f"only {matched:.0%} of the last {bounds.window} echoes are explained"
+            )
         return self._nis_verdict()
 
     def _share(self) -> float:
@@ -142,9 +144,11 @@ class Watch:
         full = len(self._matched) == self.bounds.window
         return sum(self._matched) / self.bounds.window if full else 1.0
 
-    def _nis_verdict(self) -> Verdict:
+    def _nis_verdict(self) -> FilterHealth:
         count, total = len(self._nis), sum(self._nis)
         bound = chi_square_quantile(self.bounds.nis_probability, count) if count else 0.0
         if total <= bound:
-            return ALL_WELL
-        return Verdict(Trust.DEGRADED, f"innovations are {total / count:.1f} times as large as they should be, squared")
+            return HEALTHY
+        return FilterHealth(
+            HealthStatus.DEGRADED, f"innovations are {total / count:.1f} times as large as they should be, squared"
+        )

@@ -169,10 +169,10 @@ POSE: Final = 3
 """Coordinates of the pose, which every state begins with."""
 
 
-class Constant(IntEnum):
+class OdometryParameter(IntEnum):
     """Where in a state each constant stands."""
 
-    WAY_SCALE = 3
+    DISTANCE_SCALE = 3
     TURN_SCALE = 4
     DRIFT = 5
 
@@ -186,10 +186,18 @@ def true_step(states: Floats, step: Floats) -> Floats:
     count = states.shape[-1]
     told_way, told_turn = part(step, 0), part(step, 1)
     made = np.empty((*np.broadcast_shapes(states.shape[:-1], step.shape[:-1]), 2))
-    made[..., 0] = told_way * (1.0 + part(states, Constant.WAY_SCALE)) if count > Constant.WAY_SCALE else told_way
-    made[..., 1] = told_turn * (1.0 + part(states, Constant.TURN_SCALE)) if count > Constant.TURN_SCALE else told_turn
-    if count > Constant.DRIFT:
-        made[..., 1] += part(states, Constant.DRIFT) * told_way
+    made[..., 0] = (
+        told_way * (1.0 + part(states, OdometryParameter.DISTANCE_SCALE))
+        if count > OdometryParameter.DISTANCE_SCALE
+        else told_way
+    )
+    made[..., 1] = (
+        told_turn * (1.0 + part(states, OdometryParameter.TURN_SCALE))
+        if count > OdometryParameter.TURN_SCALE
+        else told_turn
+    )
+    if count > OdometryParameter.DRIFT:
+        made[..., 1] += part(states, OdometryParameter.DRIFT) * told_way
     return made
 
 
@@ -274,7 +282,7 @@ def _predict_one(belief: Belief, step: Floats, noise: OdometryNoise) -> Belief:
     return Belief(np.array(mean), np.array(cov))
 
 
-def with_constants(belief: Belief, stds: tuple[float, ...]) -> Belief:
+def with_parameters(belief: Belief, stds: tuple[float, ...]) -> Belief:
     """A belief over poses (..., 3) with constants besides, at first 0 and as uncertain as `stds` say, in their order.
 
     Raises ValueError for more constants than there are.
@@ -292,7 +300,7 @@ def with_constants(belief: Belief, stds: tuple[float, ...]) -> Belief:
     return Belief(add(mean, np.zeros_like(mean)), cov)
 
 
-def moved_to(pose: Belief, known: Belief) -> Belief:
+def with_pose(pose: Belief, known: Belief) -> Belief:
     """A belief (n,) with the pose of one over poses (3,) and the constants of another (n,), the two independent."""
     cov = known.cov.copy()
     cov[:POSE], cov[:, :POSE] = 0.0, 0.0
@@ -304,9 +312,9 @@ def _by_constants(step: Floats, count: int) -> Floats:
     """The derivative (..., 2, n - 3) of the true step by the constants."""
     way, turn = part(step, 0), part(step, 1)
     by_constants = np.zeros((*step.shape[:-1], 2, LARGEST - POSE))
-    by_constants[..., 0, Constant.WAY_SCALE - POSE] = way
-    by_constants[..., 1, Constant.TURN_SCALE - POSE] = turn
-    by_constants[..., 1, Constant.DRIFT - POSE] = way
+    by_constants[..., 0, OdometryParameter.DISTANCE_SCALE - POSE] = way
+    by_constants[..., 1, OdometryParameter.TURN_SCALE - POSE] = turn
+    by_constants[..., 1, OdometryParameter.DRIFT - POSE] = way
     wanted: Floats = by_constants[..., : count - POSE]
     return wanted
 

@@ -30,12 +30,12 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import HEADING, Belief, Floats, difference, wrap_angle
-from localization.filters.health import Verdict, Watch
+from localization.filters.health import FilterHealth, IntegrityMonitor
 from localization.filters.odometry import POSE, OdometryNoise, move_states, step_variance
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, Ear, cone_chances
-from localization.filters.sonar_ray import RangeNoise, SonarModel, SonarRing, pick, rays, ring, wall_map
-from localization.filters.update import Judgement, Refusal, Repeats, share_of_first, told_as
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_chances
+from localization.filters.sonar_ray import RangeNoise, RaySonar, SonarRing, pick, rays, ring, wall_map
+from localization.filters.update import CorrelatedReadings, Refusal, UpdateResult, information_fraction, refusal_of
 from worlds.raycast import cast_rays
 
 SPAN_IN: Final = 249.0
@@ -68,7 +68,7 @@ class Likelihood(Protocol):
 
 def _news(noise: RangeNoise, widened_in2: float, reading_in: float, times: int) -> float:
     variance, constant = np.array((noise.variance_at(reading_in), noise.constant_at(reading_in))) + widened_in2
-    return float(share_of_first(variance, constant, times))
+    return float(information_fraction(variance, constant, times))
 
 
 class RayLikelihood:
@@ -78,13 +78,13 @@ class RayLikelihood:
         self,
         walls: npt.ArrayLike,
         body: SonarRing,
-        sonar: SonarModel,
+        sonar: RaySonar,
         *,
-        bad_share: float = 0.05,
+        outlier_probability: float = 0.05,
         widen_std_in: float = 0.5,
     ) -> None:
         self._walls, self._body, self._sonar = wall_map(walls), body, sonar
-        self._bad_share, self._widen = bad_share, widen_std_in**2
+        self._bad_share, self._widen = outlier_probability, widen_std_in**2
 
     def is_range(self, reading_in: float) -> bool:
         return self._sonar.lowest_in < reading_in < self._sonar.highest_in
@@ -111,7 +111,7 @@ class ConeLikelihood:
         self,
         walls: npt.ArrayLike,
         body: SonarRing,
-        model: ConeModel,
+        model: ConeSonar,
         *,
         heading_std_rad: float = 0.03,
         widen_std_in: float = 0.5,
@@ -127,11 +127,11 @@ class ConeLikelihood:
 
     def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
         model = self._model
-        ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        ear = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
         ranges, probability = cone_chances(poses, self._heading_std, ear, self._around, model)
         variance = model.variance(ranges) + self._widen
         hits = np.exp(-0.5 * (reading_in - ranges) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
-        good = 1.0 - model.bad_share
+        good = 1.0 - model.outlier_probability
         bad = model.bad_density * (1.0 - good * probability.sum(axis=-1))
         return Weighed(good * (probability * hits).sum(axis=-1) + bad, bad)
 
@@ -163,7 +163,7 @@ class ParticleFilter:
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._chance = likelihood, odometry, chance
         self._parameters = parameters or MonteCarlo(len(states))
-        self._watch, self._repeats = Watch(), Repeats()
+        self._watch, self._repeats = IntegrityMonitor(), CorrelatedReadings()
 
     @property
     def belief(self) -> Belief:
@@ -171,8 +171,8 @@ class ParticleFilter:
         return moments(self.states, self.weights)
 
     @property
-    def verdict(self) -> Verdict:
-        return self._watch.verdict(self.belief)
+    def health(self) -> FilterHealth:
+        return self._watch.health(self.belief)
 
     @property
     def effective(self) -> float:
@@ -195,19 +195,19 @@ class ParticleFilter:
         cov[HEADING, HEADING] += turn
         return Belief(told.mean, cov)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Weigh the particles with a reading; limits say nothing."""
         if not self._likelihood.is_range(reading_in):
-            return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
+            return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
         times = self._repeats.before(sonar, turret_offset_rad) + 1
         self._repeats.take(sonar, turret_offset_rad)
         likelihood, bad = self._likelihood.of(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
-        bad_share = float(self.weights @ bad / (self.weights @ likelihood))
+        outlier_probability = float(self.weights @ bad / (self.weights @ likelihood))
         self.weights = self.weights * likelihood ** self._likelihood.news(reading_in, times)
         self.weights /= self.weights.sum()
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        judgement = Judgement(told_as(bad_share), 0.0, 0.0, bad_share)
+        judgement = UpdateResult(refusal_of(outlier_probability), 0.0, 0.0, outlier_probability)
         self._watch.look(judgement)
         return judgement
 

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import ConeModel, Ear, cone_returns
-from localization.filters.sonar_ray import SonarModel, SonarRing, wall_map
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
+from localization.filters.sonar_ray import RaySonar, SonarRing, wall_map
 from worlds.geometry import nearest_points
 from worlds.raycast import cast_rays
 
@@ -37,7 +37,7 @@ BAD_SHARE: Final = 0.3
 
 
 @dataclass(frozen=True)
-class Atlas:
+class RangeTable:
     """The table, and the free floor.
 
     origin_in (2,)             the middle of cell [0, 0]
@@ -84,9 +84,9 @@ class Atlas:
         return ranges, np.where(on_floor, self.chances[at], 0.0)
 
 
-def draw_atlas(
-    walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel | ConeModel, clearance_in: float
-) -> Atlas:
+def build_range_table(
+    walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float
+) -> RangeTable:
     """The atlas of a map of wall segments (m, 4) for this ring, where its axis is `clearance_in` from any wall."""
     segments = wall_map(walls).segments
     low = segments.reshape(-1, 2).min(axis=0) + clearance_in
@@ -107,7 +107,7 @@ def draw_atlas(
     ]
     if heard:
         ranges[free], chances[free] = (np.concatenate(column) for column in zip(*heard, strict=True))
-    return Atlas(centred, ranges, chances, free)
+    return RangeTable(centred, ranges, chances, free)
 
 
 def _poses(places: Floats, turns: Floats) -> Floats:
@@ -117,9 +117,9 @@ def _poses(places: Floats, turns: Floats) -> Floats:
     return poses
 
 
-def _heard(poses: Floats, walls: Floats, body: SonarRing, sonar: SonarModel | ConeModel) -> tuple[Floats, Floats]:
+def _heard(poses: Floats, walls: Floats, body: SonarRing, sonar: RaySonar | ConeSonar) -> tuple[Floats, Floats]:
     """Ranges and chances (...) of the likeliest return of a sonar that looks along poses (..., 3)."""
-    if isinstance(sonar, ConeModel):
+    if isinstance(sonar, ConeSonar):
         return _likeliest(poses, reflectors(walls), body, sonar)
     directions = np.stack((np.cos(poses[..., 2]), np.sin(poses[..., 2])), axis=-1)
     from_axis, _ = cast_rays(poses[..., :2], directions, walls)
@@ -127,9 +127,9 @@ def _heard(poses: Floats, walls: Floats, body: SonarRing, sonar: SonarModel | Co
     return np.where(seen, from_axis - body.sonar_ring_radius_in, 0.0), seen.astype(np.float64)
 
 
-def _likeliest(poses: Floats, around: Reflectors, body: SonarRing, sonar: ConeModel) -> tuple[Floats, Floats]:
+def _likeliest(poses: Floats, around: Reflectors, body: SonarRing, sonar: ConeSonar) -> tuple[Floats, Floats]:
     std = np.full(poses.shape[:-1], HEADING_STD_RAD)
-    returns = cone_returns(poses, std, Ear(0.0, body.sonar_ring_radius_in), around, sonar)
+    returns = cone_returns(poses, std, SonarMount(0.0, body.sonar_ring_radius_in), around, sonar)
     best = returns.probability.argmax(axis=-1)[..., None]
     ranges = np.take_along_axis(returns.ranges_in, best, axis=-1)[..., 0]
     return ranges, np.take_along_axis(returns.probability, best, axis=-1)[..., 0]

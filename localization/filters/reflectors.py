@@ -46,7 +46,6 @@ class Reflectors:
         """Walls and vertices together: in all arrays the walls come first."""
         return len(self.walls) + len(self.vertices)
 
-
     def some(self, walls: Mask, vertices: Mask) -> Reflectors:
         """Those alone that are chosen (m,), (v,)."""
         return Reflectors(

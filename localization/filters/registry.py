@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters import update as updates
-from localization.filters.base import Filter, Surroundings, sense_of
+from localization.filters.base import Filter, LocalizationConfig, measurement_model
 from localization.filters.belief import Belief
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.ekf import KalmanFilter
-from localization.filters.global_localization import Finder
-from localization.filters.odometry import LARGEST, POSE, with_constants
+from localization.filters.global_localization import GlobalLocalizer
+from localization.filters.odometry import LARGEST, POSE, with_parameters
 from localization.filters.particles import (
     ConeLikelihood,
     Likelihood,
@@ -25,46 +25,46 @@ from localization.filters.particles import (
     RayLikelihood,
     drawn_from,
 )
-from localization.filters.range_table import Atlas, draw_atlas
+from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.smoother import FixedLagSmoother
-from localization.filters.sonar_cone import ConeModel
-from localization.filters.sonar_ray import STRICT, Gate, SonarModel, SonarRing
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import STRICT, Gate, RaySonar, SonarRing
 from localization.filters.ukf import predict as unscented_predict
-from localization.filters.update import Hearing
+from localization.filters.update import MeasurementUpdate
 
-Maker = Callable[[Surroundings, Belief, int], Filter]
+Maker = Callable[[LocalizationConfig, Belief, int], Filter]
 """Makes a filter from what is known, the belief at the first state, and a seed, which methods without chance ignore."""
 
 
-def _extended(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+def _extended(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return KalmanFilter(belief, _hearing(known), known.odometry)
 
 
-def _iterated(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+def _iterated(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return KalmanFilter(belief, _hearing(known, updates.iterated), known.odometry)
 
 
-def _unscented(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+def _unscented(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return KalmanFilter(belief, _hearing(known, updates.unscented), known.odometry, unscented_predict)
 
 
-def _smoother(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+def _smoother(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return FixedLagSmoother(belief, _hearing(known), known.odometry)
 
 
-def _particles(known: Surroundings, belief: Belief, seed: int) -> Filter:
+def _particles(known: LocalizationConfig, belief: Belief, seed: int) -> Filter:
     chance = np.random.default_rng(seed)
     parameters = MonteCarlo()
     states = drawn_from(belief, parameters.particles, chance)
     return ParticleFilter(states, likelihood_of(known), known.odometry, chance, parameters)
 
 
-def _offsets(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+def _offsets(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     """Of the wheels' constants it finds out those that the belief has."""
-    return CalibratingFilter(known, with_constants(belief, (0.0,) * (LARGEST - len(belief.mean))))
+    return CalibratingFilter(known, with_parameters(belief, (0.0,) * (LARGEST - len(belief.mean))))
 
 
-def _finder(known: Surroundings, belief: Belief, _seed: int) -> Filter:
+def _finder(known: LocalizationConfig, belief: Belief, _seed: int) -> Filter:
     return finder(known, belief)
 
 
@@ -85,22 +85,22 @@ METHODS: Final[Mapping[str, Maker]] = MappingProxyType(
 DEFAULT_METHOD: Final = "ekf"
 
 
-def make(method: str, known: Surroundings, belief: Belief, seed: int = 0) -> Filter:
+def make(method: str, known: LocalizationConfig, belief: Belief, seed: int = 0) -> Filter:
     """The filter of a name in METHODS. Raises ValueError for any other name."""
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     return METHODS[method](known, belief, seed)
 
 
-def finder(known: Surroundings, belief: Belief | None, constants: tuple[float, ...] = ()) -> Finder:
+def finder(known: LocalizationConfig, belief: Belief | None, constants: tuple[float, ...] = ()) -> GlobalLocalizer:
     """The method that finds itself again, and that may begin with no belief at all; `constants` as in systematic."""
     stds = constants if belief is None else tuple(belief.std[POSE:].tolist())
 
-    def atlas() -> Atlas:
+    def atlas() -> RangeTable:
         walls = np.asarray(known.walls, dtype=np.float64).tobytes()
         return _drawn(walls, Ring(known.body.sonar_ring_radius_in, ()), known.sonar, known.clearance_in)
 
-    return Finder(belief, _hearing(known), known.odometry, atlas, known.body.sonar_angles_rad, stds)
+    return GlobalLocalizer(belief, _hearing(known), known.odometry, atlas, known.body.sonar_angles_rad, stds)
 
 
 class Ring(NamedTuple):
@@ -111,28 +111,28 @@ class Ring(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _drawn(walls: bytes, body: Ring, sonar: SonarModel | ConeModel, clearance_in: float) -> Atlas:
+def _drawn(walls: bytes, body: Ring, sonar: RaySonar | ConeSonar, clearance_in: float) -> RangeTable:
     """Drawn once for all robots of a process that know the same map: many trials are driven in the same few worlds."""
-    return draw_atlas(np.frombuffer(walls).reshape(-1, 4), body, sonar, clearance_in)
+    return build_range_table(np.frombuffer(walls).reshape(-1, 4), body, sonar, clearance_in)
 
 
-def _hearing(known: Surroundings, rule: updates.Rule = updates.linear) -> Hearing:
-    return hearing_of(known.walls, known.body, known.sonar, known.gate, rule)
+def _hearing(known: LocalizationConfig, rule: updates.Rule = updates.linear) -> MeasurementUpdate:
+    return update_for(known.walls, known.body, known.sonar, known.gate, rule)
 
 
-def likelihood_of(known: Surroundings) -> Likelihood:
+def likelihood_of(known: LocalizationConfig) -> Likelihood:
     """How particles are weighed with sonars of this kind."""
-    if isinstance(known.sonar, ConeModel):
+    if isinstance(known.sonar, ConeSonar):
         return ConeLikelihood(known.walls, known.body, known.sonar)
     return RayLikelihood(known.walls, known.body, known.sonar)
 
 
-def hearing_of(
+def update_for(
     walls: npt.ArrayLike,
     body: SonarRing,
-    sonar: SonarModel | ConeModel,
+    sonar: RaySonar | ConeSonar,
     gate: Gate = STRICT,
     rule: updates.Rule = updates.linear,
-) -> Hearing:
+) -> MeasurementUpdate:
     """How sonars of this model are taken in."""
-    return Hearing(sense_of(walls, body, sonar, gate), rule)
+    return MeasurementUpdate(measurement_model(walls, body, sonar, gate), rule)

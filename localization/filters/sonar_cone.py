@@ -35,8 +35,8 @@ from localization.filters.belief import HEADING, Belief, Floats, wrap_angle, wra
 from localization.filters.odometry import POSE
 from localization.filters.reflectors import Reflectors, reflectors
 from localization.filters.sonar_ray import RangeNoise, SonarRing, wall_map
-from localization.filters.update import Candidates, Refusal, Sensed
-from worlds.raycast import FirstWall, cast_rays
+from localization.filters.update import Association, Hypotheses, Refusal
+from worlds.raycast import WallIndex, cast_rays
 
 Indices = npt.NDArray[np.intp]
 Complexes = npt.NDArray[np.complex128]
@@ -57,7 +57,7 @@ NEVER_BELOW: Final = log(1.0 / NEVER - 1.0) / LOGISTIC_SLOPE
 
 
 @dataclass(frozen=True, slots=True)
-class ConeModel(RangeNoise):
+class ConeSonar(RangeNoise):
     """A Polaroid ring by its datasheet, and what is believed of its bad readings.
 
     cone_rad                      whole angle of the cone
@@ -79,7 +79,7 @@ class ConeModel(RangeNoise):
     way_loss_db_in: float = 0.1
     square_loss_db: float = 3.0
     edge_loss_db: float = 15.0
-    bad_share: float = 0.1
+    outlier_probability: float = 0.1
 
     @property
     def bad_density(self) -> float:
@@ -96,14 +96,16 @@ class Returns(NamedTuple):
     probability: Floats
 
 
-class Ear(NamedTuple):
+class SonarMount(NamedTuple):
     """A sonar on the robot: the direction of its axis in the robot's frame, and the radius of its ring."""
 
     direction_rad: float
     ring_in: float
 
 
-def cone_returns(poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel) -> Returns:
+def cone_returns(
+    poses: Floats, heading_std_rad: Floats, ear: SonarMount, around: Reflectors, model: ConeSonar
+) -> Returns:
     """What a sonar at poses (..., 3), their headings uncertain by (...) radians, may hear of all reflectors."""
     if poses.ndim == 1:
         alone = cone_returns(poses[None], heading_std_rad, ear, around, model)
@@ -115,7 +117,7 @@ def cone_returns(poses: Floats, heading_std_rad: Floats, ear: Ear, around: Refle
 
 
 def cone_chances(
-    poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel
+    poses: Floats, heading_std_rad: Floats, ear: SonarMount, around: Reflectors, model: ConeSonar
 ) -> tuple[Floats, Floats]:
     """Ranges and probabilities (n, j) of `cone_returns` at poses (n, 3): of those j reflectors alone that are heard
     from any of them."""
@@ -127,7 +129,7 @@ def cone_chances(
     return ranges, _first_heard(ranges, heard[:, which])
 
 
-def expected(poses: Floats, ear: Ear, around: Reflectors, which: Indices) -> tuple[Floats, Floats]:
+def expected(poses: Floats, ear: SonarMount, around: Reflectors, which: Indices) -> tuple[Floats, Floats]:
     """Ranges (..., k) of the reflectors numbered `which` (k,), heard or not, and their derivatives (..., k, 3), from
     poses (..., k, 3), one each, or (..., 1, 3), one for all."""
     axis = poses[..., HEADING] + ear.direction_rad
@@ -152,7 +154,7 @@ def _by_pose(toward: Floats, arm: Floats) -> Floats:
 
 
 def _within_reach(
-    poses: Floats, heading_std_rad: Floats, ear: Ear, around: Reflectors, model: ConeModel
+    poses: Floats, heading_std_rad: Floats, ear: SonarMount, around: Reflectors, model: ConeSonar
 ) -> Reflectors:
     """Those reflectors that may lie in the cone from any of the poses (n, 3): seen from the middle of all, a direction
     is off by no more than the headings differ, and to a vertex by the angle that all poses are seen under besides."""
@@ -185,7 +187,7 @@ class _Ways(NamedTuple):
     feet_in: Floats
 
 
-def _ways(poses: Floats, ear: Ear, around: Reflectors) -> tuple[Floats, Floats, _Ways]:
+def _ways(poses: Floats, ear: SonarMount, around: Reflectors) -> tuple[Floats, Floats, _Ways]:
     """The axes (...) of the sonar, its arms (..., 1, 2), and the ways from its face."""
     axis = poses[..., HEADING] + ear.direction_rad
     arm = ear.ring_in * np.stack((np.cos(axis), np.sin(axis)), axis=-1)
@@ -206,7 +208,7 @@ def _ways(poses: Floats, ear: Ear, around: Reflectors) -> tuple[Floats, Floats, 
 
 
 def _heard(
-    axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflectors, model: ConeModel, walls_in: Floats
+    axis: Floats, heading_std_rad: Floats, ways: _Ways, around: Reflectors, model: ConeSonar, walls_in: Floats
 ) -> Floats:
     """The chance (..., k) that each is heard, were there no other: 0 where it is no more than NEVER, or where one of
     the walls (m', 4) stands before it.
@@ -270,7 +272,7 @@ def _first_heard(ranges_in: Floats, heard: Floats) -> Floats:
 _SLACK_SINGLE_CONE: Final = 1e-9
 
 
-class Return(NamedTuple):
+class EchoCandidate(NamedTuple):
     """A reflector that may be heard: its number, range, the derivative by the pose, and the chance that it is heard."""
 
     which: int
@@ -279,20 +281,18 @@ class Return(NamedTuple):
     probability: float
 
 
-class Listener:
+class ConeSensor:
     """A model of cones in a map."""
 
-    def __init__(self, around: Reflectors, model: ConeModel) -> None:
-        self._model, self._first = model, FirstWall(around.walls).first
+    def __init__(self, around: Reflectors, model: ConeSonar) -> None:
+        self._model, self._first = model, WallIndex(around.walls).nearest
         self._walls = list(
             enumerate(zip(*(part.tolist() for part in (around.corners, around.normals, around.lengths)), strict=True))
         )
         losses = [model.square_loss_db if square else model.edge_loss_db for square in around.square.tolist()]
-        self._vertices = list(
-            enumerate(zip(around.vertices.tolist(), losses, strict=True), start=len(around.walls))
-        )
+        self._vertices = list(enumerate(zip(around.vertices.tolist(), losses, strict=True), start=len(around.walls)))
 
-    def hear(self, pose: tuple[float, float, float], heading_std_rad: float, ear: Ear) -> list[Return]:
+    def hear(self, pose: tuple[float, float, float], heading_std_rad: float, ear: SonarMount) -> list[EchoCandidate]:
         """What a sonar may hear from a pose, in the order of the reflectors."""
         model = self._model
         axis = pose[2] + ear.direction_rad
@@ -313,7 +313,7 @@ class Listener:
         silence, found = 1.0, []
         for range_in, which, jacobian, chance in sorted(heard):
             if chance * silence:
-                found.append(Return(which, range_in, jacobian, chance * silence))
+                found.append(EchoCandidate(which, range_in, jacobian, chance * silence))
             silence *= 1.0 - chance
         return sorted(found)
 
@@ -346,34 +346,34 @@ def _below(sigmas: float) -> float:
     return 1.0 / (1.0 + exp(min(max(-LOGISTIC_SLOPE * sigmas, -300.0), 300.0)))
 
 
-class ConeSense:
+class ConeModel:
     """Each reading is the first echo out of a cone, or a bad one, with probabilities."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeModel) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, model: ConeSonar) -> None:
         self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
-        self._listener = Listener(self._around, model)
+        self._listener = ConeSensor(self._around, model)
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
         model = self._model
         if reading_in <= model.lowest_in:
-            return Sensed(Refusal.LIMIT, 1.0)
-        ear = Ear(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+            return Association(Refusal.LIMIT, 1.0)
+        ear = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
         x, y, heading = belief.mean[:POSE].tolist()
         returns = self._listener.hear((x, y, heading), sqrt(belief.cov[HEADING, HEADING]), ear)
         if reading_in >= model.highest_in:
             heard = sum([found.probability for found in returns])
-            return Sensed(Refusal.LIMIT, 1.0 - (1.0 - model.bad_share) * heard)
+            return Association(Refusal.LIMIT, 1.0 - (1.0 - model.outlier_probability) * heard)
         if not returns:
-            return Sensed(Refusal.NO_WALL, model.bad_density)
+            return Association(Refusal.NO_WALL, model.bad_density)
         which, ranges, jacobian, probability = zip(*returns, strict=True)
-        candidates = Candidates(
+        candidates = Hypotheses(
             np.array(ranges),
             np.array(jacobian),
             np.array([model.variance_at(range_in) for range_in in ranges]),
             np.array([model.constant_at(range_in) for range_in in ranges]),
             np.array(probability),
             partial(expected, ear=ear, around=self._around, which=np.array(which)),
-            model.bad_share,
+            model.outlier_probability,
             model.bad_density,
         )
-        return Sensed(Refusal.NONE, 1.0, candidates)
+        return Association(Refusal.NONE, 1.0, candidates)

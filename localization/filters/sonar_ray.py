@@ -52,8 +52,8 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.filters.belief import HEADING, Belief, Floats, chi_square_quantile
-from localization.filters.update import SPAN_IN, Candidates, Codes, Mask, Observation, Refusal, Sensed
-from worlds.raycast import FirstWall, cast_rays
+from localization.filters.update import SPAN_IN, Association, Codes, Hypotheses, Mask, Observation, Refusal
+from worlds.raycast import NO_WALL, WallIndex, cast_rays
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class RangeNoise:
         if not self.rounding_var_in2:
             return 0.0
         std = max(self.relative_std * range_in, self.floor_std_in)
-        return self.rounding_var_in2 * exp(-(pi * std) ** 2 / (3.0 * self.rounding_var_in2))
+        return self.rounding_var_in2 * exp(-((pi * std) ** 2) / (3.0 * self.rounding_var_in2))
 
     def variance_at(self, range_in: float) -> float:
         """`variance` of a single range."""
@@ -144,27 +144,27 @@ class Sight(NamedTuple):
 class WallMap:
     """The walls a filter knows: `segments` (m, 4) for the ray caster and `lines` (m + 1, 3) of unit normal and offset.
 
-    The last line is no line (zeros): index -1, the ray caster's "nothing", leads there. `first_wall`: the caster for
+    The last line is no line (zeros): index -1, the ray caster's "nothing", leads there. `index`: the caster for
     few rays.
     """
 
     segments: Floats
     lines: Floats
-    first_wall: FirstWall = field(init=False, repr=False)
+    index: WallIndex = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "first_wall", FirstWall(self.segments))
+        object.__setattr__(self, "index", WallIndex(self.segments))
 
 
 @dataclass(frozen=True, slots=True)
-class SonarModel(RangeNoise):
+class RaySonar(RangeNoise):
     """How a reading of an exact ray strays from its range, and which readings are no measurement."""
 
 
-IDEAL_SONAR = SonarModel()
+IDEAL_SONAR = RaySonar()
 """The thesis' sonars: exact but for gaussian noise, real-valued, without limits."""
 
-WIRE_SONAR = SonarModel(rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0)
+WIRE_SONAR = RaySonar(rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0)
 """What the real interface gives: whole inches (a uniform error, variance 1/12) from 6 to 255."""
 
 
@@ -277,7 +277,7 @@ STRICT = Gate()
 """The choice of beams all experiments share."""
 
 
-class Association(NamedTuple):
+class BeamAssociation(NamedTuple):
     """Which wall each beam is taken to meet, what is expected there, and what speaks against it.
 
     `lines` (..., n, 3); `seen` and `jacobian` (..., n, 3) against them; `refusals` (..., n) as known without readings.
@@ -289,7 +289,7 @@ class Association(NamedTuple):
     refusals: Codes
 
 
-def associate(belief: Belief, beams: Beams, walls: WallMap, gate: Gate = STRICT) -> Association:
+def associate(belief: Belief, beams: Beams, walls: WallMap, gate: Gate = STRICT) -> BeamAssociation:
     """Pair the n beams of each belief (mean (..., 3), cov (..., 3, 3)) with walls of the map."""
     aimed = rays(belief.mean[..., None, :], beams)
     met = meet(aimed, walls)
@@ -300,18 +300,18 @@ def associate(belief: Belief, beams: Beams, walls: WallMap, gate: Gate = STRICT)
     ambiguous = ~_same_wall_around(belief, beams, walls, (met, aimed, seen), gate.sigmas)
     np.putmask(refusals, ambiguous, Refusal.AMBIGUOUS_WALL.value)
     np.putmask(refusals, met < 0, Refusal.NO_WALL.value)
-    return Association(lines, seen, range_jacobian(seen, lines), refusals)
+    return BeamAssociation(lines, seen, range_jacobian(seen, lines), refusals)
 
 
 def observe(
-    belief: Belief, beams: Beams, readings_in: Floats, walls: WallMap, sonar: SonarModel, gate: Gate = STRICT
+    belief: Belief, beams: Beams, readings_in: Floats, walls: WallMap, sonar: RaySonar, gate: Gate = STRICT
 ) -> Observation:
     """Readings (..., n) in inches of n beams, judged against beliefs of mean (..., 3) and cov (..., 3, 3)."""
     return judged(associate(belief, beams, walls, gate), belief, readings_in, sonar, gate)
 
 
 def judged(
-    paired: Association, belief: Belief, readings_in: Floats, sonar: SonarModel, gate: Gate = STRICT
+    paired: BeamAssociation, belief: Belief, readings_in: Floats, sonar: RaySonar, gate: Gate = STRICT
 ) -> Observation:
     """What readings (..., n) of beams that are paired with walls say; `paired` is left as it was."""
     _, seen, by_pose, known = paired
@@ -354,7 +354,7 @@ def _same_wall_around(
     return same
 
 
-class Sounding(NamedTuple):
+class BeamPrediction(NamedTuple):
     """A beam paired with a wall: its row, the range from the sonar, its derivative by the pose, the variance that the
     belief leaves to it, and what speaks against it."""
 
@@ -365,9 +365,9 @@ class Sounding(NamedTuple):
     refusal: Refusal
 
 
-def sound(
+def predict_beam(
     belief: Belief, direction_rad: float, standoff_in: float, walls: WallMap, sigmas: float, least_cosine: float
-) -> Sounding:
+) -> BeamPrediction:
     """The beam from the robot's axis in a direction from the heading, its sonar so far along it.
 
     `belief`: mean (n,), cov (n, n), pose first; `sigmas` and `least_cosine` as in gating.Gate.
@@ -375,14 +375,14 @@ def sound(
     x, y, heading = belief.mean[:3].tolist()
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = belief.cov[:3, :3].tolist()
     dx, dy = cos(heading + direction_rad), sin(heading + direction_rad)
-    first = walls.first_wall.first
+    first = walls.index.nearest
     row = first(x, y, dx, dy)[1]
     normal_x, normal_y, offset = walls.lines[row].tolist()
     cosine = normal_x * dx + normal_y * dy
-    if row == walls.first_wall.nothing:
-        return Sounding(row, 0.0, (0.0, 0.0, 0.0), 0.0, Refusal.NO_WALL)
+    if row == NO_WALL:
+        return BeamPrediction(row, 0.0, (0.0, 0.0, 0.0), 0.0, Refusal.NO_WALL)
     if not cosine:
-        return Sounding(row, 0.0, (0.0, 0.0, 0.0), 0.0, Refusal.AMBIGUOUS_WALL)
+        return BeamPrediction(row, 0.0, (0.0, 0.0, 0.0), 0.0, Refusal.AMBIGUOUS_WALL)
     way = (offset - normal_x * x - normal_y * y) / cosine
     pull_x = xt * way - xx * dy + xy * dx
     pull_y = yt * way - xy * dy + yy * dx
@@ -399,7 +399,7 @@ def sound(
     spread = (
         by_x * (by_x * xx + 2.0 * by_y * xy) + by_y * by_y * yy + by_t * (2.0 * (by_x * xt + by_y * yt) + by_t * tt)
     )
-    return Sounding(row, way - standoff_in, (by_x, by_y, by_t), spread, refusal)
+    return BeamPrediction(row, way - standoff_in, (by_x, by_y, by_t), spread, refusal)
 
 
 BAD_RAYS: Final = 0.05
@@ -407,26 +407,26 @@ BAD_RAYS: Final = 0.05
 SURE: Final = np.ones(1)
 
 
-class RaySense:
+class RayModel:
     """Each reading is the range along one ray, or it is refused."""
 
-    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: SonarModel, gate: Gate = STRICT) -> None:
+    def __init__(self, walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar, gate: Gate = STRICT) -> None:
         self._walls, self._body, self._sonar, self._gate = wall_map(walls), body, sonar, gate
         self._angles = body.sonar_angles_rad
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
         sonar_model, gate = self._sonar, self._gate
         if not sonar_model.lowest_in < reading_in < sonar_model.highest_in:
             return _REFUSED[Refusal.LIMIT]
         direction_rad, standoff_in = turret_offset_rad + self._angles[sonar], self._body.sonar_ring_radius_in
-        beam = sound(belief, direction_rad, standoff_in, self._walls, gate.sigmas, gate.min_cos_incidence)
+        beam = predict_beam(belief, direction_rad, standoff_in, self._walls, gate.sigmas, gate.min_cos_incidence)
         if beam.refusal is not Refusal.NONE:
             return _REFUSED[beam.refusal]
         variance, innovation_in = sonar_model.variance_at(beam.range_in), reading_in - beam.range_in
         if not innovation_in * innovation_in <= gate.threshold * (beam.spread_in2 + variance):
             return _REFUSED[Refusal.GATE]
         expect = partial(_along, direction_rad, standoff_in, self._walls.lines[beam.row])
-        candidates = Candidates(
+        candidates = Hypotheses(
             np.array([beam.range_in]),
             np.array([beam.jacobian]),
             np.array([variance]),
@@ -436,7 +436,7 @@ class RaySense:
             0.0,
             0.0,
         )
-        return Sensed(Refusal.NONE, 1.0, candidates, BAD_RAYS)
+        return Association(Refusal.NONE, 1.0, candidates, BAD_RAYS)
 
 
 def _along(direction_rad: float, standoff_in: float, line: Floats, poses: Floats) -> tuple[Floats, Floats]:
@@ -451,4 +451,4 @@ def _unexplained(refusal: Refusal) -> float:
     return 1.0 if refusal is Refusal.LIMIT else BAD_RAYS / SPAN_IN if refusal is Refusal.GATE else 1.0 / SPAN_IN
 
 
-_REFUSED: Final = {refusal: Sensed(refusal, _unexplained(refusal)) for refusal in Refusal if refusal}
+_REFUSED: Final = {refusal: Association(refusal, _unexplained(refusal)) for refusal in Refusal if refusal}

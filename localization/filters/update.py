@@ -119,22 +119,22 @@ MOSTLY_BAD: Final = 0.5
 """A reading that is bad with more than this probability is told of as refused by the gate; its NIS says nothing."""
 
 
-class Judgement(NamedTuple):
+class UpdateResult(NamedTuple):
     """What became of a reading: why it said nothing (NONE: it did), reading less expectation (0 where nothing was
     expected) with its normalised square, and how likely it was a bad one."""
 
     refusal: Refusal
     innovation_in: float
     nis: float
-    bad_share: float
+    outlier_probability: float
 
 
-def told_as(bad_share: float) -> Refusal:
+def refusal_of(outlier_probability: float) -> Refusal:
     """What became of a reading that was so likely a bad one: refused by the gate, or taken."""
-    return Refusal.GATE if bad_share > MOSTLY_BAD else Refusal.NONE
+    return Refusal.GATE if outlier_probability > MOSTLY_BAD else Refusal.NONE
 
 
-TELLING: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
+INFORMATIVE: Final = frozenset({Refusal.NONE, Refusal.NO_WALL, Refusal.GATE})
 """What becomes of readings that tell whether the belief is right; others are left out whatever they say."""
 
 
@@ -143,7 +143,7 @@ Expect = Callable[[Floats], tuple[Floats, Floats]]
 derivative by the pose (..., k, 3)."""
 
 
-class Candidates(NamedTuple):
+class Hypotheses(NamedTuple):
     """k things that a reading may be of, and how likely it is of none.
 
     ranges_in, jacobian   (k,) and (k, 3) at the mean of the belief       variance   (k,) of readings of them, in^2
@@ -160,7 +160,7 @@ class Candidates(NamedTuple):
     constant: Floats
     probability: Floats
     expect: Expect
-    bad_share: float
+    outlier_probability: float
     bad_density: float
 
     def by_state(self, size: int) -> Floats:
@@ -183,13 +183,13 @@ LEAST_WORTH: Final = 1e-12
 """Of the first reading's: as good as nothing."""
 
 
-def nth_variance(variance: Floats, constant: Floats, times: int) -> Floats:
+def inflated_variance(variance: Floats, constant: Floats, times: int) -> Floats:
     """R_n of the `times`-th reading from one place, of any shape: `variance` r + c of one reading, `constant` c."""
-    worth: Floats = variance / np.maximum(share_of_first(variance, constant, times), LEAST_WORTH)
+    worth: Floats = variance / np.maximum(information_fraction(variance, constant, times), LEAST_WORTH)
     return worth
 
 
-def share_of_first(variance: Floats, constant: Floats, times: int) -> Floats:
+def information_fraction(variance: Floats, constant: Floats, times: int) -> Floats:
     """q^(n - 1), 0 where c is r or more: what the `times`-th reading adds, as a share of what the first does."""
     share: Floats = np.maximum(1.0 - 2.0 * constant / variance, 0.0) ** (times - 1)
     return share
@@ -205,7 +205,7 @@ class _Taken(NamedTuple):
     number: int
 
 
-class Repeats:
+class CorrelatedReadings:
     """See the head of this file. Only readings that were taken in count: one that was refused told nothing."""
 
     def __init__(self) -> None:
@@ -253,11 +253,11 @@ class Corrections(NamedTuple):
     nis: list[float]
 
 
-Rule = Callable[[Belief, float, Candidates], Corrections]
+Rule = Callable[[Belief, float, Hypotheses], Corrections]
 """Belief (mean (n,), cov (n, n)), reading in inches, what it may be of."""
 
 
-def linear(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
+def linear(belief: Belief, reading_in: float, heard: Hypotheses) -> Corrections:
     """H P H' + R and P H' / S at the mean."""
     by_x, by_y, by_heading = belief.cov[:3].tolist()
     taken = Corrections([], [], [], [], [])
@@ -274,7 +274,7 @@ def linear(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
     return taken
 
 
-def iterated(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
+def iterated(belief: Belief, reading_in: float, heard: Hypotheses) -> Corrections:
     """The most likely state by Gauss-Newton, from the mean; a step that makes it less likely is not taken.
 
         d' = K_i (z - h(x_i) + H_i d_i)      cost = (z - h)^2 / R + d' P^-1 d
@@ -305,7 +305,7 @@ def iterated(belief: Belief, reading_in: float, heard: Candidates) -> Correction
     return _told(moves, gains, spread, reading_in - heard.ranges_in, cost)
 
 
-def unscented(belief: Belief, reading_in: float, heard: Candidates) -> Corrections:
+def unscented(belief: Belief, reading_in: float, heard: Hypotheses) -> Corrections:
     """Mean, variance and covariance of the range with the state from sigma points."""
     weight = weights(len(belief.mean))
     away = offsets(root_of(belief.cov), weight.reach)
@@ -332,7 +332,7 @@ def _gains(belief: Belief, jacobian: Floats, variance: Floats) -> tuple[Floats, 
 _TURN: Final = 2.0 * pi
 
 
-class Absorbed(NamedTuple):
+class PdaResult(NamedTuple):
     """A belief that a reading has corrected, and how it was understood.
 
     shares            k + 1: how likely it was each candidate's, the last: bad
@@ -347,20 +347,18 @@ class Absorbed(NamedTuple):
     nis: float
 
     @property
-    def bad_share(self) -> float:
+    def outlier_probability(self) -> float:
         """How likely the reading was a bad one."""
         return self.shares[-1]
 
 
-def absorb(
-    belief: Belief, reading_in: float, heard: Candidates, rule: Rule = linear, times: int = 1
-) -> Absorbed:
+def pda_update(belief: Belief, reading_in: float, heard: Hypotheses, rule: Rule = linear, times: int = 1) -> PdaResult:
     """A belief (mean (n,), cov (n, n)) corrected by a reading that may be any of k candidates or a bad one.
 
     The `times`-th from the same place corrects by what it adds alone (repeats); what it is, is judged as ever.
     """
     moves, gains, spread, innovation, nis = rule(belief, reading_in, heard)
-    good = 1.0 - heard.bad_share
+    good = 1.0 - heard.outlier_probability
     chances = heard.probability.tolist()
     weights = [
         good * chance * exp(-0.5 * square) / sqrt(_TURN * variance)
@@ -370,14 +368,14 @@ def absorb(
     total = sum(weights) + bad
     shares = [weight / total for weight in (*weights, bad)]
     if times > 1:
-        adding = heard._replace(variance=nth_variance(heard.variance, heard.constant, times))
+        adding = heard._replace(variance=inflated_variance(heard.variance, heard.constant, times))
         moves, gains, spread, _, _ = rule(belief, reading_in, adding)
     change = [sum(map(mul, shares, column)) for column in zip(*moves, strict=True)] or [0.0] * len(belief.mean)
     columns = [(-share * variance, gain) for share, variance, gain in zip(shares, spread, gains, strict=False)]
     columns += [(share, list(map(sub, move, change))) for share, move in zip(shares, moves, strict=False)]
     columns.append((shares[-1], change))
     best = weights.index(max(weights)) if weights else None
-    return Absorbed(
+    return PdaResult(
         Belief(add(belief.mean, np.array(change)), np.array(_with_columns(belief.cov.tolist(), columns))),
         shares,
         total,
@@ -400,7 +398,7 @@ def _with_columns(cov: list[list[float]], columns: list[tuple[float, list[float]
     return cov
 
 
-class Sensed(NamedTuple):
+class Association(NamedTuple):
     """What a reading may be of, or why it says nothing.
 
     likelihood    where it is refused: how well the belief explains that
@@ -409,42 +407,44 @@ class Sensed(NamedTuple):
 
     refusal: Refusal
     likelihood: float
-    candidates: Candidates | None = None
+    candidates: Hypotheses | None = None
     besides: float = 0.0
 
 
-class Sense(Protocol):
+class MeasurementModel(Protocol):
     """A kind of sonar, in a map, on a body."""
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
         """What sonar number `sonar` may have heard, the turret being turned by so much against the heading."""
         ...
 
 
-class Heard(NamedTuple):
+class EchoResult(NamedTuple):
     """What a reading left: the belief, what became of it, and how well the belief before it explains it: a density per
     inch for a range, a chance for a limit; the same kind for the same reading, whatever the belief."""
 
     belief: Belief
-    judgement: Judgement
+    judgement: UpdateResult
     likelihood: float
 
 
-class Hearing:
+class MeasurementUpdate:
     """A kind of sonar, in a map, on a body, with a rule of correction."""
 
-    def __init__(self, sense: Sense, rule: Rule = linear) -> None:
+    def __init__(self, sense: MeasurementModel, rule: Rule = linear) -> None:
         self._sense, self._rule = sense, rule
 
     def hear(
         self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float, times: int = 1
-    ) -> Heard:
+    ) -> EchoResult:
         """Take in what sonar number `sonar` reads, the turret being turned by so much against the heading; the
         `times`-th of its readings that is taken in from this place (repeats)."""
         sensed = self._sense.sense(belief, sonar, turret_offset_rad, reading_in)
         if sensed.candidates is None:
-            return Heard(belief, Judgement(sensed.refusal, 0.0, 0.0, 1.0), sensed.likelihood)
-        taken = absorb(belief, reading_in, sensed.candidates, self._rule, times)
-        judgement = Judgement(told_as(taken.bad_share), taken.innovation_in, taken.nis, taken.bad_share)
+            return EchoResult(belief, UpdateResult(sensed.refusal, 0.0, 0.0, 1.0), sensed.likelihood)
+        taken = pda_update(belief, reading_in, sensed.candidates, self._rule, times)
+        judgement = UpdateResult(
+            refusal_of(taken.outlier_probability), taken.innovation_in, taken.nis, taken.outlier_probability
+        )
         likelihood = (1.0 - sensed.besides) * taken.likelihood + sensed.besides / SPAN_IN
-        return Heard(taken.belief, judgement, likelihood)
+        return EchoResult(taken.belief, judgement, likelihood)

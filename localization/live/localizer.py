@@ -36,14 +36,21 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.filters.base import Filter, Place, Searching, Smoothing, Surroundings
+from localization.filters.base import Filter, LocalizationConfig, Place, Searching, Smoothing
 from localization.filters.belief import HEADING, Belief, Floats, difference
-from localization.filters.health import ALL_WELL, Verdict
+from localization.filters.health import HEALTHY, FilterHealth
 from localization.filters.odometry import POSE, pose_of, step_between
 from localization.filters.registry import DEFAULT_METHOD, make
 from localization.filters.update import Refusal
 from localization.live import sensor_input as calibrated
-from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose, FiringSchedule, FiringTime, PoseHistory, Told
+from localization.live.sensor_input import (
+    CLOCK_STEP_S,
+    EncoderPose,
+    FiringSchedule,
+    FiringTime,
+    PoseHistory,
+    SensorInput,
+)
 
 LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
 """The difference of two instants, each anywhere within one step of the clock."""
@@ -77,7 +84,7 @@ class Echo(NamedTuple):
     refusal: Refusal
     innovation_in: float
     nis: float = 0.0
-    bad_share: float = 0.0
+    outlier_probability: float = 0.0
 
 
 class Smoothed(NamedTuple):
@@ -95,7 +102,7 @@ class Estimate:
     clock_s: float
     belief: Belief
     echoes: tuple[Echo, ...]
-    verdict: Verdict = ALL_WELL
+    health: FilterHealth = HEALTHY
     smoothed: Smoothed | None = None
     places: tuple[Place, ...] = ()
 
@@ -115,7 +122,7 @@ class Localizer:
 
     def __init__(
         self,
-        known: Surroundings,
+        known: LocalizationConfig,
         belief: Belief,
         schedule: FiringSchedule,
         method: str | Filter = DEFAULT_METHOD,
@@ -130,7 +137,7 @@ class Localizer:
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
-    def update(self, told: Told) -> Estimate:
+    def update(self, told: SensorInput) -> Estimate:
         """Take in one state and say where the robot is. A state no later than the one before changes nothing.
 
         Raises ValueError for a state without a clock: nothing was received yet.
@@ -153,7 +160,7 @@ class Localizer:
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         lagged = with_lag(self._filter.ahead(step), *self._history.last_two)
         places = self._searching.places if self._searching else ()
-        return Estimate(latest.clock_s, lagged, echoes, self._filter.verdict, smoothed, places)
+        return Estimate(latest.clock_s, lagged, echoes, self._filter.health, smoothed, places)
 
     def _hear(self, firing: FiringTime, reading_in: float) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""
@@ -163,8 +170,8 @@ class Localizer:
         self._settled, self._heard_s = there, firing.instant_s
         self._instants.append(firing.instant_s)
         judgement = self._filter.hear(firing.sonar, there.turret_offset_rad, float(reading_in))
-        refusal, innovation_in, nis, bad_share = judgement
-        return Echo(*firing, reading_in, refusal, innovation_in, nis, bad_share)
+        refusal, innovation_in, nis, outlier_probability = judgement
+        return Echo(*firing, reading_in, refusal, innovation_in, nis, outlier_probability)
 
 
 LARGEST_NIS: Final = 1.5

@@ -33,12 +33,12 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from localization.filters.belief import HEADING, Belief, Floats, add, difference, wrapped
-from localization.filters.odometry import POSE, with_constants
+from localization.filters.odometry import POSE, with_parameters
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from worlds.calibration import FAULTLESS, Calibration
 
 
-class Told(Protocol):
+class SensorInput(Protocol):
     """What the filter wants of a robot's state; nclient's RobotState has it. Seconds, inches, radians."""
 
     @property
@@ -56,7 +56,7 @@ class Told(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Retold:
+class SensorData:
     """The same, no longer as the robot said it."""
 
     clock_s: float | None
@@ -67,10 +67,10 @@ class Retold:
     sonars_in: tuple[float, ...]
 
 
-def retold(told: Told, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> Retold:
+def with_readings(told: SensorInput, sonars_in: tuple[float, ...], turret_rad: float | None = None) -> SensorData:
     """It with other readings of the sonars, and with the ring turned to `turret_rad` where that is given."""
     turret = told.turret_rad if turret_rad is None else turret_rad
-    return Retold(told.clock_s, told.x_in, told.y_in, told.steering_rad, turret, sonars_in)
+    return SensorData(told.clock_s, told.x_in, told.y_in, told.steering_rad, turret, sonars_in)
 
 
 LOWEST_IN: Final = 6
@@ -78,12 +78,12 @@ HIGHEST_IN: Final = 255
 _INSIDE_IN: Final = 1e-3
 
 
-def of(told: Told, errs: Calibration) -> Told:
+def of(told: SensorInput, errs: Calibration) -> SensorInput:
     """What a robot tells, without what its sonars are known to get wrong."""
     if errs is FAULTLESS:
         return told
     sonars = tuple(_range_in(read, off) for read, off in zip(told.sonars_in, errs.offsets_in, strict=True))
-    return retold(told, sonars, told.turret_rad + errs.turned_rad)
+    return with_readings(told, sonars, told.turret_rad + errs.turned_rad)
 
 
 def with_wheels(pose: Belief, errs: Calibration) -> Belief:
@@ -91,7 +91,7 @@ def with_wheels(pose: Belief, errs: Calibration) -> Belief:
     if errs is FAULTLESS:
         return pose
     spread = errs.spread
-    longer = with_constants(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))
+    longer = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))
     longer.mean[POSE:] = np.array([errs.way_scale - 1.0, errs.turn_scale - 1.0, errs.drift_rad_in])
     return longer
 

@@ -22,7 +22,7 @@ from worlds.raycast import (
     cast_each,
     cast_ray,
     cast_rays,
-    first_wall,
+    nearest_wall,
     ray_to_disc,
 )
 
@@ -314,7 +314,7 @@ def test_rays_cast_at_once_are_those_cast_one_by_one_to_the_bit(walls: int) -> N
         at_once = [cast_each(places[cut : cut + count], ways[cut : cut + count], corners) for cut in cuts]
         assert [distance for batch in at_once for distance in batch] == alone
     in_numbers = [
-        first_wall(place.real, place.imag, way.real, way.imag, corners)
+        nearest_wall(place.real, place.imag, way.real, way.imag, tuple(corners.T))[0]
         for place, way in zip(places, ways, strict=True)
     ]
     assert in_numbers == alone

@@ -9,12 +9,12 @@ import pytest
 
 from localization.filters.calibration import EDGE_STD_RAD, Aiming, Look
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, Ear, cone_returns
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
 from localization.filters.sonar_ray import wall_map
 from worlds.bodies import N150
 
 WALL = [[100.0, -1000.0, 100.0, 1000.0]]
-MODEL = ConeModel()
+MODEL = ConeSonar()
 HALF_DEG = 12.5
 
 
@@ -29,13 +29,13 @@ def by_chance(one: Look) -> tuple[float, float]:
     offs = one.std_rad * np.random.default_rng(5).standard_normal(40_000)
     poses = np.zeros((len(offs), 3))
     around = reflectors(wall_map(WALL).segments)
-    ear = Ear(one.offset_rad, N150.sonar_ring_radius_in)
+    ear = SonarMount(one.offset_rad, N150.sonar_ring_radius_in)
     poses[:, 2] = offs
     heard = cone_returns(poses, np.full(len(offs), edge), ear, around, MODEL)
     variance = one.spread_in2 + MODEL.variance(heard.ranges_in[len(offs) // 2])
     middle_in = heard.ranges_in[np.argmin(np.abs(offs))]
     density = np.exp(-0.5 * (one.reading_in - middle_in) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
-    good = 1.0 - MODEL.bad_share
+    good = 1.0 - MODEL.outlier_probability
     any_of = good * heard.probability.sum(axis=1)
     likelihood = good * (heard.probability * density).sum(axis=1) + MODEL.bad_density * (1.0 - any_of)
     if one.reading_in >= MODEL.highest_in:

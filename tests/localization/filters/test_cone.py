@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from localization.filters.reflectors import reflectors
-from localization.filters.sonar_cone import ConeModel, Ear, cone_chances, cone_returns
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_chances, cone_returns
 from worlds.files import load_world
 
 SURE = np.array(1e-9)
 SQUARE_ROOM = [[-50, -50, 50, -50], [50, -50, 50, 50], [50, 50, -50, 50], [-50, 50, -50, -50]]
 RIGHT_WALL = 1
-MODEL = ConeModel()
-FRONT = Ear(0.0, 9.0)
+MODEL = ConeSonar()
+FRONT = SonarMount(0.0, 9.0)
 
 
 def test_a_wall_met_head_on_is_heard_at_its_distance_from_the_ring() -> None:
@@ -76,7 +76,7 @@ def test_the_nearer_of_two_is_heard_and_the_farther_only_where_the_nearer_is_not
 @pytest.mark.parametrize("direction", [0.0, 0.4, -2.9])
 def test_the_derivative_against_finite_differences(heading: float, direction: float) -> None:
     around, tiny = reflectors([*SQUARE_ROOM, [10, 20, 30, 35]]), 1e-6
-    pose, ear = np.array([3.0, -7.0, heading]), Ear(direction, 9.06)
+    pose, ear = np.array([3.0, -7.0, heading]), SonarMount(direction, 9.06)
     found = cone_returns(pose, SURE, ear, around, MODEL)
     for axis, unit in enumerate(np.eye(3)):
         ahead = cone_returns(pose + tiny * unit, SURE, ear, around, MODEL).ranges_in
@@ -109,7 +109,7 @@ def test_variance_is_a_share_of_the_range_a_floor_and_rounding() -> None:
 
 
 def test_the_ring_stands_where_the_heading_carries_it() -> None:
-    ear, pose = Ear(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
+    ear, pose = SonarMount(pi / 2, 9.0), np.array([10.0, 0.0, 0.0])
     found = cone_returns(pose, SURE, ear, reflectors([[-50, 40, 50, 40]]), MODEL)
     assert found.ranges_in[0] == pytest.approx(40.0 - 9.0 * sin(pi / 2))
 
@@ -118,7 +118,7 @@ def test_the_ring_stands_where_the_heading_carries_it() -> None:
 def test_of_a_cloud_what_is_left_out_is_heard_from_nowhere(spread: tuple[float, float, float]) -> None:
     around, rng = reflectors(load_world("several_walls").walls), np.random.default_rng(9)
     for direction in np.linspace(-3.0, 3.0, 9):
-        ear = Ear(float(direction), 9.06)
+        ear = SonarMount(float(direction), 9.06)
         poses = np.array([45.0, 40.0, 0.7]) + spread * rng.uniform(-1.0, 1.0, size=(60, 3))
         every = cone_returns(poses, np.full(60, 0.03), ear, around, MODEL)
         ranges, chances = cone_chances(poses, np.array(0.03), ear, around, MODEL)

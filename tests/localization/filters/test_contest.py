@@ -9,9 +9,9 @@ import pytest
 
 from localization.filters import global_localization as contest_module
 from localization.filters.belief import Belief, independent
-from localization.filters.global_localization import SURE_NATS, Clue, Contest, Side
+from localization.filters.global_localization import SURE_NATS, EchoRecord, SequentialTest, Side
 from localization.filters.odometry import OdometryNoise, predict
-from localization.filters.update import Hearing, Refusal, Sensed
+from localization.filters.update import Association, MeasurementUpdate, Refusal
 
 STD_IN, SPAN_IN = 1.5, 249.0
 NOISE = OdometryNoise(0.1, 0.1, 0.005)
@@ -23,9 +23,9 @@ class Wall:
     def __init__(self) -> None:
         self.taken: list[tuple[int, float, float]] = []
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
         self.taken.append((sonar, turret_offset_rad, reading_in))
-        return Sensed(Refusal.GATE, density(reading_in, float(belief.mean[0])))
+        return Association(Refusal.GATE, density(reading_in, float(belief.mean[0])))
 
 
 def density(reading_in: float, x_in: float) -> float:
@@ -37,12 +37,12 @@ def at(x_in: float) -> Belief:
     return independent([x_in, 0.0, 0.0], [0.5, 0.5, 0.03])
 
 
-def clue(reading_in: float) -> Clue:
-    return Clue(np.zeros(3), 0.0, 0, 0.0, reading_in)
+def clue(reading_in: float) -> EchoRecord:
+    return EchoRecord(np.zeros(3), 0.0, 0, 0.0, reading_in)
 
 
 def test_each_side_gets_the_logarithm_of_how_it_explains_an_echo_and_a_bad_one_costs_so_much_at_most() -> None:
-    contest = Contest(at(52.0), at(90.0), Hearing(Wall()), NOISE)
+    contest = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
     for reading, here in ((51.0, 0.2), (90.0, 0.0), (30.0, 0.01)):
         contest.hear(clue(reading), here)
     bad = 0.3 / SPAN_IN
@@ -58,16 +58,16 @@ def test_each_side_gets_the_logarithm_of_how_it_explains_an_echo_and_a_bad_one_c
 
 
 def test_silence_is_weighed_as_a_chance() -> None:
-    contest = Contest(None, at(90.0), Hearing(Wall()), NOISE)
+    contest = SequentialTest(None, at(90.0), MeasurementUpdate(Wall()), NOISE)
     contest.hear(clue(255.0), 1.0)
     assert contest.lead_nats == pytest.approx(log(1.0 / 0.3))
 
 
 def test_rivals_move_with_the_encoders_and_hear() -> None:
     wall, step = Wall(), np.array([2.0, 0.3])
-    contest = Contest(at(52.0), at(90.0), Hearing(wall), NOISE)
+    contest = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(wall), NOISE)
     contest.move(step)
-    contest.hear(Clue(np.zeros(3), 0.5, 7, 0.2, 50.0), 0.1)
+    contest.hear(EchoRecord(np.zeros(3), 0.5, 7, 0.2, 50.0), 0.1)
     for side, x_in in ((Side.NEAR, 52.0), (Side.ELSEWHERE, 90.0)):
         moved = predict(at(x_in), step, NOISE)
         np.testing.assert_array_equal(contest.belief(side).mean, moved.mean)
@@ -78,7 +78,7 @@ def test_rivals_move_with_the_encoders_and_hear() -> None:
 @pytest.mark.parametrize(("true_in", "winner"), [(50.0, Side.HERE), (54.0, Side.NEAR), (90.0, Side.ELSEWHERE)])
 def test_the_right_side_wins_after_a_handful_of_echoes(true_in: float, winner: Side) -> None:
     chance = np.random.default_rng(4)
-    contest = Contest(at(54.0), at(90.0), Hearing(Wall()), NOISE)
+    contest = SequentialTest(at(54.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
     while contest.winner is None:
         reading = true_in + STD_IN * float(chance.standard_normal())
         contest.hear(clue(reading), density(reading, 50.0))
@@ -90,8 +90,8 @@ def test_the_right_side_wins_after_a_handful_of_echoes(true_in: float, winner: S
 def test_a_third_place_does_not_win_because_the_estimate_has_slipped() -> None:
     """The truth is near, and a third of all echoes fits elsewhere by chance: enough against the estimate alone."""
 
-    def readings(near: Belief | None) -> Contest:
-        contest = Contest(near, at(90.0), Hearing(Wall()), NOISE)
+    def readings(near: Belief | None) -> SequentialTest:
+        contest = SequentialTest(near, at(90.0), MeasurementUpdate(Wall()), NOISE)
         for reading in (54.0, 54.0, 90.0) * 4:
             contest.hear(clue(reading), density(reading, 44.0))
         return contest
@@ -107,9 +107,9 @@ def test_while_the_estimate_is_right_a_rival_wins_no_more_often_than_villes_boun
     nats = 2.5
     monkeypatch.setattr(contest_module, "SURE_NATS", nats)
     chance, runs, wrong = np.random.default_rng(6), 3000, 0
-    hearing = Hearing(Wall())
+    hearing = MeasurementUpdate(Wall())
     for _ in range(runs):
-        contest = Contest(None, at(float(chance.uniform(48.0, 60.0))), hearing, NOISE)
+        contest = SequentialTest(None, at(float(chance.uniform(48.0, 60.0))), hearing, NOISE)
         good = chance.random(40) >= 0.3
         heard = np.where(good, 50.0 + STD_IN * chance.standard_normal(40), chance.uniform(6.0, 255.0, 40))
         for reading in heard.tolist():

@@ -14,7 +14,7 @@ from localization.filters.sonar_ray import (
     WIRE_SONAR,
     Beams,
     Gate,
-    SonarModel,
+    RaySonar,
     WallMap,
     associate,
     meet,
@@ -39,7 +39,7 @@ def ranges_from(belief: Belief, beams: Beams = RING) -> Floats:
     return sight(aimed, ROOM.lines[meet(aimed, ROOM)]).ranges_in
 
 
-def only_reason(belief: Belief, reading: float, sonar: SonarModel = IDEAL_SONAR, gate: Gate = STRICT) -> Refusal:
+def only_reason(belief: Belief, reading: float, sonar: RaySonar = IDEAL_SONAR, gate: Gate = STRICT) -> Refusal:
     (reason,) = observe(belief, AHEAD, np.array([reading]), ROOM, sonar, gate).reasons()
     return reason
 

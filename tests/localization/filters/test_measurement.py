@@ -12,7 +12,7 @@ from localization.filters.odometry import move
 from localization.filters.sonar_ray import (
     WIRE_SONAR,
     Beams,
-    SonarModel,
+    RaySonar,
     WallMap,
     fired_at,
     left_of,
@@ -157,5 +157,5 @@ def test_a_wall_without_length_is_refused_by_its_number() -> None:
 
 def test_the_variance_of_a_reading() -> None:
     ranges = np.array([2.0, 5.0, 100.0])
-    assert SonarModel().variance(ranges) == pytest.approx([0.0025, 0.0025, 1.0])
+    assert RaySonar().variance(ranges) == pytest.approx([0.0025, 0.0025, 1.0])
     assert WIRE_SONAR.variance(ranges) == pytest.approx(np.array([0.0025, 0.0025, 1.0]) + 1 / 12)

@@ -7,7 +7,7 @@ import pytest
 
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import correct
-from localization.filters.health import Trust
+from localization.filters.health import HealthStatus
 from localization.filters.odometry import OdometryNoise, move, predict
 from localization.filters.particles import ParticleFilter, RayLikelihood, Weighed, drawn_from, low_variance, moments
 from localization.filters.sonar_ray import WIRE_SONAR
@@ -110,11 +110,11 @@ def test_how_likely_a_reading_was_bad_is_bayes_over_all_particles() -> None:
     particles = ParticleFilter(drawn_from(BELIEF, 50, chance), likelihood, OdometryNoise(), chance)
     reading = _reading(BELIEF.mean, 2)
     whole, bad = np.sum([likelihood.of(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
-    assert particles.hear(2, 0.0, reading).bad_share == pytest.approx(float(bad[0] / whole[0]))
+    assert particles.hear(2, 0.0, reading).outlier_probability == pytest.approx(float(bad[0] / whole[0]))
 
 
 def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there_does_not() -> None:
-    for off_in, trust in ((0.0, Trust.OK), (12.0, Trust.DEGRADED)):
+    for off_in, status in ((0.0, HealthStatus.OK), (12.0, HealthStatus.DEGRADED)):
         chance, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
         likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
         cloud = ParticleFilter(drawn_from(BELIEF, 500, chance), likelihood, OdometryNoise(0.0, 0.0, 0.0), chance)
@@ -122,7 +122,7 @@ def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there
         for sonar in [*range(16)] * 4:
             refused += cloud.hear(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
             cloud.states = drawn_from(BELIEF, 500, chance)  # held where it is believed to be
-        assert cloud.verdict.trust is trust
+        assert cloud.health.status is status
         assert (refused > 32) is (off_in > 0.0)
 
 
@@ -130,7 +130,7 @@ def test_a_cloud_that_is_too_wide_says_so() -> None:
     chance = np.random.default_rng(9)
     states = drawn_from(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, chance)
     wide = ParticleFilter(states, Ruler(), OdometryNoise(), chance)
-    assert wide.verdict == (Trust.DEGRADED, "the position is known to 4.0 in only")
+    assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
 
 
 def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:

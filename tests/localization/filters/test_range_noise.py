@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from localization.filters.sonar_cone import ConeModel
+from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RangeNoise
 
 
@@ -35,7 +35,7 @@ def test_without_noise_it_is_all_of_rounding_and_without_rounding_nothing() -> N
     assert RangeNoise().constant_at(50.0) == 0.0
 
 
-@pytest.mark.parametrize("noise", [WIRE_SONAR, ConeModel()])
+@pytest.mark.parametrize("noise", [WIRE_SONAR, ConeSonar()])
 def test_far_away_readings_are_all_anew(noise: RangeNoise) -> None:
     assert noise.constant_at(10.0) > 0.5 * noise.rounding_var_in2
     assert noise.constant_at(100.0) < 1e-9

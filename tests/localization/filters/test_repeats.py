@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.filters.update import SAME_IN, SAME_RAD, Repeats, nth_variance
+from localization.filters.update import SAME_IN, SAME_RAD, CorrelatedReadings, inflated_variance
 
 STAND = np.zeros(2)
 
@@ -15,7 +15,7 @@ def test_weights_claim_what_is_so_and_none_could_be_larger(anew: float, constant
     """By the whole covariance of the readings."""
     noise = np.eye(5) * anew + constant
     weights = 1.0 / np.array(
-        [float(nth_variance(np.array(anew + constant), np.array(constant), times)) for times in range(1, 6)]
+        [float(inflated_variance(np.array(anew + constant), np.array(constant), times)) for times in range(1, 6)]
     )
     for count in range(1, 6):
         first, part = weights[:count], noise[:count, :count]
@@ -27,12 +27,12 @@ def test_weights_claim_what_is_so_and_none_could_be_larger(anew: float, constant
 
 @pytest.mark.parametrize("anew", [0.0, 0.1, 0.2])
 def test_what_is_mostly_one_error_says_nothing_again(anew: float) -> None:
-    second = nth_variance(np.array([0.2 + anew]), np.array([0.2]), 2)
+    second = inflated_variance(np.array([0.2 + anew]), np.array([0.2]), 2)
     assert np.isfinite(second).all()
     assert second[0] > 1e9
 
 
-def number_of(repeats: Repeats, sonar: int, turret_rad: float = 0.0) -> int:
+def number_of(repeats: CorrelatedReadings, sonar: int, turret_rad: float = 0.0) -> int:
     """Of a reading that is taken in: 1 for the first from this place."""
     before = repeats.before(sonar, turret_rad)
     repeats.take(sonar, turret_rad)
@@ -40,7 +40,7 @@ def number_of(repeats: Repeats, sonar: int, turret_rad: float = 0.0) -> int:
 
 
 def test_a_robot_that_stands_counts_each_sonar() -> None:
-    repeats = Repeats()
+    repeats = CorrelatedReadings()
     counts = []
     for _ in range(3):
         repeats.move(STAND)
@@ -49,7 +49,7 @@ def test_a_robot_that_stands_counts_each_sonar() -> None:
 
 
 def test_what_was_not_taken_in_does_not_count() -> None:
-    repeats = Repeats()
+    repeats = CorrelatedReadings()
     assert [repeats.before(0, 0.0) for _ in range(3)] == [0, 0, 0]
     assert [number_of(repeats, 0), repeats.before(0, 0.0), number_of(repeats, 0)] == [1, 1, 2]
 
@@ -67,14 +67,14 @@ def test_what_was_not_taken_in_does_not_count() -> None:
     ],
 )
 def test_elsewhere_it_begins_anew(step: tuple[float, float], turret_rad: float, again: bool) -> None:
-    repeats = Repeats()
+    repeats = CorrelatedReadings()
     repeats.take(3, 0.0)
     repeats.move(np.array(step))
     assert number_of(repeats, 3, turret_rad) == (2 if again else 1)
 
 
 def test_a_creeping_robot_is_elsewhere_after_a_while() -> None:
-    repeats = Repeats()
+    repeats = CorrelatedReadings()
     counts = []
     for _ in range(7):
         counts.append(number_of(repeats, 0))
@@ -83,7 +83,7 @@ def test_a_creeping_robot_is_elsewhere_after_a_while() -> None:
 
 
 def test_to_and_fro_is_not_the_same_place() -> None:
-    repeats = Repeats()
+    repeats = CorrelatedReadings()
     repeats.take(0, 0.0)
     for way in (0.6, -0.6):
         repeats.move(np.array([way * SAME_IN, 0.0]))

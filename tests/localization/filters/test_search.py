@@ -10,12 +10,12 @@ import pytest
 
 from localization.experiments.live.scenario import EXACT_RAYS, QUIET
 from localization.filters.belief import Floats, difference, independent
-from localization.filters.global_localization import BETTER_NATS, Clue, Hypothesis, merged, rivals, search
-from localization.filters.range_table import Atlas, draw_atlas
+from localization.filters.global_localization import BETTER_NATS, EchoRecord, Hypothesis, alternatives, merged, search
+from localization.filters.range_table import RangeTable, build_range_table
 from localization.filters.reflectors import reflectors
-from localization.filters.registry import hearing_of
-from localization.filters.sonar_cone import ConeModel, Ear, cone_returns
-from localization.filters.sonar_ray import SonarModel
+from localization.filters.registry import update_for
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
+from localization.filters.sonar_ray import RaySonar
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
@@ -23,18 +23,18 @@ from worlds.files import load_world
 
 pytestmark = pytest.mark.long
 
-KINDS: dict[str, SonarModel | ConeModel] = {"ideal": EXACT_RAYS, "measured": ConeModel()}
+KINDS: dict[str, RaySonar | ConeSonar] = {"ideal": EXACT_RAYS, "measured": ConeSonar()}
 
 
 @cache
-def atlas_of(world: str, setup: str) -> Atlas:
-    return draw_atlas(load_world(world).walls, N150, KINDS[setup], N150.radius_in)
+def atlas_of(world: str, setup: str) -> RangeTable:
+    return build_range_table(load_world(world).walls, N150, KINDS[setup], N150.radius_in)
 
 
 Place = tuple[float, float, float]
 
 
-def clues_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[list[Clue], Floats]:
+def clues_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[list[EchoRecord], Floats]:
     """A ring of echoes, taken while driving `way_in` ahead; and the true pose at the last."""
     x, y, heading_deg = pose
     address = f"sim:{world}?setup={setup}&seed=5&start={x},{y},{heading_deg},{heading_deg}&step_s=0.06"
@@ -48,12 +48,12 @@ def clues_at(world: str, setup: str, pose: Place, way_in: float = 0.0) -> tuple[
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
             offset = state.turret_rad - state.steering_rad
             reading = float(state.sonars_in[sonar])
-            clues.append(Clue(encoders, offset + N150.sonar_angles_rad[sonar], sonar, offset, reading))
+            clues.append(EchoRecord(encoders, offset + N150.sonar_angles_rad[sonar], sonar, offset, reading))
     return clues, np.array([truth.x_in, truth.y_in, truth.steering_rad])
 
 
-def found_at(world: str, setup: str, clues: list[Clue]) -> list[Hypothesis]:
-    hearing = hearing_of(load_world(world).walls, N150, KINDS[setup])
+def found_at(world: str, setup: str, clues: list[EchoRecord]) -> list[Hypothesis]:
+    hearing = update_for(load_world(world).walls, N150, KINDS[setup])
     return search(clues, atlas_of(world, setup), hearing, QUIET)
 
 
@@ -85,10 +85,10 @@ def test_a_square_room_has_four_places_that_look_alike(setup: str) -> None:
 
 
 def test_nothing_heard_and_nowhere_to_stand_find_nothing() -> None:
-    hearing = hearing_of(load_world("thesis_room").walls, N150, EXACT_RAYS)
+    hearing = update_for(load_world("thesis_room").walls, N150, EXACT_RAYS)
     clues, _ = clues_at("thesis_room", "ideal", (20.0, 35.0, 10.0))
     assert search([], atlas_of("thesis_room", "ideal"), hearing, QUIET) == []
-    narrow = draw_atlas([[0, 0, 10, 0], [10, 0, 10, 10], [10, 10, 0, 10], [0, 10, 0, 0]], N150, EXACT_RAYS, 9.0)
+    narrow = build_range_table([[0, 0, 10, 0], [10, 0, 10, 10], [10, 10, 0, 10], [0, 10, 0, 0]], N150, EXACT_RAYS, 9.0)
     assert not narrow.free.any()
     assert search(clues, narrow, hearing, QUIET) == []
 
@@ -107,7 +107,7 @@ def test_the_atlas_says_what_a_sonar_in_the_middle_of_a_cell_hears() -> None:
     for turn in range(0, 120, 7):
         pose = np.array([[*place, math.radians(3.0 * turn) - 0.4]])
         range_in, chance = (float(column[0]) for column in atlas.look_up(pose, 0.4))
-        exact = cone_returns(pose[0] + [0, 0, 0.4], np.array(0.015), Ear(0.0, 9.06), around, ConeModel())
+        exact = cone_returns(pose[0] + [0, 0, 0.4], np.array(0.015), SonarMount(0.0, 9.06), around, ConeSonar())
         best = int(exact.probability.argmax())
         assert chance == pytest.approx(exact.probability[best], abs=0.05)
         if chance > 0.5:
@@ -133,10 +133,10 @@ def test_readings_taken_anywhere_have_a_density(setup: str) -> None:
 def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> None:
     clues, truth = clues_at("several_walls", setup, (30.0, 60.0, 20.0))
     atlas = atlas_of("several_walls", setup)
-    hearing = hearing_of(load_world("several_walls").walls, N150, KINDS[setup])
+    hearing = update_for(load_world("several_walls").walls, N150, KINDS[setup])
     right, wrong = (independent(place, (0.2, 0.2, 0.01)) for place in (truth, truth + np.array([25.0, 5.0, 1.0])))
-    assert rivals(right, clues, atlas, hearing, QUIET).lead_nats < 0.5 * BETTER_NATS
-    found = rivals(wrong, clues, atlas, hearing, QUIET)
+    assert alternatives(right, clues, atlas, hearing, QUIET).lead_nats < 0.5 * BETTER_NATS
+    found = alternatives(wrong, clues, atlas, hearing, QUIET)
     assert found.lead_nats > BETTER_NATS
     assert found.elsewhere is not None
     off = difference(found.elsewhere.mean, truth)
@@ -146,9 +146,9 @@ def test_a_wrong_place_has_a_rival_and_the_right_one_has_none(setup: str) -> Non
 def test_where_nothing_is_found_there_is_no_rival() -> None:
     clues, truth = clues_at("several_walls", "ideal", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
-    nowhere = draw_atlas(walls, N150, KINDS["ideal"], 500.0)
-    hearing = hearing_of(walls, N150, KINDS["ideal"])
-    assert rivals(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == (None, None, -math.inf)
+    nowhere = build_range_table(walls, N150, KINDS["ideal"], 500.0)
+    hearing = update_for(walls, N150, KINDS["ideal"])
+    assert alternatives(independent(truth, (0.2, 0.2, 0.01)), clues, nowhere, hearing, QUIET) == (None, None, -math.inf)
 
 
 @pytest.mark.parametrize("heading_std", [0.02, 0.15])
@@ -156,9 +156,9 @@ def test_a_heading_that_slipped_has_its_right_place_near_by_and_not_elsewhere(he
     """A robot that turned on the spot with poor encoders, whether it knows how far its heading may be off or not."""
     clues, truth = clues_at("several_walls", "measured", (30.0, 60.0, 20.0))
     walls = load_world("several_walls").walls
-    hearing = hearing_of(walls, N150, KINDS["measured"])
+    hearing = update_for(walls, N150, KINDS["measured"])
     turned = independent(truth + np.array([0.0, 0.0, 0.3]), (0.2, 0.2, heading_std))
-    found = rivals(turned, clues, atlas_of("several_walls", "measured"), hearing, QUIET)
+    found = alternatives(turned, clues, atlas_of("several_walls", "measured"), hearing, QUIET)
     assert found.near is not None
     off = difference(found.near.mean, truth)
     assert np.hypot(off[0], off[1]) < 2.0

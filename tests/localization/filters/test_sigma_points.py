@@ -8,7 +8,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from localization.filters import odometry as systematic
 from localization.filters.belief import Belief, Floats, difference, independent
-from localization.filters.odometry import OdometryNoise, move_states, step_variance, with_constants
+from localization.filters.odometry import OdometryNoise, move_states, step_variance, with_parameters
 from localization.filters.ukf import Spread, offsets, predict, root_of, weights
 
 NOISE = OdometryNoise(0.1, 0.1, 0.005)
@@ -79,7 +79,7 @@ def test_where_motion_is_nearly_linear_it_is_the_extended_filters() -> None:
 
 
 def test_standing_still_changes_nothing() -> None:
-    belief = with_constants(some_belief(3), (0.0,))
+    belief = with_parameters(some_belief(3), (0.0,))
     still = predict(belief, np.zeros(2), NOISE)
     np.testing.assert_allclose(still.mean, belief.mean, atol=1e-15)
     np.testing.assert_allclose(still.cov, belief.cov, atol=1e-15)

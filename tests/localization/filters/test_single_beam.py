@@ -12,13 +12,13 @@ from localization.filters.sonar_ray import (
     STRICT,
     WIRE_SONAR,
     Beams,
-    RaySense,
+    RayModel,
     WallMap,
     associate,
     judged,
     pick,
+    predict_beam,
     ring,
-    sound,
     wall_map,
 )
 from localization.filters.update import Refusal
@@ -48,7 +48,7 @@ def test_a_beam_is_paired_as_in_arrays(walls: WallMap) -> None:
     reasons: Counter[Refusal] = Counter()
     for at, belief in enumerate(beliefs(400)):
         plain = associate(belief, beam(0.1 * at), walls)
-        mine = sound(belief, 0.1 * at, N150.sonar_ring_radius_in, walls, STRICT.sigmas, STRICT.min_cos_incidence)
+        mine = predict_beam(belief, 0.1 * at, N150.sonar_ring_radius_in, walls, STRICT.sigmas, STRICT.min_cos_incidence)
         assert mine.refusal == plain.refusals[0]
         reasons[mine.refusal] += 1
         if mine.refusal in (Refusal.NONE, Refusal.GRAZING):
@@ -62,7 +62,7 @@ def test_a_beam_is_paired_as_in_arrays(walls: WallMap) -> None:
 
 
 def test_a_reading_is_judged_as_in_arrays() -> None:
-    sense, rng = RaySense(ROOM.segments, N150, WIRE_SONAR), np.random.default_rng(2)
+    sense, rng = RayModel(ROOM.segments, N150, WIRE_SONAR), np.random.default_rng(2)
     reasons: Counter[Refusal] = Counter()
     for at, belief in enumerate(beliefs(300)):
         sonar, offset = at % 16, 0.01 * at
@@ -81,11 +81,11 @@ def test_a_reading_is_judged_as_in_arrays() -> None:
 
 def test_a_certain_pose_and_a_beam_beside_its_wall() -> None:
     certain = independent([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-    head_on = sound(certain, 0.0, 9.0, OPEN, 3.0, 0.3)
+    head_on = predict_beam(certain, 0.0, 9.0, OPEN, 3.0, 0.3)
     assert (head_on.refusal, head_on.range_in, head_on.jacobian) == (Refusal.NONE, 21.0, (-1.0, 0.0, 0.0))
     along = independent([30.0, -60.0, 0.5 * np.pi], [0.1, 0.1, 0.01])
     beside = wall_map([[-40.0, 0.0, 40.0, 0.0]])
-    assert sound(independent([-60.0, 0.0, 0.0], [0.1, 0.1, 0.01]), 0.0, 9.0, beside, 3.0, 0.3).refusal == (
+    assert predict_beam(independent([-60.0, 0.0, 0.0], [0.1, 0.1, 0.01]), 0.0, 9.0, beside, 3.0, 0.3).refusal == (
         Refusal.AMBIGUOUS_WALL
     )
-    assert associate(along, beam(0.0), OPEN).refusals[0] == sound(along, 0.0, 9.0, OPEN, 3.0, 0.3).refusal
+    assert associate(along, beam(0.0), OPEN).refusals[0] == predict_beam(along, 0.0, 9.0, OPEN, 3.0, 0.3).refusal

@@ -7,14 +7,14 @@ import pytest
 
 from localization.filters.belief import Belief, difference, independent
 from localization.filters.odometry import (
-    Constant,
     OdometryNoise,
+    OdometryParameter,
     move_states,
-    moved_to,
     predict,
     transition,
     true_step,
-    with_constants,
+    with_parameters,
+    with_pose,
 )
 
 QUIET = OdometryNoise(0.0, 0.0, 0.0)
@@ -61,29 +61,29 @@ def test_many_states_at_once_are_each_their_own() -> None:
 
 def test_a_scale_is_found_by_one_who_is_told_positions() -> None:
     truth = np.array([0.0, 0.0, 0.0, 0.08])
-    belief = with_constants(independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01]), (0.1,))
+    belief = with_parameters(independent([0.0, 0.0, 0.0], [0.1, 0.1, 0.01]), (0.1,))
     step = np.array([1.0, 0.02])
     for _ in range(60):
         truth = move_states(truth, step)
         belief = predict(belief, step, OdometryNoise(0.01, 0.01, 0.0005))
         gain = belief.cov[:, :2] @ np.linalg.inv(belief.cov[:2, :2] + 0.01 * np.eye(2))
         belief = Belief(belief.mean + gain @ (truth - belief.mean)[:2], belief.cov - gain @ belief.cov[:2])
-    assert belief.mean[Constant.WAY_SCALE] == pytest.approx(0.08, abs=0.004)
-    assert belief.std[Constant.WAY_SCALE] < 0.02
+    assert belief.mean[OdometryParameter.DISTANCE_SCALE] == pytest.approx(0.08, abs=0.004)
+    assert belief.std[OdometryParameter.DISTANCE_SCALE] < 0.02
 
 
 def test_constants_begin_at_zero_and_as_uncertain_as_told() -> None:
-    longer = with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), (0.05, 0.02))
+    longer = with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), (0.05, 0.02))
     np.testing.assert_array_equal(longer.mean, [1.0, 2.0, 0.3, 0.0, 0.0])
     np.testing.assert_allclose(longer.std, [0.1, 0.2, 0.03, 0.05, 0.02])
-    same = with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), ())
+    same = with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), ())
     assert same.mean.shape == (3,)
 
 
 def test_a_state_moved_to_another_pose_keeps_its_constants_and_what_is_known_of_them() -> None:
     root = np.random.default_rng(3).standard_normal((5, 5))
     known, pose = Belief(STATE[:5], root @ root.T), independent([7.0, 8.0, -3.0], [0.1, 0.2, 0.03])
-    moved = moved_to(pose, known)
+    moved = with_pose(pose, known)
     np.testing.assert_array_equal(moved.mean, [7.0, 8.0, -3.0, *STATE[3:5]])
     np.testing.assert_array_equal(moved.cov[:3, :3], pose.cov)
     np.testing.assert_array_equal(moved.cov[3:, 3:], known.cov[3:, 3:])
@@ -93,6 +93,6 @@ def test_a_state_moved_to_another_pose_keeps_its_constants_and_what_is_known_of_
 
 def test_states_of_a_wrong_size_are_refused() -> None:
     with pytest.raises(ValueError, match="3 constants"):
-        with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), (1.0,) * 4)
+        with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.2, 0.03]), (1.0,) * 4)
     with pytest.raises(ValueError, match="coordinates, not 7"):
         predict(Belief(np.zeros(7), np.eye(7)), STEPS[0], QUIET)

@@ -14,7 +14,7 @@ from stonesoup.types.state import State
 from stonesoup.updater.kalman import ExtendedKalmanUpdater, IteratedKalmanUpdater, UnscentedKalmanUpdater
 
 from localization.filters.belief import Belief, Floats
-from localization.filters.update import Candidates, Corrections, Rule, iterated, linear, unscented, widened
+from localization.filters.update import Corrections, Hypotheses, Rule, iterated, linear, unscented, widened
 
 VERTEX = np.array([3.0, 4.0])
 VARIANCE = 0.1
@@ -30,9 +30,9 @@ def to_vertex(poses: Floats) -> tuple[Floats, Floats]:
     return ranges, widened(way / ranges[..., None], 3)
 
 
-def heard(belief: Belief) -> Candidates:
+def heard(belief: Belief) -> Hypotheses:
     ranges, jacobian = to_vertex(belief.mean[None, :3])
-    return Candidates(ranges, jacobian, np.array([VARIANCE]), np.zeros(1), np.ones(1), to_vertex, 0.0, 0.0)
+    return Hypotheses(ranges, jacobian, np.array([VARIANCE]), np.zeros(1), np.ones(1), to_vertex, 0.0, 0.0)
 
 
 def posterior(belief: Belief, taken: Corrections) -> Belief:
@@ -145,7 +145,7 @@ def test_where_the_range_is_straight_all_are_the_same(rule: Rule) -> None:
         return 40.0 + (poses * slope).sum(axis=-1), np.broadcast_to(slope, (*poses.shape[:-1], 3))
 
     ranges, jacobian = straight(BELIEF.mean[None, :])
-    candidates = Candidates(ranges, jacobian, np.array([0.3]), np.zeros(1), np.ones(1), straight, 0.0, 0.0)
+    candidates = Hypotheses(ranges, jacobian, np.array([0.3]), np.zeros(1), np.ones(1), straight, 0.0, 0.0)
     taken, plain = rule(BELIEF, 41.5, candidates), linear(BELIEF, 41.5, candidates)
     for mine, theirs in zip(taken, plain, strict=True):
         np.testing.assert_allclose(np.array(mine), np.array(theirs), atol=1e-9)

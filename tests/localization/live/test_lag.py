@@ -22,9 +22,7 @@ def test_it_is_the_spread_of_poses_at_instants_within_one_step() -> None:
     late = CLOCK_STEP_S * (chance.uniform(0.0, 1.0, 200_000) - chance.uniform(0.0, 1.0, 200_000))
     drawn = move(pose, late[:, None] * rates)
     before = np.array([10.0, 20.0, 3.13])
-    told = with_lag(
-        independent(pose, np.zeros(3)), encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates))
-    )
+    told = with_lag(independent(pose, np.zeros(3)), encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)))
     np.testing.assert_allclose(told.cov, np.cov(drawn.T), rtol=0.01, atol=1e-7)
     assert (told.mean == pose).all()
 

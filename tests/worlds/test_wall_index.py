@@ -9,17 +9,17 @@ import pytest
 
 from worlds.files import load_world
 from worlds.geometry import FloatArray
-from worlds.raycast import FEW, NO_WALL, FirstWall, cast_rays
+from worlds.raycast import MAX_LOOP_WALLS, NO_WALL, WallIndex, cast_rays
 
 ROOM = np.array(load_world("several_walls").walls)
-MANY = np.random.default_rng(7).uniform(-90.0, 90.0, size=(FEW + 20, 4))
+MANY = np.random.default_rng(7).uniform(-90.0, 90.0, size=(MAX_LOOP_WALLS + 20, 4))
 """More than are looked through one by one."""
 
 
 def asked(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Ranges and rows by the ray caster; no wall as here."""
+    """Return ranges and rows by the ray caster in arrays."""
     ranges, rows = cast_rays(origins, directions, walls)
-    return ranges, np.where(rows == NO_WALL, len(walls), rows).tolist()
+    return ranges, rows.tolist()
 
 
 @pytest.mark.parametrize("walls", [ROOM, ROOM[:3], MANY])
@@ -28,40 +28,40 @@ def test_any_rays_meet_what_the_ray_caster_says(walls: FloatArray) -> None:
     origins, angles = rng.uniform(-20.0, 110.0, size=(400, 2)), rng.uniform(-np.pi, np.pi, size=400)
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     ranges, rows = asked(origins, directions, walls)
-    first = FirstWall(walls)
+    index = WallIndex(walls)
     assert len(set(rows)) > 3
     for (x, y), (dx, dy), far, row in zip(origins.tolist(), directions.tolist(), ranges, rows, strict=True):
-        met, which = first.first(x, y, dx, dy)
+        met, which = index.nearest(x, y, dx, dy)
         assert which == row
         assert met == pytest.approx(far, abs=1e-9) or met == far == inf
 
 
 def test_rays_through_corners_and_along_walls_meet_them() -> None:
     walls = np.array([[50.0, 0.0, 50.0, 20.0], [50.0, 20.0, 80.0, 20.0], [60.0, -5.0, 90.0, -5.0], [99, -50, 99, 50]])
-    first = FirstWall(walls)
+    index = WallIndex(walls)
     length = hypot(50.0, 20.0)
     for far, (x, y, dx, dy), rows in (
         (length, (0.0, 0.0, 50.0 / length, 20.0 / length), {0, 1}),
         (60.0, (0.0, -5.0, 1.0, 0.0), {2}),
         (0.0, (50.0, 10.0, cos(1.0), sin(1.0)), {0}),
-        (inf, (0.0, 0.0, -1.0, 0.0), {4}),
+        (inf, (0.0, 0.0, -1.0, 0.0), {NO_WALL}),
     ):
-        met, row = first.first(x, y, dx, dy)
+        met, row = index.nearest(x, y, dx, dy)
         assert met == pytest.approx(far)
         assert row in rows
 
 
 def test_walls_beside_and_behind_are_not_met() -> None:
-    first = FirstWall([[10.0, -1.0, 10.0, 1.0]])
-    for angle, row in ((0.0, 0), (0.2, 1), (np.pi, 1), (atan2(1.0, 10.0) - 0.01, 0)):
-        assert first.first(0.0, 0.0, cos(angle), sin(angle))[1] == row
+    index = WallIndex([[10.0, -1.0, 10.0, 1.0]])
+    for angle, row in ((0.0, 0), (0.2, NO_WALL), (np.pi, NO_WALL), (atan2(1.0, 10.0) - 0.01, 0)):
+        assert index.nearest(0.0, 0.0, cos(angle), sin(angle))[1] == row
 
 
 def test_a_wall_parallel_to_the_ray_is_no_division_by_zero() -> None:
-    first = FirstWall([[10.0, 5.0, 20.0, 5.0], [30.0, -5.0, 30.0, 5.0]])
-    assert first.first(0.0, 0.0, 1.0, 0.0) == (30.0, 1)
+    index = WallIndex([[10.0, 5.0, 20.0, 5.0], [30.0, -5.0, 30.0, 5.0]])
+    assert index.nearest(0.0, 0.0, 1.0, 0.0) == (30.0, 1)
 
 
 def test_no_walls_are_met_by_nobody() -> None:
-    nowhere = FirstWall(np.empty((0, 4)))
-    assert nowhere.first(1.0, 2.0, 1.0, 0.0) == (inf, 0)
+    nowhere = WallIndex(np.empty((0, 4)))
+    assert nowhere.nearest(1.0, 2.0, 1.0, 0.0) == (inf, NO_WALL)
