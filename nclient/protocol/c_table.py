@@ -15,9 +15,7 @@ from construct import Construct, Int32ul
 
 from nclient.protocol import replies as shape
 from nclient.protocol.commands import COMMANDS, Command
-from nclient.protocol.fields import WORD
-from nclient.protocol.line_fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED
-from nclient.protocol.models import MODELS
+from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, WORD
 from nclient.protocol.replies import ReplyShape
 from nclient.protocol.requests import (
     ARM_NUMBER,
@@ -35,6 +33,7 @@ from nclient.protocol.requests import (
     TextWords,
     UserPacket,
 )
+from nclient.protocol.types import MODELS
 
 _LETTERS: Final[dict[int, str]] = {
     id(field): letter

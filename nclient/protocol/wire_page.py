@@ -15,8 +15,7 @@ from typing import Any, Final
 from construct import Construct, GreedyRange, Int32ul
 
 from nclient.protocol.commands import ALL, COMMANDS, REPLY_TYPES, Argument, Command
-from nclient.protocol.fields import WordLaser, Words, WordSlots, WordStamps
-from nclient.protocol.line_fields import (
+from nclient.protocol.fields import (
     LINE_BYTE,
     LINE_SIGNED,
     LINE_UNSIGNED,
@@ -26,6 +25,10 @@ from nclient.protocol.line_fields import (
     LineRun,
     LineSlots,
     LineStamps,
+    WordLaser,
+    Words,
+    WordSlots,
+    WordStamps,
 )
 from nclient.protocol.replies import LINE_STATE, STATE, ReplyShape
 from nclient.protocol.requests import (

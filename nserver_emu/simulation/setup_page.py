@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from math import degrees
 from typing import Final
 
-from nserver_emu.simulation.setup import SETUPS, RobotSetup
-from nserver_emu.simulation.setup_keys import KEYS, RAY, Key
+from nserver_emu.simulation.noise import KEYS, RAY, SETUPS, Key, RobotSetup
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.bodies import SONARS
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import __main__ as figures
-from nclient import cli
+from localization.experiments import __main__
+from nclient.cli import main
 from nserver_emu.options import nserver_parser
 
 ROOT = Path(__file__).parents[2]
@@ -80,7 +80,7 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
         assert runpy.run_path(str(ROOT / script))["options_parser"]().parse_args(words[:cut])
         if words[cut:]:
             assert script == "benchmarks/calibration.py"
-            assert cli.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
+            assert main.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
         return
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
@@ -88,7 +88,7 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
         experiment = importlib.import_module(f"localization.experiments.{kind}.command")
         assert experiment._parser().parse_args(words)
     else:
-        assert figures._parser().parse_args([kind, *words]).figures[0] == kind
+        assert __main__._parser().parse_args([kind, *words]).figures[0] == kind
 
 
 def test_service_options_are_valid() -> None:

@@ -11,8 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from fuzz import __main__ as command
-from fuzz import campaign, place
+from fuzz import __main__, campaign, place
 from fuzz.campaign import Campaign, Progress
 from fuzz.reader import Reader
 from nclient.errors import WireError
@@ -102,41 +101,41 @@ def test_growth_and_crashes_are_told(tmp_path: Path) -> None:
     campaign.FOUND.mkdir()
     (campaign.FOUND / "toy-1").write_bytes(b"bad\0")
     grown = Progress("toy", 10, 1.0, rss_kb=(0, 200_000), blocks=(0, 30_000), found=[str(campaign.FOUND / "toy-1")])
-    told = "\n".join(command._wrong(grown, 70 << 8, tmp_path))
+    told = "\n".join(__main__._wrong(grown, 70 << 8, tmp_path))
     for words in ("--again fuzz/found/toy-1", r"which is b'bad\x00'", "ended with 70", "libFuzzer: timeout",
                   "200000 KB", "30000 objects"):  # fmt: skip
         assert words in told
     (campaign.FOUND / "toy-1").unlink()
-    assert "which is" not in "\n".join(command._wrong(grown, 0, tmp_path))
-    assert not list(command._wrong(Progress("toy"), 0, tmp_path))
-    assert "10" in command._row(grown)
+    assert "which is" not in "\n".join(__main__._wrong(grown, 0, tmp_path))
+    assert not list(__main__._wrong(Progress("toy"), 0, tmp_path))
+    assert "10" in __main__._row(grown)
 
 
 def test_files_of_inputs_are_gone_with_their_folder() -> None:
     place.folder.cache_clear()
     made = place.file_of(b"x", ".toml")
     assert made.read_bytes() == b"x"
-    command._files_gone()
+    __main__._files_gone()
     assert not made.parent.exists()
     place.folder.cache_clear()
 
 
 def test_the_command_lists_and_refuses(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["--list"]) == 0
+    assert __main__.main(["--list"]) == 0
     assert "worlds            world files" in capsys.readouterr().out
     for wrong in (["--runs", "0"], ["--seconds", "nan"], ["--list", "wordls"]):
         with pytest.raises(SystemExit, match="2"):
-            command.main(wrong)
+            __main__.main(wrong)
     assert "no reader 'wordls'; there are tcp_requests" in capsys.readouterr().err
 
 
 def test_an_input_is_read_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, data, said in (("hello-1", bytes(11), "taken"), ("hello-2", b"", "refused as documented: WireError")):
         (tmp_path / name).write_bytes(data)
-        assert command.main(["--again", str(tmp_path / name)]) == 0
+        assert __main__.main(["--again", str(tmp_path / name)]) == 0
         assert capsys.readouterr().out.strip() == said
     (tmp_path / "other").write_bytes(b"")
-    assert command.main(["--again", str(tmp_path / "other")]) == 2
+    assert __main__.main(["--again", str(tmp_path / "other")]) == 2
 
 
 def test_objects_are_counted_where_nothing_is_instrumented(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,14 +160,14 @@ def test_a_run_by_time_has_spells_too_and_no_more_time_than_it_was_given(
     monkeypatch.setattr(campaign, "SPELL", 300)
     told = run(tmp_path, b"yes", runs=None, seconds=3600.0)
     assert told.executions == 300
-    goals = command.Goals(tmp_path, None, 60.0, False)
+    goals = __main__.Goals(tmp_path, None, 60.0, False)
     assert goals.after(20.0).seconds == 40.0
     assert goals.after(20.0).more(told)
     assert not goals.after(60.0).more(told)
 
 
 def test_a_run_by_inputs_goes_on_until_it_has_them_whatever_the_time(tmp_path: Path) -> None:
-    goals = command.Goals(tmp_path, 1000, None, False)
+    goals = __main__.Goals(tmp_path, 1000, None, False)
     assert goals.after(1e6) == goals
     assert goals.more(Progress("toy", 999))
     assert not goals.more(Progress("toy", 1000))

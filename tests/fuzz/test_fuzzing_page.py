@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz import __main__ as command
+from fuzz import __main__
 from fuzz.table import READERS
 
 ROOT = Path(__file__).parents[2]
@@ -48,7 +48,7 @@ def test_the_script_is_the_program_of_these_tests() -> None:
 
 @pytest.mark.parametrize("typed", COMMANDS)
 def test_a_command_of_the_page_is_understood(typed: str) -> None:
-    options = command._parser().parse_args(words(typed))
+    options = __main__._parser().parse_args(words(typed))
     assert set(options.readers) <= set(READERS)
     if options.again:
         assert options.again.parent == Path("fuzz/found")
@@ -57,7 +57,7 @@ def test_a_command_of_the_page_is_understood(typed: str) -> None:
 
 def test_what_the_page_says_beside_its_commands_is_so() -> None:
     comments = dict(re.findall(r"^(scripts/fuzz.*?) +# (.*)$", PAGE, re.MULTILINE))
-    options = command._parser().parse_args([])
+    options = __main__._parser().parse_args([])
     assert comments["scripts/fuzz"] == "ten million inputs per reader, one reader per core"
     assert (options.runs, options.jobs) == (10_000_000, os.cpu_count())
     assert "scripts/test does this each time" in comments["scripts/fuzz --seconds 60"]

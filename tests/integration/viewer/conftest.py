@@ -4,17 +4,13 @@ others may run loops of theirs where they are."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from browsing import CHROMIUM, FLAGS
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS
 
 _THREAD = ThreadPoolExecutor(1, "pages")
 

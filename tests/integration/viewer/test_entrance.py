@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from browsing import nserver, opened
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, opened
 
 
 def test_the_token_leaves_the_address_and_a_reload_has_it_still(browser: Browser) -> None:

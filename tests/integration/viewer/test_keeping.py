@@ -6,8 +6,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from browsing import Opened, nserver, opened
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import Opened, nserver, opened
 
 
 def kept(page: Opened, button: str, file: Path) -> Path:

@@ -6,9 +6,9 @@ import json
 import math
 from pathlib import Path
 
-from browsing import Opened, nserver, opened
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import Opened, nserver, opened
 from worlds.files import load_world
 from worlds.writing import world_text
 

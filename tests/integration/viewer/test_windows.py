@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from browsing import nserver, opened
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, opened
 
 READ_AT_ONCE = """(() => {
     const state = nserver.scene.robots['1'].state, words = document.querySelector('#window-robot').innerText;

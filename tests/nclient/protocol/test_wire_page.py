@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient import cli
+from nclient.cli import main
 from nclient.protocol.commands import COMMANDS
 from nclient.protocol.wire_page import markdown
 
@@ -51,7 +51,7 @@ def test_rows_of_which_the_bytes_are_known(section: str, name: str, wanted: list
 def test_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
     (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     for command in block.splitlines():
-        assert cli.main(shlex.split(command)[1:]) == 0
+        assert main.main(shlex.split(command)[1:]) == 0
     assert capsys.readouterr().out.split() == [
         "000c0003" "00000064" "ffffffce" "00000000", "01080005640032800000245c",
     ]

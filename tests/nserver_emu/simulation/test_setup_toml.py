@@ -11,11 +11,23 @@ from typing import Any
 import pytest
 
 from nclient.errors import AddressError, WorldFileError
-from nserver_emu.simulation.polaroid import Polaroid
-from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, WORN, RobotSetup
-from nserver_emu.simulation.setup_keys import KEYS, POLAROID, Key
+from nserver_emu.simulation.acoustics import Polaroid
+from nserver_emu.simulation.noise import (
+    IDEAL,
+    KEYS,
+    MEASURED,
+    NOISY,
+    POLAROID,
+    SETUPS,
+    TABLES,
+    WORN,
+    Key,
+    RobotSetup,
+    load_setup,
+    parse_setup,
+    setup_named,
+)
 from nserver_emu.simulation.setup_page import markdown
-from nserver_emu.simulation.setup_toml import TABLES, load_setup, parse_setup, setup_named
 from nserver_emu.simulation.sonar import SonarNoise
 
 PAGE = Path(__file__).parents[3] / "docs" / "setups.md"
