@@ -21,20 +21,18 @@ from typing import Final, NamedTuple, TypedDict
 import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
-from localization.estimation import ekf
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.motion import transition
-from localization.estimation.observation import Observation
 from localization.experiments.pool import drive
 from localization.experiments.settings import FIGURES, Course, course_of
 from localization.experiments.trial import run
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.ekf import correct
+from localization.filters.odometry import predict, transition
 from localization.filters.particles import MonteCarlo
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import make
-from localization.sonar import ring_code
-from localization.sonar.cone import ConeModel
-from localization.sonar.gating import observe
-from localization.sonar.measurement import WIRE_SONAR, SonarModel, meet, rays, sight
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR, RaySonar, meet, observe, rays, sight
+from localization.filters.update import Observation
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -105,7 +103,7 @@ def make_case() -> Case:
     course = course_of(FIGURES["5.4"])
     belief = independent(POSE, STD)
     step = np.array(STEP)
-    predicted = ekf.predict(belief, step, course.noise)
+    predicted = predict(belief, step, course.noise)
     aimed = rays(predicted.mean[None], course.beams)
     ranges = sight(aimed, course.walls.lines[meet(aimed, course.walls)]).ranges_in
     readings = ranges + 0.1 * np.sin(np.arange(len(ranges)))
@@ -117,7 +115,7 @@ def make_case() -> Case:
 
 def ours_given_h(case: Case) -> Belief:
     """Predict, and correct by sixteen innovations and their Jacobian."""
-    return ekf.correct(ekf.predict(case.belief, case.step, case.course.noise), case.observation)
+    return correct(predict(case.belief, case.step, case.course.noise), case.observation)
 
 
 def linear(case: Case) -> Linear:
@@ -131,8 +129,8 @@ def linear(case: Case) -> Linear:
 def ours_with_rays(case: Case) -> Belief:
     """A full step: predict, cast rays, choose beams, correct."""
     course = case.course
-    predicted = ekf.predict(case.belief, case.step, course.noise)
-    return ekf.correct(predicted, observe(predicted, course.beams, case.readings_in, course.walls, course.sonar))
+    predicted = predict(case.belief, case.step, course.noise)
+    return correct(predicted, observe(predicted, course.beams, case.readings_in, course.walls, course.sonar))
 
 
 def times_us(works: list[Callable[[], object]], rounds: int, block: int = BLOCK) -> list[list[float]]:
@@ -148,11 +146,11 @@ def times_us(works: list[Callable[[], object]], rounds: int, block: int = BLOCK)
     return taken
 
 
-def particle_ring(sonar: SonarModel | ConeModel) -> Callable[[], object]:
+def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
     """A ring of sixteen readings, each of the wall ahead, for a particle filter: it moves and weighs, and resamples."""
     world = load_world("several_walls")
     belief = independent(POSE, (0.2, 0.2, 0.01))
-    known = Surroundings(world.walls, N150, sonar=sonar)
+    known = LocalizationConfig(world.walls, N150, sonar=sonar)
     particles = make("mcl", known, belief)
     course = course_of(FIGURES["5.8"])
     aimed = rays(belief.mean[None], course.beams)
@@ -199,8 +197,7 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     works: list[Callable[[], object]] = [ours, filterpy.step, stonesoup.step, full]
     samples = times_us(works, rounds)
     given_us, filterpy_us, stonesoup_us, full_us = (statistics.median(sample) for sample in samples)
-    compiled = times_us([partial(ours_with_rays, case)], rounds)[0] if ring_code.load() else None
-    rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeModel())], max(1, rounds // BLOCK), RINGS)
+    rings = times_us([particle_ring(WIRE_SONAR), particle_ring(ConeSonar())], max(1, rounds // BLOCK), RINGS)
     rays_ms, cones_ms = (statistics.median(sample) / 1e3 for sample in rings)
     wall_s, cpu_s = figure_s(seeds, jobs)
     single, batch = batch_steps_per_s(1), batch_steps_per_s(min(seeds, 100))
@@ -212,8 +209,8 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
         stonesoup_ratio=stonesoup_us / given_us,
         full_us=full_us,
         full_p99_us=float(np.quantile(samples[3], 0.99)),
-        compiled_us=statistics.median(compiled) if compiled else None,
-        compiled_p99_us=float(np.quantile(compiled, 0.99)) if compiled else None,
+        compiled_us=None,
+        compiled_p99_us=None,
         particles=MonteCarlo().particles,
         particles_rays_ms=rays_ms,
         particles_cones_ms=cones_ms,

@@ -16,7 +16,7 @@ from stonesoup.types.hypothesis import SingleHypothesis
 from stonesoup.types.prediction import GaussianStatePrediction
 from stonesoup.updater.kalman import KalmanUpdater
 
-from localization.estimation.belief import Belief, Floats
+from localization.filters.belief import Belief, Floats
 
 
 class Linear(NamedTuple):

@@ -23,8 +23,8 @@ from typing import Any
 
 from localization.command_line.outset import START_STD
 from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
-from localization.estimation.belief import independent
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.filters.belief import independent
 from localization.runs.run import Run, RunMoment, Sighting
 from nclient import Robot, connect
 from worlds.bodies import BODIES
@@ -53,7 +53,7 @@ def daemon(seed: int, speed: float) -> Iterator[dict[str, str]]:
 
 def localized(address: str, eye: Robot) -> Run:
     """The run of `nomad localize ADDRESS`, its truth as the eye sees it."""
-    known = Surroundings(load_world(WORLD).walls, BODIES["n150"], THESIS_ODOMETRY)
+    known = LocalizationConfig(load_world(WORLD).walls, BODIES["n150"], THESIS_ODOMETRY)
     done, seen = Run(WAYPOINTS), _sighting(eye)
     with connect(address) as robot:
         state = robot.refresh()

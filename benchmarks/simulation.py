@@ -30,9 +30,8 @@ from nserver_emu.simulation.company import SPAN_PS, near
 from nserver_emu.simulation.polaroid import Polaroid
 from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
-from worlds.compiled import FIRST_MET
 from worlds.geometry import FloatArray
-from worlds.raycast import cast_rays
+from worlds.raycast import NEAREST_OBSTACLE, cast_rays
 
 Result = dict[str, float | int | str]
 
@@ -78,7 +77,7 @@ def one_robot(setup: RobotSetup, rounds: int, walls: int = WALLS, look_every: in
     step_s, cast_s = step_s / steps, cast_s / CASTS
     return {
         "setup": setup.name,
-        "compiled": FIRST_MET.run is not None,
+        "compiled": NEAREST_OBSTACLE.run is not None,
         "walls": len(simulation.world.walls),
         "steps_per_s": round(1.0 / step_s),
         "step_us": round(step_s * 1e6, 1),
@@ -99,7 +98,7 @@ def many_robots(robots: int, setup: RobotSetup, rounds: int, look_every: int = 8
     return {
         "robots": robots,
         "setup": setup.name,
-        "compiled": FIRST_MET.run is not None,
+        "compiled": NEAREST_OBSTACLE.run is not None,
         "times_real_time": round(simulated_s / run_s, 2),
         "us_a_robot_and_second": round(robot_s * 1e6),
         "yardstick_us": round(cast_s / CASTS * 1e6, 1),
@@ -128,7 +127,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
     return {
         "robots": robots,
         "setup": setup.name,
-        "compiled": FIRST_MET.run is not None,
+        "compiled": NEAREST_OBSTACLE.run is not None,
         "near_others": len({row for pair in near(crew, SPAN_PS) for row in pair}),
         "stopped": sum(not robot.moving[0] for robot in crew),
         "times_real_time": round(simulated_s / sum(late_s), 2),

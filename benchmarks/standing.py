@@ -16,13 +16,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.estimation.belief import Floats, difference, independent
 from localization.experiments.live.scenario import SCENARIOS, START_STD, Scenario
-from localization.filters.sense import pose_of
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import METHODS, make
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Floats, difference, independent
+from localization.filters.odometry import pose_of
+from localization.filters.registry import METHODS, make
 from localization.live.localizer import Localizer
+from localization.live.sensor_input import FiringSchedule
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from worlds.bodies import N150
@@ -45,7 +45,7 @@ def somewhere(chance: np.random.Generator) -> Floats:
 
 def stood(scenario: Scenario, seed: int, at_s: Sequence[float], method: str = "ekf") -> Floats:
     """NEES of the pose and its error in inches after each of those seconds, (n, 2)."""
-    known = Surroundings(WORLD.walls, N150, scenario.odometry, scenario.sonar)
+    known = LocalizationConfig(WORLD.walls, N150, scenario.odometry, scenario.sonar)
     chance = np.random.default_rng([seed, 99])
     truth = somewhere(chance)
     belief = independent(truth + np.array(START_STD) * chance.standard_normal(3), START_STD)

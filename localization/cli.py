@@ -21,7 +21,7 @@ from localization.command_line.readers import UNKNOWN, check_writable, opened, p
 from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
 from localization.driving.obstruction import Obstruction
 from localization.driving.steadying import SteadyPose
-from localization.filters.table import DEFAULT_METHOD, FINDER, finder
+from localization.filters.registry import DEFAULT_METHOD, FINDER, finder
 from localization.runs.run import Run, RunMoment
 from localization.runs.witness import Witness
 from localization.taken.body import body_of

@@ -55,8 +55,8 @@ from nserver_emu.server.stage.pace import Pace
 from nserver_emu.server.stage.stage import Allowed
 from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.viewer.options import viewed
-from worlds.compiled import load_for
 from worlds.files import load_world, world_names
+from worlds.raycast import load_compiled
 
 log = logging.getLogger(__name__)
 
@@ -122,7 +122,7 @@ async def _serve_with(
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
     beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
     emulator = beginning.emulator()
-    load_for(len(emulator.simulation.robots))
+    load_compiled(len(emulator.simulation.robots))
     if emulator.pace.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))

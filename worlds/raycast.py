@@ -1,140 +1,327 @@
-"""The ray caster: the one numeric kernel that sonars, infrareds, the filter and the page all look through.
+"""The ray caster: the range along a ray to the nearest wall segment or disc.
 
-Arrays in, arrays out; no robot, no noise, no sensor limits here. Each corner of a wall is seen in the ray's frame:
+Simulated sonars, infrareds and lasers, the filter and the viewer all use it. Each end of a wall is expressed in the
+frame of the ray:
 
-    ahead   how far along the ray it lies                           direction . (corner - origin)
-    side    how far it lies to the left of the ray's line           direction x (corner - origin)
+    ahead   distance along the ray                      direction . (end - origin)
+    side    distance to the left of the ray's line      direction x (end - origin)
 
-A wall is met where its two corners lie on different sides; the range is the mean of their two `ahead`s, each
-weighted with the other's side: a convex mean, out of which nothing cancels. A corner that two walls share is on one
-side for both (or, within ON_LINE_IN, on the line for one of them), so no ray slips between them.
+A ray meets a wall whose ends lie on different sides of its line. The range is the mean of both `ahead`, each weighted
+with the other's `side`: a convex mean, so nothing cancels. Two walls that share an end agree on its side, so no ray
+passes between them.
+
+    intersect, nearer_hit, nearest_wall, nearest_obstacle    plain numbers; numba compiles these same functions
+    cast_ray, cast_each                                      arrays select the candidates, numbers decide: the same bits
+    cast_rays, cast_discs                                    arrays, for many rays at once
+
+The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
+filter casts one to three rays at a time; in arrays that takes about ten times as long
+(docs/decisions/023-machine-code.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import inf
-from typing import Final
+import os
+from collections.abc import Callable, Sequence
+from math import inf, sqrt
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from nclient.errors import VariableError
 from worlds.geometry import FloatArray
-from worlds.ray import ON_LINE_IN, ON_WALL_IN, WORTH_A_LOOK, meeting_before
 
 IndexArray = npt.NDArray[np.intp]
+Columns = tuple[Sequence[float] | FloatArray, ...]
+"""Walls as four columns x1, y1, x2, y2 of length m: lists for plain Python, arrays for compiled code."""
 
 NO_WALL: Final = -1
-"""What stands in `walls_hit` where a ray meets nothing."""
+"""The row reported for a ray that meets nothing."""
+
+ON_LINE_IN: Final = 1e-9
+"""An end this close to a ray's line counts as on it, inches. Rounding of coordinates up to 1e5 in is about 1e-11 and
+the finest unit of a robot is 1e-2, so 1e-9 is far from both: answers are exact for walls moved by no more than this."""
+
+ON_WALL_IN: Final = 1e-9
+"""A ray that starts this little behind a wall starts on it, inches; for the same reason."""
+
+SAME_SIDE_IN2: Final = ON_LINE_IN * 4e5
+"""Two ends whose sides multiply to more than this lie clearly on one side: no side exceeds 4e5 in."""
+
+FAR_IN: Final = 1e6
+"""Farther than any wall."""
 
 _BEHIND: Final = -2.0 * ON_WALL_IN
-"""A corner this far behind is clearly behind, however its product was rounded."""
+"""An end this far behind is clearly behind, whatever the rounding of its product."""
 
 _NEVER_ZERO: Final = 1e-200
-"""Added to a difference of sides: changes none but 0, which it keeps from being divided by."""
+"""Added to a difference of sides: changes only 0, to avoid the division by it."""
 
 _FEW_RAYS: Final = 4
-"""So many rays are worked out sooner without sorting out what lies behind them in arrays."""
+"""Up to so many rays, discarding walls behind them in arrays costs more than it saves."""
 
 _BLOCK: Final = 7000
-"""Pairs of ray and wall worked on at a time: so no array reaches the 128 kB from which on the C library takes fresh
-pages from the system for each, which took half as long again."""
+"""Pairs of ray and wall per block: keeps every array below 128 kB, from which on the C library requests new pages from
+the system for each, which took half as long again."""
+
+MAX_LOOP_WALLS: Final = 40
+"""Up to so many walls, a loop in plain Python is faster than the selection in arrays."""
+
+
+# One ray, in plain numbers. numba compiles these functions unchanged, and caches the result for as long as this file
+# does not change: whatever they call must stand in this file.
+
+
+def intersect(ahead_1: float, side_1: float, ahead_2: float, side_2: float) -> float:
+    """Return the range at which a ray's line meets a wall, from the ends of the wall in the frame of the ray.
+
+    Returns
+    -------
+    float
+        Inches; negative behind the origin, inf where they do not meet.
+    """
+    on_line_1, on_line_2 = abs(side_1) <= ON_LINE_IN, abs(side_2) <= ON_LINE_IN
+    if not (on_line_1 or on_line_2):
+        return inf if side_1 * side_2 > 0.0 else (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+    nearer, farther = min(ahead_1, ahead_2), max(ahead_1, ahead_2)
+    if on_line_1 and on_line_2:  # the wall is seen end-on
+        return farther if farther < 0.0 else max(nearer, 0.0)
+    mean = (ahead_1 * side_2 - ahead_2 * side_1) / (side_2 - side_1)
+    return min(max(mean, nearer), farther)
+
+
+def nearer_hit(
+    nearest: float, x: float, y: float, dx: float, dy: float, x1: float, y1: float, x2: float, y2: float
+) -> float:
+    """Return the range from (x, y) along the unit vector (dx, dy) to one wall if less than `nearest`, else `nearest`.
+
+    The range is slightly below 0 where the ray starts on the wall.
+    """
+    # 1. The ends of the wall in the frame of the ray; a wall wholly behind, or beyond `nearest`, is skipped.
+    to_x_1, to_y_1, to_x_2, to_y_2 = x1 - x, y1 - y, x2 - x, y2 - y
+    ahead_1, ahead_2 = to_x_1 * dx + to_y_1 * dy, to_x_2 * dx + to_y_2 * dy
+    if (ahead_1 < -ON_WALL_IN and ahead_2 < -ON_WALL_IN) or (ahead_1 >= nearest and ahead_2 >= nearest):
+        return nearest
+    # 2. The intersection.
+    hit = intersect(ahead_1, dx * to_y_1 - dy * to_x_1, ahead_2, dx * to_y_2 - dy * to_x_2)
+    return hit if -ON_WALL_IN <= hit < nearest else nearest
+
+
+def nearest_wall(x: float, y: float, dx: float, dy: float, walls: Columns) -> tuple[float, int]:
+    """Return the range from (x, y) along the unit vector (dx, dy) to the nearest wall, and its row.
+
+    Parameters
+    ----------
+    walls
+        Four columns x1, y1, x2, y2 of m walls, inches.
+
+    Returns
+    -------
+    tuple of float and int
+        Range >= 0 in inches and row; inf and NO_WALL where nothing is met.
+    """
+    nearest, hit = inf, NO_WALL
+    for row, (x1, y1, x2, y2) in enumerate(zip(walls[0], walls[1], walls[2], walls[3])):  # noqa: B905  for numba
+        # Both ends clearly on one side: the usual case, decided with the fewest operations.
+        if (dx * (y1 - y) - dy * (x1 - x)) * (dx * (y2 - y) - dy * (x2 - x)) <= SAME_SIDE_IN2:
+            range_in = nearer_hit(nearest, x, y, dx, dy, x1, y1, x2, y2)
+            if range_in < nearest:
+                nearest, hit = range_in, row
+    return max(nearest, 0.0), hit
+
+
+def ray_to_disc(x: float, y: float, dx: float, dy: float, disc: Sequence[float] | FloatArray) -> float:
+    """Return `cast_discs` of a single ray and one disc (x, y, radius), to the same bit."""
+    to_x, to_y, radius = disc[0] - x, disc[1] - y, disc[2]
+    ahead, side = to_x * dx + to_y * dy, dx * to_y - dy * to_x
+    if abs(side) > radius:
+        return inf
+    half_chord = sqrt(radius * radius - side * side)
+    return inf if ahead + half_chord < 0.0 else max(ahead - half_chord, 0.0)
+
+
+def nearest_obstacle(
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    walls: FloatArray,
+    discs: FloatArray,
+    own: int,
+    widest_in: float,
+    farthest_in: float,
+) -> float:
+    """Return the range from (x, y) along the unit vector (dx, dy) to the nearest wall or disc, inches; inf for none.
+
+    Parameters
+    ----------
+    walls
+        (m, 4), rows x1 y1 x2 y2.
+    discs
+        (k, 4), rows x y radius number, sorted by x; number `own` is not met.
+    widest_in
+        No less than any radius.
+    farthest_in
+        Discs whose x is farther than this are not met.
+    """
+    nearest = nearest_wall(x, y, dx, dy, (walls[:, 0], walls[:, 1], walls[:, 2], walls[:, 3]))[0]
+    # 1. The interval of x in which a disc can be nearer than the wall, and its first row by bisection.
+    reach_x = min(nearest, FAR_IN) * dx
+    low = max(x + min(reach_x, 0.0) - widest_in, x - farthest_in)
+    high = min(x + max(reach_x, 0.0) + widest_in, x + farthest_in)
+    row, end = 0, len(discs)
+    while row < end:
+        middle = (row + end) // 2
+        if discs[middle, 0] < low:
+            row = middle + 1
+        else:
+            end = middle
+    # 2. The nearest of the discs in it.
+    while row < len(discs) and discs[row, 0] <= high:
+        if discs[row, 3] != own:
+            nearest = min(nearest, ray_to_disc(x, y, dx, dy, discs[row]))
+        row += 1
+    return nearest
+
+
+# One or a few rays: arrays select the walls worth a look, plain numbers decide.
+
+
+def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
+    """Return range and row of `nearest_wall` for many walls (m, 4), contiguous, to the same bit.
+
+    An end times the conjugate of the direction is ahead + i side. Some processors round such products once, others
+    twice, so arrays only select the candidates.
+    """
+    sides = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).imag
+    rows = (sides[:, 0] * sides[:, 1] <= SAME_SIDE_IN2).nonzero()[0]
+    nearest, hit = inf, NO_WALL
+    for row, wall in zip(rows.tolist(), walls.take(rows, axis=0).tolist(), strict=True):
+        range_in = nearer_hit(nearest, x, y, dx, dy, *wall)
+        if range_in < nearest:
+            nearest, hit = range_in, row
+    return max(nearest, 0.0), hit
+
+
+def cast_each(origins: Sequence[complex], directions: Sequence[complex], walls: FloatArray) -> list[float]:
+    """Return the ranges of `cast_ray` for n rays, to the same bit, however many rays there are.
+
+    Parameters
+    ----------
+    origins, directions
+        Complex numbers x + iy, and unit vectors dx + i dy.
+    walls
+        (m, 4), contiguous.
+    """
+    if len(origins) == 1:
+        (origin,), (direction,) = origins, directions
+        return [cast_ray(origin.real, origin.imag, direction.real, direction.imag, walls)[0]]
+    # 1. All ends in the frames of all rays; the pairs of ray and wall worth a look.
+    ends = walls.view(np.complex128).reshape(1, -1)
+    in_frames = (ends - np.array(origins)[:, np.newaxis]) * np.array(directions).conj()[:, np.newaxis]
+    frames = in_frames.view(np.float64).reshape(len(origins) * len(walls), 4)
+    pairs = (frames[:, 1] * frames[:, 3] <= SAME_SIDE_IN2).nonzero()[0]
+    if len(origins) > _FEW_RAYS:
+        pairs = pairs[(frames[pairs, 0] >= _BEHIND) | (frames[pairs, 2] >= _BEHIND)]
+    # 2. These pairs in plain numbers, in the order of the walls.
+    ranges = [inf] * len(origins)
+    rays, rows = np.divmod(pairs, max(len(walls), 1))
+    for ray, wall in zip(rays.tolist(), walls[rows].tolist(), strict=True):
+        origin, direction = origins[ray], directions[ray]
+        ranges[ray] = nearer_hit(ranges[ray], origin.real, origin.imag, direction.real, direction.imag, *wall)
+    return [max(nearest, 0.0) for nearest in ranges]
+
+
+class WallIndex:
+    """Walls prepared for casting single rays again and again.
+
+    Parameters
+    ----------
+    walls
+        (m, 4), rows x1 y1 x2 y2 in inches.
+    """
+
+    def __init__(self, walls: npt.ArrayLike) -> None:
+        self._walls = np.ascontiguousarray(walls, dtype=np.float64).reshape(-1, 4)
+        self.columns: Columns = tuple(self._walls.T.tolist())
+        self._many = len(self._walls) > MAX_LOOP_WALLS
+
+    def nearest(self, x: float, y: float, dx: float, dy: float) -> tuple[float, int]:
+        """Return range and row of `nearest_wall`; inf and NO_WALL where nothing is met."""
+        if self._many:
+            return cast_ray(x, y, dx, dy, self._walls)
+        return nearest_wall(x, y, dx, dy, self.columns)
+
+
+# Many rays, in arrays.
 
 
 def cast_rays(origins: npt.ArrayLike, directions: npt.ArrayLike, walls: npt.ArrayLike) -> tuple[FloatArray, IndexArray]:
-    """The range from each origin along its direction to the first wall, and which wall that is.
+    """Return the range from each origin along its direction to the nearest wall, and the row of that wall.
 
-    origins     (..., 2) inches, and directions (..., 2) unit vectors; their leading dimensions broadcast
-    walls       (m, 4) segments, rows x1 y1 x2 y2 in inches; m may be 0
-    returns     ranges (...) >= 0 in inches, inf where nothing is met; walls_hit (...) rows of `walls`, -1 there
+    Walls are closed: a ray through an end meets it. A ray that starts on a wall meets it at range 0, in any direction
+    (except one that leaves a slanted wall at less than 1e-5 rad without lying in it: rounding decides). A wall seen
+    end-on is met at its nearer end. Where several walls are met at one range (a shared end) any one of them is named.
 
-    Walls are closed: a ray through a corner meets it. A ray that starts on a wall meets it at range 0, wherever it
-    points (but for one that leaves a slanted wall at less than 1e-5 rad without lying in it: rounding decides).
-    A wall seen end-on is met at its nearer end. Where walls are met at one range (a shared corner) any one of them
-    is named. All numbers are finite and coordinates at most 1e5 in; this is not checked.
+    Parameters
+    ----------
+    origins, directions
+        (..., 2) inches, and (..., 2) unit vectors; their leading dimensions broadcast. All numbers must be finite and
+        coordinates at most 1e5 in; this is not checked.
+    walls
+        (m, 4) segments, rows x1 y1 x2 y2 in inches; m may be 0.
+
+    Returns
+    -------
+    tuple of arrays
+        Ranges (...) >= 0 in inches, inf where nothing is met; rows (...) of `walls`, NO_WALL there.
     """
     starts = np.asarray(origins, dtype=np.float64)
-    ways = np.asarray(directions, dtype=np.float64)
+    along = np.asarray(directions, dtype=np.float64)
     segments = np.ascontiguousarray(walls, dtype=np.float64)
-    if starts.ndim == ways.ndim == 1 and len(segments):
-        (x, y), (dx, dy) = starts.tolist(), ways.tolist()
+    if starts.ndim == along.ndim == 1 and len(segments):
+        (x, y), (dx, dy) = starts.tolist(), along.tolist()
         nearest, row = cast_ray(x, y, dx, dy, segments)
         return np.array(nearest), np.array(row, dtype=np.intp)
-    shape = np.broadcast_shapes(starts.shape, ways.shape)
+    shape = np.broadcast_shapes(starts.shape, along.shape)
     ranges, rows = _cast_many(
-        np.broadcast_to(starts, shape).reshape(-1, 2), np.broadcast_to(ways, shape).reshape(-1, 2), segments
+        np.broadcast_to(starts, shape).reshape(-1, 2), np.broadcast_to(along, shape).reshape(-1, 2), segments
     )
     return ranges.reshape(shape[:-1]), rows.reshape(shape[:-1])
 
 
 def cast_discs(origins: npt.ArrayLike, directions: npt.ArrayLike, discs: npt.ArrayLike) -> FloatArray:
-    """The range from each origin along its direction to the first disc: where its rim is met.
-
-    origins     (..., 2) inches, and directions (..., 2) unit vectors; their leading dimensions broadcast
-    discs       (k, 3), rows x y radius in inches; k may be 0
-    returns     ranges (...) >= 0 in inches, inf where nothing is met; 0 from inside a disc
+    """Return the range from each origin along its direction to the rim of the nearest disc.
 
     With the centre `ahead` along the ray and `side` to its left the rim is met at ahead - sqrt(radius^2 - side^2).
+
+    Parameters
+    ----------
+    origins, directions
+        (..., 2) inches, and (..., 2) unit vectors; their leading dimensions broadcast.
+    discs
+        (k, 3), rows x y radius in inches; k may be 0.
+
+    Returns
+    -------
+    array
+        Ranges (...) >= 0 in inches, inf where nothing is met; 0 from inside a disc.
     """
     starts = np.asarray(origins, dtype=np.float64)[..., None, :]
-    ways = np.asarray(directions, dtype=np.float64)[..., None, :]
+    along = np.asarray(directions, dtype=np.float64)[..., None, :]
     circles = np.asarray(discs, dtype=np.float64).reshape(-1, 3)
     to_x, to_y = circles[:, 0] - starts[..., 0], circles[:, 1] - starts[..., 1]
-    ahead = to_x * ways[..., 0] + to_y * ways[..., 1]
-    side = ways[..., 0] * to_y - ways[..., 1] * to_x
+    ahead = to_x * along[..., 0] + to_y * along[..., 1]
+    side = along[..., 0] * to_y - along[..., 1] * to_x
     half_chord = np.sqrt(np.maximum(circles[:, 2] ** 2 - side * side, 0.0))
     missed = (np.abs(side) > circles[:, 2]) | (ahead + half_chord < 0.0)
     ranges: FloatArray = np.where(missed, inf, np.maximum(ahead - half_chord, 0.0)).min(axis=-1, initial=inf)
     return ranges
 
 
-def cast_ray(x: float, y: float, dx: float, dy: float, walls: FloatArray) -> tuple[float, int]:
-    """`cast_rays` of a single ray from (x, y) along (dx, dy), in numbers: the quickest way for one.
-
-    walls       (m, 4) as there, contiguous
-    returns     the range, and the row of the wall that is met
-
-    Arrays only say which walls are worth a look. There a corner is the complex number x + iy; times the conjugate of
-    the direction it is ahead + i side. Some processors round such products once, others twice, so ranges are worked
-    out in plain numbers.
-    """
-    sides = ((walls.view(np.complex128) - complex(x, y)) * complex(dx, -dy)).imag
-    rows = (sides[:, 0] * sides[:, 1] <= WORTH_A_LOOK).nonzero()[0]
-    nearest, hit = inf, NO_WALL
-    for row, wall in zip(rows.tolist(), walls.take(rows, axis=0).tolist(), strict=True):
-        met = meeting_before(nearest, x, y, dx, dy, *wall)
-        if met < nearest:
-            nearest, hit = met, row
-    return max(nearest, 0.0), hit
-
-
-def cast_each(origins: Sequence[complex], ways: Sequence[complex], walls: FloatArray) -> list[float]:
-    """The ranges of `cast_ray` for n rays, one by one or all at once: to the same bit, however many there are.
-
-    origins, ways   x + iy, and unit vectors dx + i dy
-    walls           (m, 4) as there, contiguous
-
-    What is worth a look is looked at in plain numbers, in the order of the walls.
-    """
-    if len(origins) == 1:
-        (origin,), (way,) = origins, ways
-        return [cast_ray(origin.real, origin.imag, way.real, way.imag, walls)[0]]
-    corners = walls.view(np.complex128).reshape(1, -1)
-    seen = (corners - np.array(origins)[:, np.newaxis]) * np.array(ways).conj()[:, np.newaxis]
-    frames = seen.view(np.float64).reshape(len(origins) * len(walls), 4)
-    rows = (frames[:, 1] * frames[:, 3] <= WORTH_A_LOOK).nonzero()[0]
-    if len(origins) > _FEW_RAYS:
-        rows = rows[(frames[rows, 0] >= _BEHIND) | (frames[rows, 2] >= _BEHIND)]
-    ranges = [inf] * len(origins)
-    rays, which = np.divmod(rows, max(len(walls), 1))
-    for ray, wall in zip(rays.tolist(), walls[which].tolist(), strict=True):
-        origin, way = origins[ray], ways[ray]
-        ranges[ray] = meeting_before(ranges[ray], origin.real, origin.imag, way.real, way.imag, *wall)
-    return [max(nearest, 0.0) for nearest in ranges]
-
-
 def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Ranges and rows (n,) for n rays (n, 2), a block of rays at a time."""
+    """Return ranges and rows (n,) for n rays (n, 2), a block of rays at a time."""
     count = len(origins)
     ranges = np.full(count, inf)
     rows = np.full(count, NO_WALL, dtype=np.intp)
@@ -143,49 +330,126 @@ def _cast_many(origins: FloatArray, directions: FloatArray, walls: FloatArray) -
     step = max(1, _BLOCK // len(walls))
     for first in range(0, count, step):
         block = slice(first, first + step)
-        ranges[block], rows[block] = _first(_meetings(origins[block], directions[block], walls))
+        ranges[block], rows[block] = _nearest(_intersections(origins[block], directions[block], walls))
     return ranges, rows
 
 
-def _meetings(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
-    """`meeting` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
+def _intersections(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> FloatArray:
+    """Return `intersect` of n rays (n, 2) with m walls (m, 4): (m, n), inf where they do not meet or meet behind."""
+    # 1. The ends in the frames of the rays.
     (side_1, side_2), (ahead_1, ahead_2) = sides, _ = _in_ray_frames(origins, directions, walls)
-    met: FloatArray = ahead_1 * side_2
-    met -= ahead_2 * side_1
+    # 2. The weighted mean.
+    hits: FloatArray = ahead_1 * side_2
+    hits -= ahead_2 * side_1
     width = side_2 - side_1
     width += _NEVER_ZERO
-    met /= width
+    hits /= width
     missed = side_1 * side_2 > 0.0
+    # 3. Ends on the line of a ray.
     on_line = np.abs(sides) <= ON_LINE_IN
     if on_line.any():
         missed &= ~on_line.any(axis=0)
         nearer, farther = np.minimum(ahead_1, ahead_2), np.maximum(ahead_1, ahead_2)
         end_on = np.where(farther < 0.0, farther, np.maximum(nearer, 0.0))
-        met = np.where(on_line.all(axis=0), end_on, np.clip(met, nearer, farther))
-    missed |= met < -ON_WALL_IN
-    np.copyto(met, inf, where=missed)
-    return met
+        hits = np.where(on_line.all(axis=0), end_on, np.clip(hits, nearer, farther))
+    missed |= hits < -ON_WALL_IN
+    np.copyto(hits, inf, where=missed)
+    return hits
 
 
 def _in_ray_frames(origins: FloatArray, directions: FloatArray, walls: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sides (2, m, n) and aheads (2, m, n) of the first and the second corners.
+    """Return sides (2, m, n) and aheads (2, m, n) of the first and the second ends.
 
-    One product each: rows (x, y, 1) of the corners times columns of the rays.
+    One product each: rows (x, y, 1) of the ends times columns of the rays.
     """
     x, y = origins.T
     dx, dy = directions.T
-    corners = np.ones((2, len(walls), 3))
-    corners[0, :, :2] = walls[:, :2]
-    corners[1, :, :2] = walls[:, 2:]
-    sides: FloatArray = corners @ np.stack((-dy, dx, x * dy - y * dx))
-    aheads: FloatArray = corners @ np.stack((dx, dy, -(x * dx + y * dy)))
+    ends = np.ones((2, len(walls), 3))
+    ends[0, :, :2] = walls[:, :2]
+    ends[1, :, :2] = walls[:, 2:]
+    sides: FloatArray = ends @ np.stack((-dy, dx, x * dy - y * dx))
+    aheads: FloatArray = ends @ np.stack((dx, dy, -(x * dx + y * dy)))
     return sides, aheads
 
 
-def _first(met: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """The smallest of the ranges (m, n) of each ray (n,), not below 0, and its row (n,)."""
-    nearest: FloatArray = met.min(axis=0)
-    rows = np.arange(len(met), dtype=np.int32)[:, np.newaxis]
-    hits = np.where(met == nearest, rows, np.int32(len(met))).min(axis=0).astype(np.intp)
-    hits[nearest == inf] = NO_WALL
-    return np.maximum(nearest, 0.0), hits
+def _nearest(hits: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Return the smallest of the ranges (m, n) of each ray (n,), not below 0, and its row (n,)."""
+    nearest: FloatArray = hits.min(axis=0)
+    rows = np.arange(len(hits), dtype=np.int32)[:, np.newaxis]
+    hit = np.where(hits == nearest, rows, np.int32(len(hits))).min(axis=0).astype(np.intp)
+    hit[nearest == inf] = NO_WALL
+    return np.maximum(nearest, 0.0), hit
+
+
+# The functions of one ray as machine code.
+
+VARIABLE: Final = "NOMAD_COMPILED"
+"""The environment variable: always, crowd (the default) or never."""
+
+CROWD: Final = 50
+"""So many robots, each ring read once a second, win back the loading of about a second within a minute."""
+
+_FROM_ROBOTS: Final = {"always": 1.0, "crowd": float(CROWD), "never": float("inf")}
+
+
+class CompiledKernel:
+    """A function compiled by numba (extra `fast`) from its own source, loaded on demand.
+
+    Compiled code performs the same operations in the same order (no fast math, no fused products): results are equal to
+    the bit, so loading changes nothing but the time. Importing numba and reading its cache takes about a second.
+    """
+
+    def __init__(self) -> None:
+        self.run: Callable[..., float] | None = None
+        """The compiled `nearest_obstacle`; None until loaded: `cast_each` is then faster than plain Python."""
+        self.tried = False
+        """True once loading was tried: a missing numba is looked for only once."""
+
+    def load(self) -> bool:
+        """Compile the function or load it from the cache, once; return True if compiled code is available."""
+        if not self.tried:
+            self.tried = True
+            try:
+                import numba
+                import numba.extending
+            except ImportError:
+                return False
+            self.run = _compile(numba)
+        return self.run is not None
+
+
+NEAREST_OBSTACLE: Final = CompiledKernel()
+"""The kernel of this process."""
+
+
+def is_compiled_for(robots: int) -> bool:
+    """Return True if NOMAD_COMPILED asks for compiled code with so many robots in this process.
+
+    Raises
+    ------
+    VariableError
+        The variable is set to an unknown word.
+    """
+    word = os.environ.get(VARIABLE, "crowd")
+    if word not in _FROM_ROBOTS:
+        raise VariableError(f"{VARIABLE} is {word!r}; it can be {', '.join(_FROM_ROBOTS)}")
+    return robots >= _FROM_ROBOTS[word]
+
+
+def load_compiled(robots: int) -> None:
+    """Load the compiled kernel if NOMAD_COMPILED asks for it with so many robots."""
+    if is_compiled_for(robots):
+        NEAREST_OBSTACLE.load()
+
+
+def _compile(numba: Any) -> Callable[..., float]:
+    """Compile `nearest_obstacle` for read-only arrays, which stand for writable ones too."""
+    for helper in (intersect, nearer_hit, ray_to_disc, nearest_wall):
+        numba.extending.register_jitable(helper)
+    number, rows = numba.float64, numba.types.Array(numba.float64, 2, "C", readonly=True)
+    signature = number(number, number, number, number, rows, rows, numba.int64, number, number)
+    try:
+        compiled: Callable[..., float] = numba.njit(signature, cache=True)(nearest_obstacle)
+    except RuntimeError:  # no writable directory for the cache
+        compiled = numba.njit(signature)(nearest_obstacle)
+    return compiled

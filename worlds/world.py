@@ -20,7 +20,7 @@ import numpy as np
 
 from nclient.errors import StartError
 from worlds.geometry import FloatArray, inside, nearest_points, normals, polygon_segments
-from worlds.ray import ON_WALL_IN
+from worlds.raycast import ON_WALL_IN
 
 Point = tuple[float, float]
 

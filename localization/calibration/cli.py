@@ -35,12 +35,12 @@ from localization.calibration.square import (
 from localization.command_line.outset import add_known
 from localization.command_line.readers import check_writable, numbers, opened, pose, positive, stds
 from localization.driving.obstruction import Obstruction
-from localization.estimation.belief import independent
-from localization.filters.calibrating import CalibratingFilter
-from localization.filters.surroundings import Surroundings
-from localization.live.fit import Fit
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.filters.calibration import CalibratingFilter
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.live.localizer import Fit
 from localization.taken.body import body_of
 from localization.taken.sonars import taken
 from localization.taken.walls import add_map, world_of
@@ -138,7 +138,7 @@ def _drive(
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
     body = BODIES[options.body]
-    known = Surroundings(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeModel())
+    known = LocalizationConfig(world.walls, body, options.odometry_noise, WIRE_SONAR if fit.rays else ConeSonar())
     method = CalibratingFilter(known, independent(np.array(start), options.start_std))
     square = _square_of(world, body.radius_in, start, options)
     first = _tasks(world, body.radius_in, start, square, options)

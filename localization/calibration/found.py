@@ -8,9 +8,9 @@ from math import degrees
 import numpy as np
 
 from localization.calibration.precision import numbers
-from localization.estimation.belief import Belief
-from localization.estimation.systematic import Constant
-from localization.filters.calibrating import OFFSET, OWN, RING_TURN, SIZE
+from localization.filters.belief import Belief
+from localization.filters.calibration import OFFSET, OWN, RING_TURN, SIZE
+from localization.filters.odometry import OdometryParameter
 from worlds.calibration import Calibration, Spread
 
 
@@ -20,15 +20,15 @@ def calibration_in(belief: Belief) -> Calibration:
     offsets = mean[OFFSET] + mean[OWN:SIZE]
     spread = np.sqrt(cov[OFFSET, OFFSET] + np.diagonal(cov)[OWN:SIZE] + 2.0 * cov[OFFSET, OWN:SIZE])
     return Calibration(
-        1.0 + float(mean[Constant.WAY_SCALE]),
-        1.0 + float(mean[Constant.TURN_SCALE]),
-        float(mean[Constant.DRIFT]),
+        1.0 + float(mean[OdometryParameter.DISTANCE_SCALE]),
+        1.0 + float(mean[OdometryParameter.TURN_SCALE]),
+        float(mean[OdometryParameter.DRIFT]),
         tuple(offsets.tolist()),
         float(mean[RING_TURN]),
         Spread(
-            float(std[Constant.WAY_SCALE]),
-            float(std[Constant.TURN_SCALE]),
-            float(std[Constant.DRIFT]),
+            float(std[OdometryParameter.DISTANCE_SCALE]),
+            float(std[OdometryParameter.TURN_SCALE]),
+            float(std[OdometryParameter.DRIFT]),
             tuple(spread.tolist()),
             float(std[RING_TURN]),
         ),

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 from localization.calibration.square import Driver
 from localization.driving.navigation import COMMAND_TIMEOUT_S, PERIOD_S, SHORTEST_WAIT_S, Command, standing_after
-from localization.filters.method import Filter
-from localization.filters.surroundings import Surroundings
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Filter, LocalizationConfig
 from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.robot_state import RobotState
@@ -29,7 +28,7 @@ class Progress(NamedTuple):
 
 
 def run(
-    robot: Robot, known: Surroundings, method: Filter, driver: Driver, wait: Callable[[float], None]
+    robot: Robot, known: LocalizationConfig, method: Filter, driver: Driver, wait: Callable[[float], None]
 ) -> Generator[Progress, None, None]:
     """Drive until the driver is done, and tell of each period; the robot stands at the end, however it ends."""
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)

@@ -20,7 +20,7 @@ import numpy as np
 
 from localization.driving.control import bearing_error, distance_to
 from localization.driving.navigation import Command
-from localization.estimation.belief import HEADING, Floats, wrap_angle
+from localization.filters.belief import HEADING, Floats, wrap_angle
 from localization.planning.clearance import clearances
 from localization.planning.course import waypoints
 from localization.planning.roadmap import NoWayError, Roadmap

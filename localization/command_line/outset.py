@@ -19,13 +19,13 @@ from typing import NamedTuple
 from localization.command_line import resuming
 from localization.command_line.readers import UNKNOWN, constants, noise, positive, stds
 from localization.driving.navigation import Speeds
-from localization.estimation.belief import Belief, independent
-from localization.estimation.systematic import with_constants
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
-from localization.filters.table import METHODS
-from localization.live.calibrated import with_wheels
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.filters.belief import Belief, independent
+from localization.filters.odometry import with_parameters
+from localization.filters.registry import METHODS
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.live.sensor_input import with_wheels
 from localization.taken.sonars import Taken, taken
 from nclient import Robot, RobotState
 from worlds.bodies import BODIES
@@ -40,7 +40,7 @@ class Outset(NamedTuple):
     """What is believed at the first state, of a robot in surroundings, and for what its sonars are taken."""
 
     belief: Belief
-    known: Surroundings
+    known: LocalizationConfig
     sonars: Taken
 
 
@@ -85,8 +85,8 @@ def outset(robot: Robot, simulated: bool, world: World, options: argparse.Namesp
     sonars = taken(options.sonars, simulated, options.address)
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
-    sonar = WIRE_SONAR if sonars.rays else ConeModel()
-    known = Surroundings(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
+    sonar = WIRE_SONAR if sonars.rays else ConeSonar()
+    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
     return Outset(belief, known, sonars)
 
 
@@ -101,4 +101,4 @@ def _placed(robot: Robot, state: RobotState, start: Sequence[float] | str) -> Ro
 
 def _anew(options: argparse.Namespace, state: RobotState, errs: Calibration) -> Belief:
     here = independent([state.x_in, state.y_in, state.steering_rad], options.start_std)
-    return with_wheels(here, errs) if options.calibration else with_constants(here, options.scale_std)
+    return with_wheels(here, errs) if options.calibration else with_parameters(here, options.scale_std)

@@ -52,7 +52,7 @@ def message(
             for echo in estimate.echoes
         ],
         "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
-        "trust": estimate.verdict.trust.value, "reason": estimate.verdict.reason,
+        "trust": estimate.health.status.value, "reason": estimate.health.reason,
         "places": [
             {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in estimate.places[:MOST_PLACES]
         ],

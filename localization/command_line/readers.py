@@ -11,8 +11,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.systematic import LARGEST, POSE
+from localization.filters.odometry import LARGEST, POSE, OdometryNoise
 from nclient import ReplyTimeout, Robot, connect
 from nclient.errors import OutputFileError
 from nclient.unwritable import unwritable

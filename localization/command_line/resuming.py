@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from localization.estimation.belief import Belief
-from localization.estimation.systematic import LARGEST, POSE, with_constants
-from localization.filters.watch import Trust
+from localization.filters.belief import Belief
+from localization.filters.health import HealthStatus
+from localization.filters.odometry import LARGEST, POSE, with_parameters
 from localization.keeping import kept_file
 from localization.keeping.kept import Kept, Moved, resumed, site_of
 from localization.live.localizer import Estimate
-from localization.live.odometry import EncoderPose
+from localization.live.sensor_input import EncoderPose
 from localization.runs.run import Run
 from nclient.errors import EstimateFileError
 from nclient.robot_state import RobotState
@@ -51,7 +51,7 @@ def belief(options: argparse.Namespace, world: World, state: RobotState) -> Beli
     now = EncoderPose(state.clock_s or 0.0, pose, state.turret_rad)
     held = resumed(old, site_of(world, options.body), now, options.odometry_noise, options.moved_std)
     known = len(held.mean) - POSE
-    return with_constants(held, options.scale_std[known:])
+    return with_parameters(held, options.scale_std[known:])
 
 
 def save(options: argparse.Namespace, world: World, done: Run) -> None:
@@ -70,8 +70,8 @@ def keep(
     """Write an estimate down, and what the encoders say with it; as `save`."""
     if options.save is None:
         return
-    if estimate.verdict.trust is Trust.LOST:
-        raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.verdict.reason}")
+    if estimate.health.status is HealthStatus.LOST:
+        raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
     encoders = EncoderPose(estimate.clock_s, np.array(odometry), turret_rad)
     known = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
     kept_file.save(options.save, Kept(site_of(world, options.body), encoders, known))

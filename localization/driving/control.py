@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from localization.estimation.belief import HEADING, Floats, wrap_angle
+from localization.filters.belief import HEADING, Floats, wrap_angle
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,12 @@ from localization.driving.control import Gains, distance_to, next_step
 from localization.driving.groping import Groping
 from localization.driving.pace import Pace
 from localization.driving.steadying import SteadyPose
-from localization.estimation.belief import Belief, Floats
-from localization.filters.method import Filter
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import DEFAULT_METHOD
-from localization.filters.watch import Trust
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import Filter, LocalizationConfig
+from localization.filters.belief import Belief, Floats
+from localization.filters.health import HealthStatus
+from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
 from nclient.errors import NomadError
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
@@ -115,7 +114,7 @@ class Progress(NamedTuple):
     passed: int
 
 
-def begin(robot: Robot, known: Surroundings, belief: Belief, method: str | Filter = DEFAULT_METHOD) -> Localizer:
+def begin(robot: Robot, known: LocalizationConfig, belief: Belief, method: str | Filter = DEFAULT_METHOD) -> Localizer:
     """Restart the robot's ring, so that its firing instants are known, and start a filter on it: a name of
     filters.table, or one that is made."""
     state = robot.configure_sonars(rate=DEFAULT_SONAR_RATE, order=DEFAULT_SONAR_ORDER)
@@ -146,7 +145,7 @@ def follow(
             estimate = localizer.update(state)
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
             command: Command | None
-            if estimate.verdict.trust is Trust.LOST:
+            if estimate.health.status is HealthStatus.LOST:
                 steady.forget()
                 command = Command(*groping.command(state))
             else:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from localization.driving.control import distance_to
-from localization.estimation.belief import Floats, difference
+from localization.filters.belief import Floats, difference
 from nclient.robot_state import RobotState
 
 PATIENCE_S: Final = 5.0

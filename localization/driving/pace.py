@@ -13,7 +13,7 @@ from collections import deque
 from itertools import pairwise
 from typing import Final
 
-from localization.live.odometry import LONGEST_GAP_S
+from localization.live.sensor_input import LONGEST_GAP_S
 
 REMEMBERED: Final = 6
 """States that are looked at: a busy machine is late again and again."""

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from localization.estimation.belief import Floats, add, difference
-from localization.estimation.motion import move, step_between
+from localization.filters.belief import Floats, add, difference
+from localization.filters.odometry import move, step_between
 
 
 class SteadyPose:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.estimation import chi_square
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats, chi_square_quantile
 
 
 def nees(error: Floats, cov: Floats) -> Floats:
@@ -25,7 +24,7 @@ def nees(error: Floats, cov: Floats) -> Floats:
 def mean_band(dof: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Where the mean of `runs` independent chi-squares of `dof` lies with that probability, symmetric in its tails."""
     tail = 0.5 * (1.0 - probability)
-    low, high = (chi_square.quantile(p, dof * runs) / runs for p in (tail, 1.0 - tail))
+    low, high = (chi_square_quantile(p, dof * runs) / runs for p in (tail, 1.0 - tail))
     return low, high
 
 

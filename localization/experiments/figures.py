@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from localization.estimation.belief import Floats, difference
 from localization.experiments.results import Track, typical
 from localization.experiments.settings import Course, Figure
+from localization.filters.belief import Floats, difference
 from localization.runs.drawing import (
     ESTIMATE,
     FAINT,

@@ -14,10 +14,10 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization.estimation.belief import Floats, difference
 from localization.experiments.consistency import mean_band, nees
 from localization.experiments.settings import Figure
 from localization.experiments.trial import Runs
+from localization.filters.belief import Floats, difference
 
 TRACKED_SEEDS: Final = 20
 """Of the seeds below this number the whole run is kept, for the pictures."""

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from localization.driving.control import Gains
-from localization.estimation.belief import Floats
-from localization.estimation.motion import OdometryNoise
-from localization.filters.surroundings import THESIS_ODOMETRY
-from localization.sonar.measurement import IDEAL_SONAR, Beams, SonarModel, WallMap, ring, wall_map
+from localization.filters.base import THESIS_ODOMETRY
+from localization.filters.belief import Floats
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_ray import IDEAL_SONAR, Beams, RaySonar, WallMap, ring, wall_map
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -80,7 +80,7 @@ class Course:
     filtered: bool = True
     start_std: tuple[float, float, float] = START_STD
     noise: OdometryNoise = NOISE
-    sonar: SonarModel = IDEAL_SONAR
+    sonar: RaySonar = IDEAL_SONAR
     waypoint_radius_in: float = WAYPOINT_RADIUS_IN
 
     @property

@@ -15,14 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from localization.driving.control import next_step, reached
-from localization.estimation import ekf
-from localization.estimation.belief import Belief, Floats, add, independent
-from localization.estimation.motion import move, step_variance, transition
 from localization.experiments import streams
 from localization.experiments.consistency import bound_step, information
 from localization.experiments.settings import Course
-from localization.sonar.gating import observe
-from localization.sonar.measurement import meet, range_jacobian, rays, sight
+from localization.filters.belief import Belief, Floats, add, independent
+from localization.filters.ekf import correct, innovation_squared
+from localization.filters.odometry import move, predict, step_variance, transition
+from localization.filters.sonar_ray import meet, observe, range_jacobian, rays, sight
 
 Indices = npt.NDArray[np.intp]
 
@@ -104,7 +103,7 @@ def _advance(course: Course, batch: Batch, motion_error: Floats, sonar_error: Fl
     goals = course.goals_in[np.minimum(batch.leg, len(course.goals_in) - 1)]
     step = next_step(batch.belief.mean, goals, course.gains) * driving[:, None]
     truth = move(batch.truth, step + np.sqrt(step_variance(step, course.noise)) * motion_error)
-    belief = ekf.predict(batch.belief, step, course.noise)
+    belief = predict(batch.belief, step, course.noise)
     bound, nis, used = batch.bound, batch.nis, batch.used
     if course.filtered:
         readings, gain = _sound(course, truth, sonar_error)
@@ -131,6 +130,6 @@ def _sound(course: Course, truth: Floats, sonar_error: Floats) -> tuple[Floats, 
 def _correct(course: Course, belief: Belief, readings_in: Floats) -> tuple[Belief, Floats, Indices]:
     """Beliefs corrected by readings (n, 16): the beliefs, the NIS (n,) of the correction and the beams used (n,)."""
     observation = observe(belief, course.beams, readings_in, course.walls, course.sonar)
-    corrected = ekf.correct(belief, observation)
-    nis = ekf.innovation_squared(belief, corrected, observation)
+    corrected = correct(belief, observation)
+    nis = innovation_squared(belief, corrected, observation)
     return corrected, nis, observation.used.sum(axis=-1)

@@ -1,6 +1,7 @@
-"""Filters of one interface (method): motion and echoes go in, a belief comes out. `table.make` names them all.
+"""Position filters: from odometry steps and sonar readings to a pose with its covariance.
 
-table > kalman, smoother, particles, calibrating, finding/    the filters; surroundings: what they know beforehand
-hearing > sense; likelihood                                   how a gaussian takes one reading in, and how particles do
-watch                                                         whether the estimate can be believed
+belief, odometry            mean and covariance of a state; how a step of the encoders changes them (predict)
+sonar_ray, sonar_cone       the expected range of a sonar on a map, and its derivative
+update                      the correction by one reading (update), and why a reading is refused
+ekf, ukf, smoother, particles, calibration, global_localization    the filters, made by name in registry
 """

@@ -1,4 +1,13 @@
-"""Monte Carlo localization: a belief as weighted particles. For what no gaussian can hold, and as another opinion.
+"""How well many poses explain one reading: what Monte Carlo localization weighs its particles with.
+
+    RayLikelihood     z_hit N(z; ray, sigma) + z_rand / range        the beam model (Thrun, Burgard, Fox 2005, 6.3)
+    ConeLikelihood    the same over all reflectors in the cone       the densities of mixture
+
+Rules: pure arrays; a pose a row, a likelihood a row, never 0; no particle is changed here. Widened by what the number
+of particles cannot resolve: a likelihood sharper than the distance between particles kills all but one, and so would
+many from one place. What it is widened by counts as an error that stays (repeats).
+
+Monte Carlo localization: a belief as weighted particles. For what no gaussian can hold, and as another opinion.
 
     move    every particle takes the step with its own noise         (sampled from motion's random walk)
     hear    weights are multiplied with the reading's likelihood      (likelihood), to the power of what it adds to
@@ -15,17 +24,116 @@ Rules: all chance comes from the generator handed in; particles are states (N, n
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
-from localization.estimation.belief import HEADING, Belief, Floats, difference, wrap_angle
-from localization.estimation.motion import OdometryNoise, step_variance
-from localization.estimation.observation import Refusal
-from localization.estimation.repeats import Repeats
-from localization.estimation.systematic import POSE, move_states
-from localization.filters.likelihood import Likelihood
-from localization.filters.method import Judgement, told_as
-from localization.filters.watch import Verdict, Watch
+from localization.filters.belief import HEADING, Belief, Floats, difference, wrap_angle
+from localization.filters.health import FilterHealth, IntegrityMonitor
+from localization.filters.odometry import POSE, OdometryNoise, move_states, step_variance
+from localization.filters.reflectors import reflectors
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_chances
+from localization.filters.sonar_ray import RangeNoise, RaySonar, SonarRing, pick, rays, ring, wall_map
+from localization.filters.update import CorrelatedReadings, Refusal, UpdateResult, information_fraction, refusal_of
+from worlds.raycast import cast_rays
+
+SPAN_IN: Final = 249.0
+"""Bad readings of a ray lie anywhere from 6 to 255 inches."""
+
+
+class Weighed(NamedTuple):
+    """Likelihoods of a reading at n poses, per inch: of whatever it may be (n,), and of them the part of bad readings
+    (n,)."""
+
+    whole: Floats
+    bad: Floats
+
+
+class Likelihood(Protocol):
+    """A kind of sonar, in a map, on a body."""
+
+    def is_range(self, reading_in: float) -> bool:
+        """Whether a reading tells a range at all."""
+        ...
+
+    def news(self, reading_in: float, times: int) -> float:
+        """What the `times`-th of such readings from one place adds, as a share of the first (repeats)."""
+        ...
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
+        """Of a reading at poses (n, 3)."""
+        ...
+
+
+def _news(noise: RangeNoise, widened_in2: float, reading_in: float, times: int) -> float:
+    variance, constant = np.array((noise.variance_at(reading_in), noise.constant_at(reading_in))) + widened_in2
+    return float(information_fraction(variance, constant, times))
+
+
+class RayLikelihood:
+    """One exact ray a sonar; `bad_share` of the readings spread over all ranges; `widen_std_in` beside the sonar's."""
+
+    def __init__(
+        self,
+        walls: npt.ArrayLike,
+        body: SonarRing,
+        sonar: RaySonar,
+        *,
+        outlier_probability: float = 0.05,
+        widen_std_in: float = 0.5,
+    ) -> None:
+        self._walls, self._body, self._sonar = wall_map(walls), body, sonar
+        self._bad_share, self._widen = outlier_probability, widen_std_in**2
+
+    def is_range(self, reading_in: float) -> bool:
+        return self._sonar.lowest_in < reading_in < self._sonar.highest_in
+
+    def news(self, reading_in: float, times: int) -> float:
+        return _news(self._sonar, self._widen, reading_in, times)
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
+        beam = pick(ring(self._body, turret_offset_rad), sonar)
+        aimed = rays(poses[:, None, :], beam)
+        from_axis = cast_rays(aimed.axes_in, aimed.directions, self._walls.segments)[0][:, 0]
+        seen = np.isfinite(from_axis)
+        expected = np.where(seen, from_axis, 0.0) - beam.standoff_in
+        variance = self._sonar.variance(expected) + self._widen
+        hit = np.exp(-0.5 * (reading_in - expected) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        bad = np.full(len(poses), self._bad_share / SPAN_IN)
+        return Weighed((1.0 - self._bad_share) * np.where(seen, hit, 0.0) + bad, bad)
+
+
+class ConeLikelihood:
+    """All reflectors in the cone; `heading_std_rad` makes its rim soft, `widen_std_in` its ranges."""
+
+    def __init__(
+        self,
+        walls: npt.ArrayLike,
+        body: SonarRing,
+        model: ConeSonar,
+        *,
+        heading_std_rad: float = 0.03,
+        widen_std_in: float = 0.5,
+    ) -> None:
+        self._around, self._body, self._model = reflectors(wall_map(walls).segments), body, model
+        self._heading_std, self._widen = np.array(heading_std_rad), widen_std_in**2
+
+    def is_range(self, reading_in: float) -> bool:
+        return self._model.lowest_in < reading_in < self._model.highest_in
+
+    def news(self, reading_in: float, times: int) -> float:
+        return _news(self._model, self._widen, reading_in, times)
+
+    def of(self, poses: Floats, sonar: int, turret_offset_rad: float, reading_in: float) -> Weighed:
+        model = self._model
+        ear = SonarMount(turret_offset_rad + self._body.sonar_angles_rad[sonar], self._body.sonar_ring_radius_in)
+        ranges, probability = cone_chances(poses, self._heading_std, ear, self._around, model)
+        variance = model.variance(ranges) + self._widen
+        hits = np.exp(-0.5 * (reading_in - ranges) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        good = 1.0 - model.outlier_probability
+        bad = model.bad_density * (1.0 - good * probability.sum(axis=-1))
+        return Weighed(good * (probability * hits).sum(axis=-1) + bad, bad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +163,7 @@ class ParticleFilter:
         self.weights = np.full(len(states), 1.0 / len(states))
         self._likelihood, self._odometry, self._chance = likelihood, odometry, chance
         self._parameters = parameters or MonteCarlo(len(states))
-        self._watch, self._repeats = Watch(), Repeats()
+        self._watch, self._repeats = IntegrityMonitor(), CorrelatedReadings()
 
     @property
     def belief(self) -> Belief:
@@ -63,8 +171,8 @@ class ParticleFilter:
         return moments(self.states, self.weights)
 
     @property
-    def verdict(self) -> Verdict:
-        return self._watch.verdict(self.belief)
+    def health(self) -> FilterHealth:
+        return self._watch.health(self.belief)
 
     @property
     def effective(self) -> float:
@@ -87,19 +195,19 @@ class ParticleFilter:
         cov[HEADING, HEADING] += turn
         return Belief(told.mean, cov)
 
-    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> Judgement:
+    def hear(self, sonar: int, turret_offset_rad: float, reading_in: float) -> UpdateResult:
         """Weigh the particles with a reading; limits say nothing."""
         if not self._likelihood.is_range(reading_in):
-            return Judgement(Refusal.LIMIT, 0.0, 0.0, 1.0)
+            return UpdateResult(Refusal.LIMIT, 0.0, 0.0, 1.0)
         times = self._repeats.before(sonar, turret_offset_rad) + 1
         self._repeats.take(sonar, turret_offset_rad)
         likelihood, bad = self._likelihood.of(self.states[:, :POSE], sonar, turret_offset_rad, reading_in)
-        bad_share = float(self.weights @ bad / (self.weights @ likelihood))
+        outlier_probability = float(self.weights @ bad / (self.weights @ likelihood))
         self.weights = self.weights * likelihood ** self._likelihood.news(reading_in, times)
         self.weights /= self.weights.sum()
         if self.effective < self._parameters.resample_threshold * len(self.states):
             self._resample()
-        judgement = Judgement(told_as(bad_share), 0.0, 0.0, bad_share)
+        judgement = UpdateResult(refusal_of(outlier_probability), 0.0, 0.0, outlier_probability)
         self._watch.look(judgement)
         return judgement
 

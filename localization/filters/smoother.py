@@ -19,11 +19,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Belief, Floats, add, difference
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.systematic import step_jacobians
-from localization.filters.hearing import Hearing
-from localization.filters.kalman import KalmanFilter
+from localization.filters.belief import Belief, Floats, add, difference
+from localization.filters.ekf import KalmanFilter
+from localization.filters.odometry import OdometryNoise, step_jacobians
+from localization.filters.update import MeasurementUpdate
 
 LAG: Final = 32
 """Two rings of sixteen: some two seconds."""
@@ -40,7 +39,7 @@ class Knot(NamedTuple):
 class FixedLagSmoother(KalmanFilter):
     """See the head of this file. Raises ValueError for a lag below 1."""
 
-    def __init__(self, belief: Belief, hearing: Hearing, odometry: OdometryNoise, lag: int = LAG) -> None:
+    def __init__(self, belief: Belief, hearing: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG) -> None:
         super().__init__(belief, hearing, odometry)
         if lag < 1:
             raise ValueError(f"a smoother looks back 1 move or more, not {lag}")

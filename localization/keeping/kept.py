@@ -19,10 +19,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import HEADING, Belief, Floats, add, difference
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.systematic import POSE
-from localization.live.odometry import EncoderPose
+from localization.filters.belief import HEADING, Belief, Floats, add, difference
+from localization.filters.odometry import POSE, OdometryNoise
+from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 from worlds.world import World
 

@@ -15,10 +15,10 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from localization.estimation.belief import Belief, Floats
-from localization.estimation.systematic import LARGEST, POSE
+from localization.filters.belief import Belief, Floats
+from localization.filters.odometry import LARGEST, POSE
 from localization.keeping.kept import Kept, Site
-from localization.live.odometry import EncoderPose
+from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 from nclient.file_text import read_text
 from nclient.whole_file import write_whole

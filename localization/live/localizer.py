@@ -1,33 +1,74 @@
-"""The filter live: states of a robot in, estimates out. It sees what the robot's API reports and nothing else.
+"""What a clock in steps leaves unknown where readings have no stamps: when they were taken, against when the robot was
+where its states say.
+
+    the ring was restarted up to a step later than the clock of its answer tells, and a state is of up to a step later
+    than its own: echoes are laid to where the robot was too early or too late, and the estimate is ahead or behind
+
+    P + LAG_STD_S^2 xdot xdot'        xdot = (v cos(heading), v sin(heading), omega)
+
+The first of the two is the same for a whole run, so a filter cannot average it away: this is no noise of the echoes. It
+is added to what is told, and never to what the filter goes on from. Rules: pure.
+
+The filter live: states of a robot in, estimates out. It sees what the robot's API reports and nothing else.
 
     state ──> pose history ──┐
     state ──> new echoes ────┴─> for each, at the pose of its firing instant: move, hear ──> estimate
 
 Rules: odometry from the encoder pose, readings from State's sonars, time from the robot's clock; no truth, no wall
 clock, no socket. Each echo counts once; limits (6, 255) are never ranges. The same object runs on every address.
+
+Whether readings fit what a filter was told of its robot: NIS and refusals, summed over a run.
+
+    NIS        mean of innovation^2 / its variance of the readings taken in: 1 is right
+    refused    share of the ranges that the gate refused
+
+A filter that is told too little noise believes its own wrong numbers, and its standard deviations say nothing of it;
+its readings do. Rules: values and words.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from math import cos, sin, sqrt
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Belief, Floats
-from localization.estimation.motion import step_between
-from localization.estimation.observation import Refusal
-from localization.filters.method import Filter, Place, Searching, Smoothing
-from localization.filters.sense import pose_of
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import DEFAULT_METHOD, make
-from localization.filters.watch import ALL_WELL, Verdict
-from localization.live import calibrated
-from localization.live.echoes import FiringSchedule, FiringTime
-from localization.live.lag import with_lag
-from localization.live.odometry import EncoderPose, PoseHistory
-from localization.live.told import Told
+from localization.filters.base import Filter, LocalizationConfig, Place, Searching, Smoothing
+from localization.filters.belief import HEADING, Belief, Floats, difference
+from localization.filters.health import HEALTHY, FilterHealth
+from localization.filters.odometry import POSE, pose_of, step_between
+from localization.filters.registry import DEFAULT_METHOD, make
+from localization.filters.update import Refusal
+from localization.live import sensor_input as calibrated
+from localization.live.sensor_input import (
+    CLOCK_STEP_S,
+    EncoderPose,
+    FiringSchedule,
+    FiringTime,
+    PoseHistory,
+    SensorInput,
+)
+
+LAG_STD_S: Final = CLOCK_STEP_S / sqrt(6.0)
+"""The difference of two instants, each anywhere within one step of the clock."""
+
+
+def with_lag(belief: Belief, before: EncoderPose, now: EncoderPose) -> Belief:
+    """A belief over states (n,) of a robot whose encoders went from one pose to the other, widened by that; the belief
+    itself where it stood."""
+    passed_s = now.clock_s - before.clock_s
+    dx, dy, turn = difference(now.pose, before.pose).tolist()
+    if passed_s <= 0.0 or not (dx or dy or turn):
+        return belief
+    told, heading = float(before.pose[HEADING]) + 0.5 * turn, float(belief.mean[HEADING])
+    way = LAG_STD_S * (dx * cos(told) + dy * sin(told)) / passed_s
+    ahead = np.array([way * cos(heading), way * sin(heading), LAG_STD_S * turn / passed_s])
+    cov = belief.cov.copy()
+    cov[:POSE, :POSE] += ahead[:, None] * ahead
+    return Belief(belief.mean, cov)
 
 
 class Echo(NamedTuple):
@@ -43,7 +84,7 @@ class Echo(NamedTuple):
     refusal: Refusal
     innovation_in: float
     nis: float = 0.0
-    bad_share: float = 0.0
+    outlier_probability: float = 0.0
 
 
 class Smoothed(NamedTuple):
@@ -61,7 +102,7 @@ class Estimate:
     clock_s: float
     belief: Belief
     echoes: tuple[Echo, ...]
-    verdict: Verdict = ALL_WELL
+    health: FilterHealth = HEALTHY
     smoothed: Smoothed | None = None
     places: tuple[Place, ...] = ()
 
@@ -81,7 +122,7 @@ class Localizer:
 
     def __init__(
         self,
-        known: Surroundings,
+        known: LocalizationConfig,
         belief: Belief,
         schedule: FiringSchedule,
         method: str | Filter = DEFAULT_METHOD,
@@ -96,7 +137,7 @@ class Localizer:
         self._smoothing = self._filter if isinstance(self._filter, Smoothing) else None
         self._instants: deque[float] = deque(maxlen=1 + (self._smoothing.lag if self._smoothing else 0))
 
-    def update(self, told: Told) -> Estimate:
+    def update(self, told: SensorInput) -> Estimate:
         """Take in one state and say where the robot is. A state no later than the one before changes nothing.
 
         Raises ValueError for a state without a clock: nothing was received yet.
@@ -119,7 +160,7 @@ class Localizer:
         smoothed = Smoothed(self._instants[0], self._smoothing.smoothed()) if self._smoothing else None
         lagged = with_lag(self._filter.ahead(step), *self._history.last_two)
         places = self._searching.places if self._searching else ()
-        return Estimate(latest.clock_s, lagged, echoes, self._filter.verdict, smoothed, places)
+        return Estimate(latest.clock_s, lagged, echoes, self._filter.health, smoothed, places)
 
     def _hear(self, firing: FiringTime, reading_in: float) -> Echo:
         """Bring the filter to where the encoders were at that instant, and let it hear."""
@@ -129,5 +170,55 @@ class Localizer:
         self._settled, self._heard_s = there, firing.instant_s
         self._instants.append(firing.instant_s)
         judgement = self._filter.hear(firing.sonar, there.turret_offset_rad, float(reading_in))
-        refusal, innovation_in, nis, bad_share = judgement
-        return Echo(*firing, reading_in, refusal, innovation_in, nis, bad_share)
+        refusal, innovation_in, nis, outlier_probability = judgement
+        return Echo(*firing, reading_in, refusal, innovation_in, nis, outlier_probability)
+
+
+LARGEST_NIS: Final = 1.5
+MOST_REFUSED: Final = {True: 0.1, False: 0.35}
+"""By whether sonars are exact rays; of a real ring's readings many are bad anyway."""
+
+
+@dataclass
+class Fit:
+    """The sums. `rays`: sonars are taken for exact rays."""
+
+    rays: bool
+    taken: int = 0
+    refused: int = 0
+    nis_sum: float = 0.0
+
+    def add(self, echoes: Iterable[Echo]) -> None:
+        """Echoes of another period."""
+        for echo in echoes:
+            if echo.refusal is Refusal.NONE:
+                self.taken += 1
+                self.nis_sum += echo.nis
+            elif echo.refusal is Refusal.GATE:
+                self.refused += 1
+
+    @property
+    def nis(self) -> float:
+        """The mean of those taken in; 0 of none."""
+        return self.nis_sum / self.taken if self.taken else 0.0
+
+    @property
+    def refused_share(self) -> float:
+        """Of those taken in or refused by the gate; 0 of none."""
+        return self.refused / (self.taken + self.refused) if self.refused else 0.0
+
+    @property
+    def good(self) -> bool:
+        """Whether what was found can be believed as far as it says."""
+        return self.nis <= LARGEST_NIS and self.refused_share <= MOST_REFUSED[self.rays]
+
+    def line(self) -> str:
+        """In words, with the remedy where it is not good."""
+        told = f"readings fit with a NIS of {self.nis:.2f} (1 is right), {self.refused_share:.1%} refused"
+        if self.good:
+            return told
+        ring = "a real ring's cones are taken for rays (--sonars cones), " if self.rays else ""
+        return (
+            f"{told}: do not believe this. The encoders miss more than --odometry-noise says, {ring}--start is "
+            "elsewhere, or the map is not of this room"
+        )

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from localization.command_line.readers import check_writable, noise, positive
-from localization.estimation.belief import Floats
-from localization.filters.surroundings import THESIS_ODOMETRY, Surroundings
+from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
+from localization.filters.belief import Floats
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR
 from localization.maps.weakness import Weakness, weakness
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
 from nclient.errors import WorldFileError
 from nclient.exit_codes import ExitCode
 from nclient.unwritable import unwritable
@@ -115,8 +115,8 @@ def _show(world: World, options: argparse.Namespace) -> int:
     if not len(places):
         raise WorldFileError(f"{world.name}: a {options.body} fits at none of its starts: nomad map check "
                              f"{options.world}")
-    sonar = WIRE_SONAR if options.sonars == "rays" else ConeModel()
-    bound = weakness(Surroundings(world.walls, body, options.odometry_noise, sonar), places, options.speed)
+    sonar = WIRE_SONAR if options.sonars == "rays" else ConeSonar()
+    bound = weakness(LocalizationConfig(world.walls, body, options.odometry_noise, sonar), places, options.speed)
     numbers = _numbers(bound, reached, options.weak)
     if options.out is not None:
         from localization.maps.drawing import draw_map

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.runs.drawing import ESTIMATE, GOAL, blank, draw_walls, save
 from worlds.checking import Finding, Space
 from worlds.world import World

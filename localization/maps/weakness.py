@@ -22,13 +22,14 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from localization.estimation.belief import HEADING, Floats
-from localization.estimation.motion import OdometryNoise, step_jacobian, step_variance
-from localization.filters.surroundings import Surroundings
-from localization.sonar.cone import ConeModel, Ear, cone_returns
-from localization.sonar.gating import STRICT
-from localization.sonar.measurement import (
-    SonarModel,
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import HEADING, Floats
+from localization.filters.odometry import OdometryNoise, step_jacobian, step_variance
+from localization.filters.reflectors import Reflectors, reflectors
+from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
+from localization.filters.sonar_ray import (
+    STRICT,
+    RaySonar,
     SonarRing,
     WallMap,
     meet,
@@ -38,7 +39,6 @@ from localization.sonar.measurement import (
     sight,
     wall_map,
 )
-from localization.sonar.reflectors import Reflectors, reflectors
 from worlds.bodies import SONARS
 
 HEADINGS: Final = 4
@@ -63,7 +63,7 @@ class Weakness(NamedTuple):
         return _worst_in(self.cov)
 
 
-def weakness(known: Surroundings, places: Floats, speed_in_s: float = 5.0) -> Weakness:
+def weakness(known: LocalizationConfig, places: Floats, speed_in_s: float = 5.0) -> Weakness:
     """The bound at places (n, 2), inches."""
     information = np.mean([_of_round(known, places, turned) for turned in _turns()], axis=0)
     ways = np.arange(WAYS) * (tau / WAYS)
@@ -97,15 +97,15 @@ def _turns() -> Floats:
     return turns
 
 
-def _of_round(known: Surroundings, places: Floats, heading_rad: float) -> Floats:
+def _of_round(known: LocalizationConfig, places: Floats, heading_rad: float) -> Floats:
     """J (n, 3, 3) of sixteen readings at these places and this heading."""
     poses = np.concatenate((places, np.full((len(places), 1), heading_rad)), axis=1)
-    if isinstance(known.sonar, ConeModel):
+    if isinstance(known.sonar, ConeSonar):
         return _of_cones(poses, known.body, known.sonar, reflectors(wall_map(known.walls).segments))
     return _of_rays(poses, known.body, known.sonar, wall_map(known.walls))
 
 
-def _of_rays(poses: Floats, body: SonarRing, sonar: SonarModel, walls: WallMap) -> Floats:
+def _of_rays(poses: Floats, body: SonarRing, sonar: RaySonar, walls: WallMap) -> Floats:
     aimed = rays(poses[:, None, :], ring(body))
     met = meet(aimed, walls)
     lines = walls.lines[met]
@@ -118,13 +118,13 @@ def _of_rays(poses: Floats, body: SonarRing, sonar: SonarModel, walls: WallMap) 
     return _added(np.where(told[..., None], slope, 0.0), weight)
 
 
-def _of_cones(poses: Floats, body: SonarRing, model: ConeModel, around: Reflectors) -> Floats:
+def _of_cones(poses: Floats, body: SonarRing, model: ConeSonar, around: Reflectors) -> Floats:
     total = np.zeros((len(poses), 3, 3))
     spread: npt.NDArray[np.float64] = np.full(len(poses), _HEADING_STD_RAD)
     for angle in body.sonar_angles_rad:
-        heard = cone_returns(poses, spread, Ear(angle, body.sonar_ring_radius_in), around, model)
+        heard = cone_returns(poses, spread, SonarMount(angle, body.sonar_ring_radius_in), around, model)
         told = (heard.ranges_in > model.lowest_in) & (heard.ranges_in < model.highest_in)
-        chance = (1.0 - model.bad_share) * np.where(told, heard.probability, 0.0)
+        chance = (1.0 - model.outlier_probability) * np.where(told, heard.probability, 0.0)
         total += _added(heard.jacobian, chance / model.variance(heard.ranges_in))
     return total
 

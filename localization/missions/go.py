@@ -62,7 +62,7 @@ class _Teller:
         x, y, heading = sight.estimate.pose
         std = sight.estimate.belief.std
         print(f"{self._told_s:7.1f} s  ({x:6.1f}, {y:6.1f}) in {degrees(heading):5.0f} deg"
-              f"  ± {max(std[0], std[1]):.2f} in {degrees(std[2]):.1f} deg  {sight.estimate.verdict.trust.value}",
+              f"  ± {max(std[0], std[1]):.2f} in {degrees(std[2]):.1f} deg  {sight.estimate.health.status.value}",
               flush=True)  # fmt: skip
 
 

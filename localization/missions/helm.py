@@ -17,9 +17,9 @@ import numpy as np
 
 from localization.driving.navigation import COMMAND_TIMEOUT_S, Speeds, begin, next_state
 from localization.driving.pace import Pace
-from localization.estimation.belief import Belief, Floats
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import DEFAULT_METHOD
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Belief, Floats
+from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
 from localization.planning.following import STAND, Velocities
 from localization.planning.hearing import spared, take_in
@@ -52,7 +52,7 @@ class Helm:
     def __init__(
         self,
         robot: Robot,
-        known: Surroundings,
+        known: LocalizationConfig,
         body: Body,
         belief: Belief,
         wait: Wait,
@@ -122,5 +122,5 @@ def _moved(before: RobotState, after: RobotState) -> bool:
     return (before.x_in, before.y_in, before.steering_rad) != (after.x_in, after.y_in, after.steering_rad)
 
 
-def _walls(known: Surroundings) -> Floats:
+def _walls(known: LocalizationConfig) -> Floats:
     return np.asarray(known.walls, dtype=np.float64)

@@ -12,7 +12,7 @@ from typing import Final
 
 from localization.driving.groping import DRIVE_IN_S, Groping
 from localization.driving.navigation import PERIOD_S
-from localization.filters.watch import Trust
+from localization.filters.health import HealthStatus
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm
 from localization.missions.settings import OnLost, Settings
@@ -27,9 +27,9 @@ def find_again(helm: Helm, settings: Settings, reason: str) -> None:
         raise MissionOver("lost", reason)
     until_s = helm.clock_s + settings.lost_s
     commands = _searching(helm) if settings.on_lost is OnLost.SEARCH else cycle([STAND])
-    while helm.sight.estimate.verdict.trust is Trust.LOST:
+    while helm.sight.estimate.health.status is HealthStatus.LOST:
         if helm.clock_s > until_s:
-            raise MissionOver("lost", f"not found again in {settings.lost_s:g} s: {helm.sight.estimate.verdict.reason}")
+            raise MissionOver("lost", f"not found again in {settings.lost_s:g} s: {helm.sight.estimate.health.reason}")
         helm.period(next(commands))
 
 

@@ -22,8 +22,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
-from localization.filters.watch import Trust
+from localization.filters.belief import Floats
+from localization.filters.health import HealthStatus
 from localization.missions.arguments import check, points
 from localization.missions.failures import INTERRUPTED, MissionOver, StepFailed, ending_of
 from localization.missions.helm import Helm, Sight
@@ -98,7 +98,7 @@ class Mission:
         x, y, heading = (float(value) for value in estimate.pose)
         std = float(np.sqrt(np.linalg.eigvalsh(estimate.belief.cov[:2, :2])[-1]))
         return Seen(
-            self._helm.clock_s - self._began_s, x, y, degrees(heading), std, estimate.verdict.trust.value,
+            self._helm.clock_s - self._began_s, x, y, degrees(heading), std, estimate.health.status.value,
             state.sonars_in, state.touching, state.bumpers, len(self._helm.unmapped.segments),
         )  # fmt: skip
 
@@ -249,8 +249,8 @@ class Mission:
     def _turn(self, left_rad: Callable[[float], float]) -> None:
         """Until nothing is left to turn, of what `left_rad` says of a heading."""
         while True:
-            if self._helm.sight.estimate.verdict.trust is Trust.LOST:
-                self._find_again(self._helm.sight.estimate.verdict.reason)
+            if self._helm.sight.estimate.health.status is HealthStatus.LOST:
+                self._find_again(self._helm.sight.estimate.health.reason)
             left = left_rad(self._heading_rad)
             if abs(left) <= TURNED_RAD:
                 self._halt()
@@ -273,7 +273,7 @@ class Mission:
         before = place[0] - DOCK_IN * cos(heading_rad), place[1] - DOCK_IN * sin(heading_rad)
         self._drive([before], heading_rad, 1.0)
         while not self._drive_in(place):
-            self._find_again(self._helm.sight.estimate.verdict.reason)
+            self._find_again(self._helm.sight.estimate.health.reason)
             self._drive([before], heading_rad, 1.0)
         x, y, _ = self._helm.sight.estimate.pose
         off = hypot(x - place[0], y - place[1])
@@ -286,11 +286,11 @@ class Mission:
         way = straight((float(pose[0]), float(pose[1])), place)
         follower = Follower([Stretch((way,))], self._helm.limits.capped(DOCK_IN_S))
         while not follower.finished and not self._helm.sight.state.touching:
-            if self._helm.sight.estimate.verdict.trust is Trust.LOST:
+            if self._helm.sight.estimate.health.status is HealthStatus.LOST:
                 break
             self._helm.period(follower.command(self._helm.sight.estimate.pose))
         self._halt()
-        return self._helm.sight.estimate.verdict.trust is not Trust.LOST
+        return self._helm.sight.estimate.health.status is not HealthStatus.LOST
 
     def _find_again(self, reason: str) -> None:
         """On LOST: as the settings say; returns once the place is known. Raises MissionOver."""
@@ -318,7 +318,7 @@ class Mission:
         if now_s - self._began_s > self.settings.time_limit_s:
             raise MissionOver("timeout", self._over(f"the mission's time is over: {self.settings.time_limit_s:g} s"))
         x, y, _ = sight.estimate.pose
-        known = sight.estimate.verdict.trust is not Trust.LOST
+        known = sight.estimate.health.status is not HealthStatus.LOST
         if self._fence is not None and known and not inside((x, y), self._fence):
             raise MissionOver("fence", f"({x:.1f}, {y:.1f}) is outside of the fence")
         if now_s > self._step_ends_s:

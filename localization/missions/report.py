@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import degrees
 from typing import Any
 
-from localization.estimation.belief import wrapped
+from localization.filters.belief import wrapped
 from localization.missions.failures import INTERRUPTED
 from localization.runs.run import Pose
 

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from worlds.geometry import nearest_points
 
 SIGMAS: Final = 3.0

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from worlds.geometry import nearest_points
 
 SLACK_IN: Final = 1e-6

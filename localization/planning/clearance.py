@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from worlds.geometry import nearest_points
 
 

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 
 SAME_WAY_RAD: Final = 0.02
 """Legs whose directions differ by less go on in one another: 0.3 in/s sideways at the N150's top speed."""

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.course import Place, Stretch, turn_between
 from localization.planning.limits import AxisLimits
 from localization.planning.profile import BRAKING_SHARE, Profile

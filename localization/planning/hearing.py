@@ -16,31 +16,31 @@ from typing import Final
 
 import numpy as np
 
-from localization.filters.watch import Trust
+from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
-from localization.live.told import Told, retold
+from localization.live.sensor_input import SensorInput, with_readings
 from localization.planning.unmapped import NEAREST_IN, Unmapped
 from nclient.robot_state import RobotState
 
 MOST_SPARED: Final = 6
 
 
-def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> Told:
+def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> SensorInput:
     """The state for the filter whose last estimate is given; the sonars stand at `angles_rad` on the turret."""
     readings = state.sonars_in
-    if estimate.verdict.trust is not Trust.LOST:
+    if estimate.health.status is not HealthStatus.LOST:
         x, y, heading = (float(value) for value in estimate.pose)
         looking, std = heading + state.turret_rad - state.steering_rad, _std_in(estimate)
         near = unmapped.too_near((x, y), looking + np.asarray(angles_rad), np.array(readings, dtype=np.float64), std)
         if sum(near) <= MOST_SPARED:
             readings = tuple(int(NEAREST_IN) if hidden else told for hidden, told in zip(near, readings, strict=True))
-    return retold(state, readings)
+    return with_readings(state, readings)
 
 
 def take_in(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> None:
     """Tell the finds of an estimate's echoes. Each was heard up to two tenths of a second before the estimate: the way
     since then is taken off at the velocities of the state."""
-    if estimate.verdict.trust is Trust.LOST:
+    if estimate.health.status is HealthStatus.LOST:
         unmapped.forget()
         return
     x, y, heading = (float(value) for value in estimate.pose)

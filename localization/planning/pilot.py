@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
-from localization.filters.watch import Trust
+from localization.filters.belief import Floats
+from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
 from localization.planning.caution import allowed_share
 from localization.planning.circles import room
@@ -143,8 +143,8 @@ class Pilot:
         return command
 
     def _step(self, estimate: Estimate, state: RobotState) -> Velocities:
-        if estimate.verdict.trust is Trust.LOST:
-            return self._end(Ending.LOST, estimate.verdict.reason)
+        if estimate.health.status is HealthStatus.LOST:
+            return self._end(Ending.LOST, estimate.health.reason)
         if self._backing:
             return self._back_off(estimate, state, self._backing)
         if state.touching:

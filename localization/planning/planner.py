@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.circles import room
 from localization.planning.course import Stretch, length_of, stretches
 from localization.planning.limits import AxisLimits

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.circles import SLACK_IN, Rim, on_circles, room, tangents, tangents_from
 from localization.planning.clearance import clearances
 from localization.planning.course import Leg, straight

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.circles import SLACK_IN, room
 from localization.planning.course import Leg, Stretch, straight, turn_between
 from localization.planning.limits import AxisLimits

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.course import turn_between
 from worlds.raycast import cast_rays
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import numpy.typing as npt
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.runs.run import Run
 from nclient.errors import ExtraMissing, OutputFileError
 from nclient.unwritable import unwritable

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from localization.estimation.belief import Floats, add, difference
-from localization.estimation.observation import Refusal
-from localization.filters.watch import Trust
+from localization.filters.belief import Floats, add, difference
+from localization.filters.health import HealthStatus
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.live.odometry import LONGEST_GAP_S
+from localization.live.sensor_input import LONGEST_GAP_S
 from localization.taken.sonars import AS_CONES, Taken, hint
 
 MOST_PLACES = 4
@@ -59,7 +59,7 @@ class RunMoment(NamedTuple):
     @property
     def lost(self) -> bool:
         """Whether no place is believed."""
-        return self.estimate.verdict.trust is Trust.LOST
+        return self.estimate.health.status is HealthStatus.LOST
 
     @property
     def error(self) -> Floats | None:
@@ -118,7 +118,7 @@ class Run:
             f"{self.duration_s:6.1f} s  estimate ({x:7.2f}, {y:7.2f}) in {math.degrees(heading):7.2f} deg"
             f"  ± {max(std[0], std[1]):.2f} in {math.degrees(std[2]):.2f} deg"
         )
-        if moment.estimate.verdict.reason:
+        if moment.estimate.health.reason:
             text += f"  {_told(moment.estimate)}"
         error = moment.error
         if error is None or moment.truth is None:
@@ -141,8 +141,8 @@ class Run:
             "hint": self.hint() or None,
             "echoes_used": sum(echo.refusal is Refusal.NONE for echo in echoes),
             "echoes_refused": _refused(echoes),
-            "trust": last.estimate.verdict.trust.value,
-            "reason": last.estimate.verdict.reason,
+            "trust": last.estimate.health.status.value,
+            "reason": last.estimate.health.reason,
             "lost_share": sum(moment.lost for moment in self.moments) / len(self.moments),
             "places": [
                 {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in last.estimate.places
@@ -200,7 +200,7 @@ def _refused(echoes: Sequence[Echo]) -> dict[str, int]:
 
 def _told(estimate: Estimate) -> str:
     """How far an estimate can be believed and why, and where else the robot may be."""
-    text = f"{estimate.verdict.trust.value}: {estimate.verdict.reason}"
+    text = f"{estimate.health.status.value}: {estimate.health.reason}"
     if len(estimate.places) < 2:
         return text
     places = [(*place.belief.mean[:3].tolist(), place.share) for place in estimate.places[:MOST_PLACES]]

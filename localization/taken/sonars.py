@@ -14,8 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.live.fit import Fit
-from localization.live.localizer import Echo
+from localization.live.localizer import Echo, Fit
 from localization.taken.body import SIMULATION
 from nclient.address import parsed
 from nclient.connect import address_or_default

@@ -15,7 +15,7 @@ import numpy as np
 
 from nserver_emu.simulation.polaroid import NO_ROBOTS
 from worlds.geometry import FloatArray
-from worlds.ray import FAR_IN
+from worlds.raycast import FAR_IN
 
 FARTHEST_IN: Final = 500.0
 """No sensor notices a robot from farther away: readings end at 255 in, second echoes at some 400."""

@@ -17,7 +17,7 @@ from nserver_emu.simulation.noise import Identity
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.standing import Standing
-from worlds.compiled import load_for
+from worlds.raycast import load_compiled
 from worlds.world import StartPose, World
 
 
@@ -93,7 +93,7 @@ class Simulation:
     def _meet(self) -> None:
         """Let those who came since the last time see the others, and be seen."""
         if self._strangers:
-            load_for(len(self.robots))
+            load_compiled(len(self.robots))
             if len(self.robots) > 1:
                 self._company.look_around(self.robots, self._time_ps)
         self._strangers = False

@@ -23,10 +23,8 @@ from nserver_emu.simulation.polaroid import Cry, Polaroid
 from nserver_emu.simulation.poses import Pose, Stamp
 from nserver_emu.simulation.sighting import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
 from worlds.bodies import SONARS, Body
-from worlds.compiled import FIRST_MET
 from worlds.geometry import FloatArray
-from worlds.ray import ray_to_disc
-from worlds.raycast import cast_each
+from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""
@@ -80,8 +78,8 @@ class SonarNoise:
 
         How many rays come at once changes no bit.
         """
-        if FIRST_MET.run is not None:
-            from_axis = [_met(FIRST_MET.run, cry, eye, walls) for cry, eye in zip(cries, eyes, strict=True)]
+        if NEAREST_OBSTACLE.run is not None:
+            from_axis = [_met(NEAREST_OBSTACLE.run, cry, eye, walls) for cry, eye in zip(cries, eyes, strict=True)]
             return self._from_ring(from_axis, cries, body)
         ways = [complex(cos(cry.direction_rad), sin(cry.direction_rad)) for cry in cries]
         from_axis = cast_each([complex(cry.x_in, cry.y_in) for cry in cries], ways, walls)
@@ -101,11 +99,11 @@ class SonarNoise:
         return range_in + chance * self.std_in(range_in) if chance and range_in < inf else range_in
 
 
-def _met(first_met: Callable[..., float], cry: Cry, eye: Eye, walls: FloatArray) -> float:
+def _met(nearest_obstacle: Callable[..., float], cry: Cry, eye: Eye, walls: FloatArray) -> float:
     """The range from the axis to the first wall or robot, by the machine code."""
     way, seen = cry.direction_rad, eye.seen
     robots, widest_in = (seen.sorted, seen.widest_in) if len(seen.discs) > 1 else (NOBODY_NEAR, 0.0)
-    return first_met(cry.x_in, cry.y_in, cos(way), sin(way), walls, robots, eye.own, widest_in, FARTHEST_IN)
+    return nearest_obstacle(cry.x_in, cry.y_in, cos(way), sin(way), walls, robots, eye.own, widest_in, FARTHEST_IN)
 
 
 EchoModel = SonarNoise | Polaroid

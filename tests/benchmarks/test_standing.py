@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import standing
 
-from localization.estimation import chi_square
 from localization.experiments.live.scenario import SCENARIOS
+from localization.filters.belief import chi_square_quantile
 
 SEEDS = 6
-LEAST, MOST = (chi_square.quantile(share, 3 * SEEDS) for share in (0.001, 0.999))
+LEAST, MOST = (chi_square_quantile(share, 3 * SEEDS) for share in (0.001, 0.999))
 
 
 @pytest.mark.parametrize(

@@ -56,11 +56,11 @@ def test_a_command_of_the_page_is_understood(typed: str) -> None:
 
 
 def test_what_the_page_says_beside_its_commands_is_so() -> None:
-    said = dict(re.findall(r"^(scripts/fuzz.*?) +# (.*)$", PAGE, re.MULTILINE))
+    comments = dict(re.findall(r"^(scripts/fuzz.*?) +# (.*)$", PAGE, re.MULTILINE))
     options = command._parser().parse_args([])
-    assert said["scripts/fuzz"] == "ten million inputs a reader, one reader a core"
+    assert comments["scripts/fuzz"] == "ten million inputs per reader, one reader per core"
     assert (options.runs, options.jobs) == (10_000_000, os.cpu_count())
-    assert "which scripts/test does each time" in said["scripts/fuzz --seconds 60"]
+    assert "scripts/test does this each time" in comments["scripts/fuzz --seconds 60"]
     assert "-m fuzz --seconds 60;" in (ROOT / "scripts" / "test").read_text()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from localization.estimation.belief import Belief
+from localization.filters.belief import Belief
 from nclient import Pose, Robot, RobotState, connect, connect_async
 from nclient.capi import State, connect_robot, gs, st
 from nserver_emu.simulation.setup import SETUPS

@@ -13,10 +13,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nclient.errors import VariableError
-from worlds import compiled, ray
-from worlds.compiled import CROWD, VARIABLE, Kernel, load_for
+from worlds import raycast
 from worlds.geometry import FloatArray, polygon_segments
-from worlds.raycast import cast_discs, cast_ray
+from worlds.raycast import CROWD, VARIABLE, CompiledKernel, cast_discs, cast_ray, load_compiled
 
 FARTHEST_IN = 500.0
 WHOLE = st.integers(-6, 6).map(float)
@@ -31,10 +30,10 @@ SQUARE = polygon_segments([(0, 0), (6, 0), (6, 6), (0, 6)])
 
 
 @pytest.fixture(scope="module")
-def kernel() -> Kernel:
+def kernel() -> CompiledKernel:
     """Machine code, of this module alone."""
     pytest.importorskip("numba")
-    loaded = Kernel()
+    loaded = CompiledKernel()
     assert loaded.load()
     return loaded
 
@@ -51,7 +50,7 @@ def by_x(discs: list[tuple[float, float, float]]) -> FloatArray:
 @example((0.0, 0.0), (1.0, 0.0), np.zeros((0, 4)), [(-400.0, 0.0, 5.0), (9.0, 0.0, 5.0), (600.0, 0.0, 5.0)], 1)
 @example((0.0, 0.0), (1.0, 0.0), np.zeros((0, 4)), [(600.0, 0.0, 5.0), (-600.0, 0.0, 20.0)], 6)
 def test_machine_code_numbers_and_arrays_are_the_same_to_the_bit(
-    kernel: Kernel,
+    kernel: CompiledKernel,
     place: tuple[float, float],
     way: tuple[float, float],
     walls: FloatArray,
@@ -61,14 +60,14 @@ def test_machine_code_numbers_and_arrays_are_the_same_to_the_bit(
     assert kernel.run is not None
     robots = by_x(discs)
     handed = *place, *way, walls, robots, own, 20.0, FARTHEST_IN
-    found, in_numbers = kernel.run(*handed), float(ray.first_met(*handed))
+    found, in_numbers = kernel.run(*handed), float(raycast.nearest_obstacle(*handed))
     in_reach = np.abs(robots[:, 0] - place[0]) <= FARTHEST_IN
     to_disc = float(cast_discs(place, way, robots[(robots[:, 3] != own) & in_reach, :3]))
     to_wall = cast_ray(*place, *way, walls)[0] if len(walls) else inf
     assert found.hex() == in_numbers.hex() == min(to_wall, to_disc).hex()
 
 
-def test_arrays_that_may_be_written_and_those_that_may_not_are_taken_by_the_same_code(kernel: Kernel) -> None:
+def test_arrays_that_may_be_written_and_those_that_may_not_are_taken_by_the_same_code(kernel: CompiledKernel) -> None:
     assert kernel.run is not None
     fixed = SQUARE.copy()
     fixed.setflags(write=False)
@@ -78,11 +77,11 @@ def test_arrays_that_may_be_written_and_those_that_may_not_are_taken_by_the_same
 
 
 @pytest.fixture
-def fresh(monkeypatch: pytest.MonkeyPatch) -> Kernel:
+def fresh(monkeypatch: pytest.MonkeyPatch) -> CompiledKernel:
     """The process' own, not loaded."""
-    unloaded = Kernel()
-    monkeypatch.setattr(compiled, "FIRST_MET", unloaded)
-    monkeypatch.setattr(compiled, "_compile", lambda _: ray.first_met)
+    unloaded = CompiledKernel()
+    monkeypatch.setattr(raycast, "NEAREST_OBSTACLE", unloaded)
+    monkeypatch.setattr(raycast, "_compile", lambda _: raycast.nearest_obstacle)
     monkeypatch.setitem(sys.modules, "numba", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "numba.extending", SimpleNamespace())
     monkeypatch.delenv(VARIABLE, raising=False)
@@ -100,19 +99,19 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Kernel:
     ],
 )
 def test_a_crowd_loads_it_or_who_wants_it(
-    fresh: Kernel, monkeypatch: pytest.MonkeyPatch, word: str | None, robots: int, loads: bool
+    fresh: CompiledKernel, monkeypatch: pytest.MonkeyPatch, word: str | None, robots: int, loads: bool
 ) -> None:
     if word is not None:
         monkeypatch.setenv(VARIABLE, word)
-    load_for(robots)
+    load_compiled(robots)
     assert fresh.tried == loads
     assert (fresh.run is not None) == loads
 
 
-def test_a_word_that_is_none_is_refused(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_word_that_is_none_is_refused(fresh: CompiledKernel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "yes")
     with pytest.raises(VariableError, match="NOMAD_COMPILED is 'yes'; it can be always, crowd, never"):
-        load_for(1)
+        load_compiled(1)
     assert not fresh.tried
 
 
@@ -127,7 +126,7 @@ def test_without_numba_there_is_none_and_it_is_sought_once(monkeypatch: pytest.M
         return found(name, *rest, **more)  # type: ignore[arg-type]
 
     monkeypatch.setattr(builtins, "__import__", without)
-    kernel = Kernel()
+    kernel = CompiledKernel()
     assert not kernel.load()
     assert not kernel.load()
     assert kernel.run is None
@@ -151,5 +150,5 @@ def test_where_nothing_can_be_cached_it_is_compiled_all_the_same() -> None:
         types=SimpleNamespace(Array=lambda *what, **how: (what, how)),
         extending=SimpleNamespace(register_jitable=lambda function: function),
     )
-    assert compiled._compile(numba) is ray.first_met
+    assert raycast._compile(numba) is raycast.nearest_obstacle
     assert caches == [True, False]

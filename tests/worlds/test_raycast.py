@@ -14,8 +14,17 @@ from hypothesis import strategies as st
 
 from worlds import raycast
 from worlds.geometry import polygon_segments
-from worlds.ray import ON_LINE_IN, ON_WALL_IN, first_wall, ray_to_disc
-from worlds.raycast import NO_WALL, cast_discs, cast_each, cast_ray, cast_rays
+from worlds.raycast import (
+    NO_WALL,
+    ON_LINE_IN,
+    ON_WALL_IN,
+    cast_discs,
+    cast_each,
+    cast_ray,
+    cast_rays,
+    nearest_wall,
+    ray_to_disc,
+)
 
 Pair = tuple[float, float]
 Cast = Callable[[tuple[float, float], tuple[float, float], npt.ArrayLike], tuple[float, int]]
@@ -305,7 +314,7 @@ def test_rays_cast_at_once_are_those_cast_one_by_one_to_the_bit(walls: int) -> N
         at_once = [cast_each(places[cut : cut + count], ways[cut : cut + count], corners) for cut in cuts]
         assert [distance for batch in at_once for distance in batch] == alone
     in_numbers = [
-        first_wall(place.real, place.imag, way.real, way.imag, corners)
+        nearest_wall(place.real, place.imag, way.real, way.imag, tuple(corners.T))[0]
         for place, way in zip(places, ways, strict=True)
     ]
     assert in_numbers == alone

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.live.echoes import FiringSchedule
-from localization.live.told import Told, retold
+from localization.live.sensor_input import FiringSchedule, SensorInput, with_readings
 
 LOWEST_IN, HIGHEST_IN = 6, 255
 
@@ -22,12 +21,12 @@ class BadReadings:
         self._round_s = schedule.round_s
         self._replaced: dict[int, tuple[int, int | None]] = {}
 
-    def of(self, told: Told) -> Told:
+    def of(self, told: SensorInput) -> SensorInput:
         """What the robot told as the filter is shown it."""
         if not self._share or told.clock_s is None:
             return told
         readings = [self._reading(sonar, told.clock_s, int(heard)) for sonar, heard in enumerate(told.sonars_in)]
-        return retold(told, tuple(readings))
+        return with_readings(told, tuple(readings))
 
     def _reading(self, sonar: int, clock_s: float, heard_in: int) -> int:
         since_s = clock_s - self._schedule.start_s - self._late_s[sonar]

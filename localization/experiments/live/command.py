@@ -21,7 +21,7 @@ from localization.experiments.live.summary import TrialResult
 from localization.experiments.live.trial import MOST_PERIODS
 from localization.experiments.options import add_shared, crew_for, positive
 from localization.experiments.progress import Tally, progress
-from localization.filters.table import METHODS
+from localization.filters.registry import METHODS
 from localization.runs.drawing import require_matplotlib
 
 Crew = Callable[[Sequence[Job]], Iterator[Done]]

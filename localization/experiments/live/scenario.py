@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.motion import OdometryNoise
-from localization.filters.surroundings import THESIS_ODOMETRY
-from localization.live.echoes import CLOCK_STEP_S
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR, SonarModel
+from localization.filters.base import THESIS_ODOMETRY
+from localization.filters.odometry import OdometryNoise
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR, RaySonar
+from localization.live.sensor_input import CLOCK_STEP_S
 
 COURSES: Final[Mapping[str, str]] = MappingProxyType(
     {"5.4": "thesis_room", "5.8": "several_walls", "5.9": "centre_vertex"}
@@ -28,7 +28,7 @@ START_STD: Final = (0.2, 0.2, 0.01)
 """How well the robot is placed: inches, inches, radians."""
 QUIET: Final = OdometryNoise(translation_std=0.05, rotation_std=0.05, drift_std=0.002)
 """How the true motion strays from the encoders', in the figures' model."""
-EXACT_RAYS: Final = SonarModel(
+EXACT_RAYS: Final = RaySonar(
     relative_std=0.0, floor_std_in=0.02, rounding_var_in2=1.0 / 12.0, lowest_in=6.0, highest_in=255.0
 )
 """Rays without noise, read in whole inches."""
@@ -50,7 +50,7 @@ class Scenario:
 
     name: str
     base: str
-    sonar: SonarModel | ConeModel
+    sonar: RaySonar | ConeSonar
     odometry: OdometryNoise = QUIET
     scale_std: float = 0.0
     bad_share: float = 0.0
@@ -87,9 +87,9 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         for scenario in (
             Scenario("exact", "ideal", EXACT_RAYS),
             Scenario("noisy", "noisy", WIRE_SONAR, THESIS_ODOMETRY),
-            Scenario("measured", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0),
+            Scenario("measured", "measured", ConeSonar(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0),
             Scenario("exact_line", "ideal", EXACT_RAYS, line=True),
-            Scenario("measured_line", "measured", ConeModel(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0,
+            Scenario("measured_line", "measured", ConeSonar(), scale_std=0.05, bad_share=0.2, judged_after_in=24.0,
                      line=True),
         )
     }

@@ -21,10 +21,9 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization.estimation import chi_square
-from localization.estimation.belief import Floats, difference
 from localization.experiments.consistency import nees
 from localization.experiments.live.trial import Record
+from localization.filters.belief import Floats, chi_square_quantile, difference
 
 LOST_IN: Final = 12.0
 """Farther off than this a robot no longer knows which way round a thing it is."""
@@ -77,7 +76,7 @@ def result_of(record: Record, after_in: float = 0.0) -> TrialResult:
     judged = record.way_in >= after_in
     errors, covs = record.error[judged], record.cov[judged]
     square = errors[:, 0] ** 2 + errors[:, 1] ** 2
-    within = nees(errors[:, :2], covs[:, :2, :2]) <= chi_square.quantile(0.95, 2)
+    within = nees(errors[:, :2], covs[:, :2, :2]) <= chi_square_quantile(0.95, 2)
     return TrialResult(
         seed=record.seed,
         reached=record.reached,

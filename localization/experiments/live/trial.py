@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.driving.navigation import PERIOD_S, Navigator, Speeds
-from localization.estimation.belief import Floats, add, difference, independent
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.bad_readings import BadReadings
 from localization.experiments.live.scenario import BAD, COURSES, START_STD, Scenario
-from localization.filters.surroundings import Surroundings
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Floats, add, difference, independent
+from localization.filters.odometry import with_parameters
 from localization.live.localizer import Estimate, Localizer, Smoothed
+from localization.live.sensor_input import FiringSchedule
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
@@ -101,8 +101,8 @@ def _listening(
     schedule = FiringSchedule(state.clock_s)
     off = np.array(START_STD) * np.random.default_rng([seed, START]).standard_normal(3)
     guess = add(np.array([start.x_in, start.y_in, start.steering_rad]), off)
-    belief = with_constants(independent(guess, START_STD), scenario.constants)
-    known = Surroundings(world.walls, N150, scenario.odometry, scenario.sonar)
+    belief = with_parameters(independent(guess, START_STD), scenario.constants)
+    known = LocalizationConfig(world.walls, N150, scenario.odometry, scenario.sonar)
     localizer = Localizer(known, belief, schedule, scenario.method, seed)
     return localizer, BadReadings(scenario.bad_share, schedule, np.random.default_rng([seed, BAD]))
 

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from localization.estimation.belief import Floats
 from localization.experiments.live.matrix import Trial
 from localization.experiments.live.trial import Record
+from localization.filters.belief import Floats
 
 METRES_PER_INCH: Final = 0.0254
 

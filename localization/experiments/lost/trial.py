@@ -21,16 +21,16 @@ from typing import Any, Final
 import numpy as np
 
 from localization.driving.navigation import PERIOD_S, Command, Speeds
-from localization.estimation.belief import HEADING, Floats, difference, independent
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.bad_readings import BadReadings
 from localization.experiments.live.scenario import BAD, START_STD, Scenario
 from localization.experiments.lost.wanderer import Wanderer
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import finder
-from localization.filters.watch import Trust
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import HEADING, Floats, difference, independent
+from localization.filters.health import HealthStatus
+from localization.filters.odometry import with_parameters
+from localization.filters.registry import finder
 from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
 from localization.planning.roadmap import Roadmap
 from nclient import connect
 from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
@@ -134,9 +134,9 @@ class _Run:
         told = None
         if case.kind is not Kind.NOWHERE:
             guess = _pose(pose) + np.array(START_STD) * chance.standard_normal(3)
-            told = with_constants(independent(guess, START_STD), case.scenario.constants)
+            told = with_parameters(independent(guess, START_STD), case.scenario.constants)
         clearance = N150.radius_in
-        known = Surroundings(
+        known = LocalizationConfig(
             world.walls, N150, case.scenario.odometry, case.scenario.sonar, clearance_in=clearance
         )
         self._filter = finder(known, told, case.scenario.constants)
@@ -166,15 +166,15 @@ class _Run:
 
     def _until(self, end_s: float) -> None:
         """Drive about, and count what is said."""
-        before = Trust.OK
+        before = HealthStatus.OK
         while self._now_s < end_s:
             estimate = self._period()
-            trust = estimate.verdict.trust
-            self._alarms += trust is Trust.LOST and before is not Trust.LOST
-            self._degraded += trust is Trust.DEGRADED
+            trust = estimate.health.status
+            self._alarms += trust is HealthStatus.LOST and before is not HealthStatus.LOST
+            self._degraded += trust is HealthStatus.DEGRADED
             self._polls += 1
             before = trust
-            if trust is not Trust.LOST:
+            if trust is not HealthStatus.LOST:
                 self._squares.append(hypot(*(estimate.pose - self._truth)[:2]) ** 2)
 
     def _kidnap(self) -> None:
@@ -198,7 +198,7 @@ class _Run:
         """After how many seconds LOST is said, and when."""
         since_s = self._now_s
         while self._now_s < since_s + PATIENCE_S:
-            if self._period().verdict.trust is Trust.LOST:
+            if self._period().health.status is HealthStatus.LOST:
                 return self._now_s - since_s, self._now_s
         return None, self._now_s
 
@@ -207,7 +207,7 @@ class _Run:
         sure_s: float | None = None
         while self._now_s < since_s + PATIENCE_S:
             estimate = self._period()
-            if estimate.verdict.trust is Trust.LOST:
+            if estimate.health.status is HealthStatus.LOST:
                 sure_s = None
                 continue
             sure_s = self._now_s if sure_s is None else sure_s
@@ -229,7 +229,7 @@ class _Run:
         return estimate
 
     def _command(self, state: RobotState, estimate: Estimate) -> Command:
-        if estimate.verdict.trust is Trust.LOST:
+        if estimate.health.status is HealthStatus.LOST:
             return self._wanderer.grope(state)
         return self._wanderer.command(estimate.pose)
 

@@ -16,7 +16,7 @@ import numpy as np
 from localization.driving.control import bearing_error
 from localization.driving.groping import TURN_RAD_S, Groping, Heard
 from localization.driving.navigation import PERIOD_S, Command, Navigator, Speeds
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.course import waypoints
 from localization.planning.roadmap import NoWayError, Roadmap
 

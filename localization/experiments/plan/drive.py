@@ -16,11 +16,11 @@ from typing import Final
 import numpy as np
 
 from localization.driving.navigation import PERIOD_S
-from localization.estimation.belief import add, independent
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.scenario import START_STD
 from localization.experiments.plan.pairs import METHOD, SPEED_IN_S, Ends, Pair, ends_of
-from localization.filters.surroundings import Surroundings
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import add, independent
+from localization.filters.odometry import with_parameters
 from localization.missions.helm import Helm, Sight
 from localization.missions.mission import Mission
 from localization.missions.running import run_mission
@@ -101,8 +101,8 @@ def _helm(robot: Robot, world: World, pair: Pair) -> Helm:
     errs, state = pair.errs, robot.refresh()
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)
-    belief = with_constants(independent(guess, START_STD), errs.constants)
-    known = Surroundings(world.walls, N150, errs.odometry, errs.sonar)
+    belief = with_parameters(independent(guess, START_STD), errs.constants)
+    known = LocalizationConfig(world.walls, N150, errs.odometry, errs.sonar)
     return Helm(robot, known, N150, belief, lambda _: None, METHOD, SPEED_IN_S)
 
 

@@ -59,7 +59,7 @@ the emulator; a test asks it again, row by row.
 The column *own line* names the models on whose own serial line the command exists.
 
 The table is of simulated robots. Behind `nserver --real ADDRESS` commands about the robot go to the real one: what its
-own line lacks is error 4, `real_robot` and `simulated_robot` switch (decisions/021-the-gateway.md).
+own line lacks is error 4, `real_robot` and `simulated_robot` switch ([Gateway](gateway.md)).
 
 | command | Robot | type | N150 | N200 | Scout | own line | what it does |
 |---|---|---|---|---|---|---|---|

@@ -21,8 +21,8 @@ from localization.calibration.square import (
     way_to,
 )
 from localization.driving.navigation import PERIOD_S
-from localization.estimation.belief import HEADING
-from localization.estimation.motion import move
+from localization.filters.belief import HEADING
+from localization.filters.odometry import move
 from localization.planning.clearance import clearances
 from localization.planning.roadmap import NoWayError
 from worlds.files import load_world, world_names

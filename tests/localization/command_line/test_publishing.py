@@ -17,11 +17,11 @@ from published_to import page_that
 
 from localization.command_line.publishing import AGAIN_S, MOST_PLACES, Publisher, message, waypoints_in
 from localization.driving.navigation import COMMAND_TIMEOUT_S, Navigator
-from localization.estimation.belief import Belief
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import with_constants
-from localization.filters.method import Place
-from localization.filters.watch import Trust, Verdict
+from localization.filters.base import Place
+from localization.filters.belief import Belief
+from localization.filters.health import FilterHealth, HealthStatus
+from localization.filters.odometry import with_parameters
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
 from localization.runs.run import RunMoment
 from nclient.errors import AddressError, ConnectionLost
@@ -56,10 +56,10 @@ def test_a_moment_as_it_is_published() -> None:
 
 
 def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
-    moment, verdict = a_moment(), Verdict(Trust.LOST, "2 places look alike")
-    elsewhere = with_constants(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
+    moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
+    elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
     places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
-    said = message(1, moment._replace(estimate=replace(moment.estimate, verdict=verdict, places=places)), 0.0, [])
+    said = message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
     assert (said["trust"], said["reason"]) == ("LOST", "2 places look alike")
     assert said["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
     assert len(said["places"]) == MOST_PLACES
@@ -67,7 +67,7 @@ def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
 
 def test_of_a_longer_state_the_pose_is_published() -> None:
     moment = a_moment()
-    longer = with_constants(moment.estimate.belief, (0.05, 0.01))
+    longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
     said = message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
     assert said["pose"] == [1, 2, 0.5]
     assert said["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]

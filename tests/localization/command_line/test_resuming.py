@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from localization.command_line import resuming
-from localization.estimation.belief import independent
-from localization.filters.watch import Trust, Verdict
+from localization.filters.belief import independent
+from localization.filters.health import FilterHealth, HealthStatus
 from localization.keeping import kept_file
 from localization.live.localizer import Estimate
 from localization.runs.run import Run, RunMoment
@@ -118,7 +118,7 @@ def test_another_world_is_refused(localize: Localize, tmp_path: Path) -> None:
 
 def test_what_is_lost_is_not_saved(tmp_path: Path) -> None:
     file = tmp_path / "here.json"
-    lost = Estimate(1.0, independent(np.zeros(3), np.ones(3)), (), Verdict(Trust.LOST, "searching"))
+    lost = Estimate(1.0, independent(np.zeros(3), np.ones(3)), (), FilterHealth(HealthStatus.LOST, "searching"))
     done = Run([], [RunMoment(lost, (0.0, 0.0, 0.0), None, 0)])
     with pytest.raises(EstimateFileError, match="is lost: searching"):
         resuming.save(argparse.Namespace(save=file, body="n150"), load_world("thesis_room"), done)

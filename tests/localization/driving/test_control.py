@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.driving.control import Gains, bearing_error, distance_to, next_step, reached
-from localization.estimation.motion import move
+from localization.filters.odometry import move
 
 GAINS = Gains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
 

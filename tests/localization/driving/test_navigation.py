@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from localization.driving.navigation import PERIOD_S, Navigator, Progress, Speeds, begin, follow
-from localization.estimation.belief import difference, independent
-from localization.filters.surroundings import Surroundings
-from localization.filters.watch import Trust
-from localization.sonar.cone import ConeModel
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import difference, independent
+from localization.filters.health import HealthStatus
+from localization.filters.sonar_cone import ConeSonar
 from nclient import connect
 from worlds.bodies import N150
 from worlds.files import load_world
@@ -25,7 +25,7 @@ def drive(address: str, world: str, waypoints: list[tuple[float, float]]) -> lis
     with connect(address) as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, Surroundings(load_world(world).walls, N150), belief)
+        localizer = begin(robot, LocalizationConfig(load_world(world).walls, N150), belief)
         progress = list(follow(robot, localizer, Navigator(waypoints), never))
         truth = robot.truth()
         last = progress[-1].estimate
@@ -69,7 +69,7 @@ def test_real_time_is_waited_for_what_the_robots_clock_has_not_gone() -> None:
     with connect("sim:thesis_room?step_s=0.02") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, Surroundings(load_world("thesis_room").walls, N150), belief)
+        localizer = begin(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
         run = follow(robot, localizer, Navigator([(3.0, 0.0)]), waited.append)
         for _ in range(5):
             next(run)
@@ -91,7 +91,7 @@ def test_states_that_come_rarely_slow_it_down_and_the_estimate_stays_honest(seed
     with connect(f"{RARELY}{seed}") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, Surroundings(load_world("thesis_room").walls, N150), belief)
+        localizer = begin(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
         for progress in follow(robot, localizer, Navigator(ROUND), never):
             truth, estimate = robot.truth(), progress.estimate
             assert truth.time_s == pytest.approx(estimate.clock_s, abs=0.05)
@@ -119,7 +119,7 @@ def test_commands_are_the_navigators_to_the_bit_where_states_come_often_enough(
         monkeypatch.setattr(robot, "drive", noted)
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        localizer = begin(robot, Surroundings(load_world("thesis_room").walls, N150), belief)
+        localizer = begin(robot, LocalizationConfig(load_world("thesis_room").walls, N150), belief)
         poses = [progress.estimate.pose for progress in follow(robot, localizer, Navigator(ROUND), never)]
     assert len(driven) > 100
     assert driven == [navigator.command(pose) for pose in poses[:-1]]
@@ -131,11 +131,11 @@ def test_readings_that_do_not_fit_are_told_of_however_rarely_states_come() -> No
     with connect(f"{RARELY}1") as robot:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], [0.1, 0.1, 0.01])
-        known = Surroundings(load_world("thesis_room").walls, N150, sonar=ConeModel())
+        known = LocalizationConfig(load_world("thesis_room").walls, N150, sonar=ConeSonar())
         for progress in follow(robot, begin(robot, known, belief), Navigator(ROUND), never):
-            said.append(progress.estimate.verdict)
+            said.append(progress.estimate.health)
             if progress.estimate.clock_s > 15.0:
                 break
-    assert said[0].trust is Trust.OK
-    assert said[-1].trust is Trust.DEGRADED
+    assert said[0].status is HealthStatus.OK
+    assert said[-1].status is HealthStatus.DEGRADED
     assert "echoes are explained" in said[-1].reason

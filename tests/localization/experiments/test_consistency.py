@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from localization.estimation.belief import Floats
 from localization.experiments.consistency import bound_step, information, mean_band, nees
+from localization.filters.belief import Floats
 
 
 def some_covariance(rng: np.random.Generator, size: int = 3) -> Floats:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure as Picture
 
-from localization.estimation.belief import Floats
 from localization.experiments import figures
 from localization.experiments.results import Track
 from localization.experiments.settings import FIGURES, course_of
+from localization.filters.belief import Floats
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

@@ -13,7 +13,7 @@ def test_it_is_the_same_until_code_or_numpy_change(monkeypatch: pytest.MonkeyPat
     before = fingerprint()
     assert fingerprint() == before
     sources = room._sources()
-    changed = {**sources, "localization/estimation/ekf.py": sources["localization/estimation/ekf.py"] + b"#"}
+    changed = {**sources, "localization/filters/ekf.py": sources["localization/filters/ekf.py"] + b"#"}
     monkeypatch.setattr(room, "_sources", lambda: changed)
     other_code = fingerprint()
     monkeypatch.setattr(np, "__version__", "0.0")

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from localization.experiments.settings import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
-from localization.sonar.measurement import IDEAL_SONAR
+from localization.filters.sonar_ray import IDEAL_SONAR
 from nserver_emu.simulation.setup import NOISY
 
 

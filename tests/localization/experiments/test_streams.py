@@ -6,8 +6,8 @@ from itertools import islice
 
 import numpy as np
 
-from localization.estimation.belief import Floats
 from localization.experiments.streams import start_errors, step_errors
+from localization.filters.belief import Floats
 
 
 def first(seeds: list[int], count: int) -> tuple[Floats, Floats]:

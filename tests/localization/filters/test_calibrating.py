@@ -6,26 +6,33 @@ import numpy as np
 import pytest
 
 from localization.calibration.found import calibration_in, table
-from localization.estimation.belief import independent
-from localization.estimation.motion import OdometryNoise, move
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import with_constants
 from localization.experiments.live.scenario import EXACT_RAYS
-from localization.filters.calibrating import CONSTANTS_STD, OFFSET, OWN, RING_TURN, SIZE, CalibratingFilter
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import make
-from localization.filters.watch import Trust
-from localization.sonar.aim import Aiming, Look
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import pick, rays, ring, wall_map
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.filters.calibration import (
+    CONSTANTS_STD,
+    OFFSET,
+    OWN,
+    RING_TURN,
+    SIZE,
+    Aiming,
+    CalibratingFilter,
+    Look,
+)
+from localization.filters.health import HealthStatus
+from localization.filters.odometry import OdometryNoise, move, with_parameters
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import pick, rays, ring, wall_map
+from localization.filters.update import Refusal
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
 
 WORLD = load_world("several_walls")
 QUIET = OdometryNoise(0.02, 0.02, 0.0005)
-RAYS = Surroundings(WORLD.walls, N150, QUIET, EXACT_RAYS)
-CONES = Surroundings(WORLD.walls, N150, QUIET, ConeModel())
+RAYS = LocalizationConfig(WORLD.walls, N150, QUIET, EXACT_RAYS)
+CONES = LocalizationConfig(WORLD.walls, N150, QUIET, ConeSonar())
 START = independent([20.0, 50.0, 0.3], [0.2, 0.2, 0.01])
 NOTHING_BESIDES = (*CONSTANTS_STD[:3], *(0.0,) * (SIZE - 6))
 
@@ -35,7 +42,7 @@ def test_with_faultless_sonars_it_is_the_kalman_filter_of_the_shorter_state(monk
     chance = np.random.default_rng(4)
     for known in (RAYS, CONES):
         long = CalibratingFilter(known, START, NOTHING_BESIDES)
-        short = make("ekf", known, with_constants(START, CONSTANTS_STD[:3]))
+        short = make("ekf", known, with_parameters(START, CONSTANTS_STD[:3]))
         for sonar in (*range(16), *range(16)):
             step = chance.uniform(-1.0, 1.0, 2) * [1.0, 0.05]
             reading = float(chance.integers(10, 80))
@@ -48,7 +55,7 @@ def test_with_faultless_sonars_it_is_the_kalman_filter_of_the_shorter_state(monk
             np.testing.assert_allclose(long.belief.cov[:6, :6], short.belief.cov, rtol=1e-7, atol=1e-12)
         ahead = [method.ahead(np.array([2.0, 0.1])) for method in (long, short)]
         np.testing.assert_allclose(ahead[0].mean[:6], ahead[1].mean)
-        assert long.verdict.trust is Trust.OK
+        assert long.health.status is HealthStatus.OK
 
 
 def range_of(state: np.ndarray[tuple[int], np.dtype[np.float64]], sonar: int, offset_rad: float) -> float:

@@ -5,19 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.candidates import Candidates
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.observation import Refusal
-from localization.estimation.updates import linear
-from localization.filters.finding.atlas import draw_atlas
-from localization.filters.finding.finder import Finder
-from localization.filters.hearing import Hearing, hearing_of
-from localization.filters.kalman import KalmanFilter
-from localization.filters.sense import Sensed, sense_of
-from localization.filters.watch import ALL_WELL, Bounds, Trust
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import SonarModel
+from localization.filters.base import measurement_model
+from localization.filters.belief import Belief, independent
+from localization.filters.ekf import KalmanFilter
+from localization.filters.global_localization import GlobalLocalizer
+from localization.filters.health import HEALTHY, Bounds, HealthStatus
+from localization.filters.odometry import OdometryNoise
+from localization.filters.range_table import build_range_table
+from localization.filters.registry import update_for
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import RaySonar
+from localization.filters.update import Association, Hypotheses, MeasurementUpdate, Refusal, linear
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -31,13 +29,13 @@ class Saying:
     def __init__(self, refusal: Refusal) -> None:
         self._refusal = refusal
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
         assert (sonar, turret_offset_rad, reading_in) == (0, 0.0, 50.0)
-        return Sensed(self._refusal, float(belief.mean[0]))
+        return Association(self._refusal, float(belief.mean[0]))
 
 
 def told_by(refusal: Refusal, readings: int) -> KalmanFilter:
-    known = KalmanFilter(HERE, Hearing(Saying(refusal)), OdometryNoise())
+    known = KalmanFilter(HERE, MeasurementUpdate(Saying(refusal)), OdometryNoise())
     for _ in range(readings):
         known.hear(0, 0.0, 50.0)
     return known
@@ -45,40 +43,42 @@ def told_by(refusal: Refusal, readings: int) -> KalmanFilter:
 
 @pytest.mark.parametrize("refusal", [Refusal.GATE, Refusal.NO_WALL])
 def test_readings_that_nothing_explains_degrade_once_there_are_enough(refusal: Refusal) -> None:
-    assert told_by(refusal, WINDOW - 1).verdict == ALL_WELL
-    verdict = told_by(refusal, WINDOW).verdict
-    assert verdict == (Trust.DEGRADED, f"only 0% of the last {WINDOW} echoes are explained")
+    assert told_by(refusal, WINDOW - 1).health == HEALTHY
+    health = told_by(refusal, WINDOW).health
+    assert health == (HealthStatus.DEGRADED, f"only 0% of the last {WINDOW} echoes are explained")
 
 
 @pytest.mark.parametrize("refusal", [Refusal.LIMIT, Refusal.AMBIGUOUS_WALL, Refusal.GRAZING])
 def test_readings_that_are_left_out_whatever_they_say_tell_nothing(refusal: Refusal) -> None:
-    assert told_by(refusal, 3 * WINDOW).verdict == ALL_WELL
+    assert told_by(refusal, 3 * WINDOW).health == HEALTHY
 
 
 def test_a_real_ring_that_is_elsewhere_than_believed_degrades_and_one_that_is_there_does_not() -> None:
     """Ranges that the map itself gives: at the believed place, and 12 in off it."""
-    sense = sense_of(load_world("thesis_room").walls, N150, ConeModel())
+    sense = measurement_model(load_world("thesis_room").walls, N150, ConeSonar())
 
     def readings(at: Belief) -> list[tuple[int, float]]:
         found = [(sonar, sense.sense(at, sonar, 0.0, 50.0).candidates) for sonar in range(16)]
         return [(sonar, nearest(candidates)) for sonar, candidates in found if candidates is not None]
 
-    def nearest(candidates: Candidates) -> float:
+    def nearest(candidates: Hypotheses) -> float:
         return float(candidates.ranges_in[candidates.probability.argmax()])
 
     there = independent([32.0, 29.0, 0.3], HERE.std)
-    for place, trust in ((HERE, Trust.OK), (there, Trust.DEGRADED)):
+    for place, status in ((HERE, HealthStatus.OK), (there, HealthStatus.DEGRADED)):
         heard = readings(place)
-        known = KalmanFilter(HERE, Hearing(sense, linear), OdometryNoise(0.0, 0.0, 0.0))
+        known = KalmanFilter(HERE, MeasurementUpdate(sense, linear), OdometryNoise(0.0, 0.0, 0.0))
         for sonar, reading_in in heard * (WINDOW // len(heard) + 1):
             known.hear(sonar, 0.0, round(reading_in))
             known.belief = HERE  # held where it is believed to be: a filter this sure would hardly move
-        assert known.verdict.trust is trust, place
+        assert known.health.status is status, place
 
 
 def test_an_estimate_that_is_too_wide_says_so() -> None:
-    wide = KalmanFilter(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), Hearing(Saying(Refusal.GATE)), OdometryNoise())
-    assert wide.verdict == (Trust.DEGRADED, "the position is known to 4.0 in only")
+    wide = KalmanFilter(
+        independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), MeasurementUpdate(Saying(Refusal.GATE)), OdometryNoise()
+    )
+    assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
     np.testing.assert_array_equal(wide.ahead(np.zeros(2)).mean, wide.belief.mean)
 
 
@@ -87,13 +87,15 @@ MIDST = independent([50.0, 50.0, 0.0], [0.2, 0.2, 0.01])
 AHEAD_IN = round(50.0 - N150.sonar_ring_radius_in)
 
 
-def tracking(kind: str) -> KalmanFilter | Finder:
+def tracking(kind: str) -> KalmanFilter | GlobalLocalizer:
     """Of exact rays in whole inches: their error is the same each time."""
-    rays = SonarModel(relative_std=0.0, floor_std_in=0.02, rounding_var_in2=1.0 / 12.0)
-    hearing = hearing_of(ROOM, N150, rays)
+    rays = RaySonar(relative_std=0.0, floor_std_in=0.02, rounding_var_in2=1.0 / 12.0)
+    hearing = update_for(ROOM, N150, rays)
     if kind == "kalman":
         return KalmanFilter(MIDST, hearing, OdometryNoise())
-    return Finder(MIDST, hearing, OdometryNoise(), lambda: draw_atlas(ROOM, N150, rays, 9.0), N150.sonar_angles_rad)
+    return GlobalLocalizer(
+        MIDST, hearing, OdometryNoise(), lambda: build_range_table(ROOM, N150, rays, 9.0), N150.sonar_angles_rad
+    )
 
 
 @pytest.mark.parametrize("kind", ["kalman", "finder"])

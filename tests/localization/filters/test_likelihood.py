@@ -7,9 +7,9 @@ from math import exp, pi, sqrt
 import numpy as np
 import pytest
 
-from localization.filters.likelihood import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.particles import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR
 from worlds.bodies import N150
 from worlds.files import load_world
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.long
 
 ROOM = load_world("several_walls").walls
 RAYS = RayLikelihood(ROOM, N150, WIRE_SONAR)
-CONES = ConeLikelihood(ROOM, N150, ConeModel())
+CONES = ConeLikelihood(ROOM, N150, ConeSonar())
 POSES = np.array([[20.0, 20.0, 0.3], [5.0, 60.0, -2.0], [80.0, 60.0, 1.2], [70.0, 5.0, 0.0]])
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation import ekf
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.motion import OdometryNoise, move
-from localization.estimation.observation import Observation, Refusal
-from localization.filters.likelihood import RayLikelihood, Weighed
-from localization.filters.particles import ParticleFilter, drawn_from, low_variance, moments
-from localization.filters.watch import Trust
-from localization.sonar.measurement import WIRE_SONAR
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.ekf import correct
+from localization.filters.health import HealthStatus
+from localization.filters.odometry import OdometryNoise, move, predict
+from localization.filters.particles import ParticleFilter, RayLikelihood, Weighed, drawn_from, low_variance, moments
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.filters.update import Observation, Refusal
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays
@@ -46,12 +45,12 @@ def test_on_a_linear_problem_it_agrees_with_the_kalman_filter() -> None:
     step = np.array([1.0, 0.05])
     for reading in (41.3, 42.0, 43.4):
         particles.move(step)
-        gaussian = ekf.predict(gaussian, step, OdometryNoise())
+        gaussian = predict(gaussian, step, OdometryNoise())
         particles.hear(0, 0.0, reading)
         seen = Observation(
             np.array([reading - gaussian.mean[0]]), np.array([[1.0, 0, 0]]), np.array([0.25]), np.zeros(1, np.int8)
         )
-        gaussian = ekf.correct(gaussian, seen)
+        gaussian = correct(gaussian, seen)
     np.testing.assert_allclose(particles.belief.mean, gaussian.mean, atol=0.02)
     np.testing.assert_allclose(particles.belief.std, gaussian.std, rtol=0.04)
 
@@ -111,11 +110,11 @@ def test_how_likely_a_reading_was_bad_is_bayes_over_all_particles() -> None:
     particles = ParticleFilter(drawn_from(BELIEF, 50, chance), likelihood, OdometryNoise(), chance)
     reading = _reading(BELIEF.mean, 2)
     whole, bad = np.sum([likelihood.of(state[None, :], 2, 0.0, reading) for state in particles.states], axis=0)
-    assert particles.hear(2, 0.0, reading).bad_share == pytest.approx(float(bad[0] / whole[0]))
+    assert particles.hear(2, 0.0, reading).outlier_probability == pytest.approx(float(bad[0] / whole[0]))
 
 
 def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there_does_not() -> None:
-    for off_in, trust in ((0.0, Trust.OK), (12.0, Trust.DEGRADED)):
+    for off_in, status in ((0.0, HealthStatus.OK), (12.0, HealthStatus.DEGRADED)):
         chance, truth = np.random.default_rng(8), BELIEF.mean + np.array([off_in, -off_in, 0.0])
         likelihood = RayLikelihood(ROOM, N150, WIRE_SONAR)
         cloud = ParticleFilter(drawn_from(BELIEF, 500, chance), likelihood, OdometryNoise(0.0, 0.0, 0.0), chance)
@@ -123,7 +122,7 @@ def test_a_cloud_that_is_elsewhere_than_the_robot_degrades_and_one_that_is_there
         for sonar in [*range(16)] * 4:
             refused += cloud.hear(sonar, 0.0, _reading(truth, sonar)).refusal is Refusal.GATE
             cloud.states = drawn_from(BELIEF, 500, chance)  # held where it is believed to be
-        assert cloud.verdict.trust is trust
+        assert cloud.health.status is status
         assert (refused > 32) is (off_in > 0.0)
 
 
@@ -131,7 +130,7 @@ def test_a_cloud_that_is_too_wide_says_so() -> None:
     chance = np.random.default_rng(9)
     states = drawn_from(independent([0.0, 0.0, 0.0], [0.2, 4.0, 0.01]), 20_000, chance)
     wide = ParticleFilter(states, Ruler(), OdometryNoise(), chance)
-    assert wide.verdict == (Trust.DEGRADED, "the position is known to 4.0 in only")
+    assert wide.health == (HealthStatus.DEGRADED, "the position is known to 4.0 in only")
 
 
 def test_readings_of_the_room_bring_a_spread_cloud_together() -> None:

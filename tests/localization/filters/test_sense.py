@@ -5,36 +5,34 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, Floats, independent
-from localization.estimation.candidates import Candidates
-from localization.estimation.observation import Refusal
-from localization.filters.sense import Sensed, sense_of
-from localization.sonar.cone import ConeModel
-from localization.sonar.gating import associate
-from localization.sonar.measurement import WIRE_SONAR, SonarModel, pick, ring, wall_map
+from localization.filters.base import measurement_model
+from localization.filters.belief import Belief, Floats, independent
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR, RaySonar, associate, pick, ring, wall_map
+from localization.filters.update import Association, Hypotheses, Refusal
 from worlds.bodies import N150
 from worlds.files import load_world
 
 WALLS = load_world("centre_vertex").walls
 POSE = np.array([40.0, 45.0, 0.2])
 STD = (0.1, 0.1, 0.01)
-KINDS: list[SonarModel | ConeModel] = [WIRE_SONAR, ConeModel()]
+KINDS: list[RaySonar | ConeSonar] = [WIRE_SONAR, ConeSonar()]
 
 
-def sensed(kind: SonarModel | ConeModel, sonar: int, belief: Belief) -> Sensed:
+def sensed(kind: RaySonar | ConeSonar, sonar: int, belief: Belief) -> Association:
     """What is sensed of the reading that a ray would bring."""
     aimed = associate(belief, pick(ring(N150, 0.3), sonar), wall_map(WALLS))
-    return sense_of(WALLS, N150, kind).sense(belief, sonar, 0.3, float(aimed.seen.ranges_in[0]))
+    return measurement_model(WALLS, N150, kind).sense(belief, sonar, 0.3, float(aimed.seen.ranges_in[0]))
 
 
-def all_candidates(kind: SonarModel | ConeModel, pose: Floats) -> dict[int, Candidates]:
+def all_candidates(kind: RaySonar | ConeSonar, pose: Floats) -> dict[int, Hypotheses]:
     """Of each sonar that may hear anything from there."""
     found = {sonar: sensed(kind, sonar, independent(pose, STD)).candidates for sonar in range(16)}
     return {sonar: candidates for sonar, candidates in found.items() if candidates is not None}
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_candidates_know_their_ranges_and_slopes_everywhere(kind: SonarModel | ConeModel) -> None:
+def test_candidates_know_their_ranges_and_slopes_everywhere(kind: RaySonar | ConeSonar) -> None:
     every = all_candidates(kind, POSE)
     assert len(every) > 8
     for here in every.values():
@@ -50,7 +48,7 @@ def test_candidates_know_their_ranges_and_slopes_everywhere(kind: SonarModel | C
 
 def test_a_cone_moved_senses_what_its_candidates_foretold() -> None:
     there = POSE + np.array([0.02, -0.01, 0.001])
-    here, moved = all_candidates(ConeModel(), POSE), all_candidates(ConeModel(), there)
+    here, moved = all_candidates(ConeSonar(), POSE), all_candidates(ConeSonar(), there)
     same = [sonar for sonar in here if sonar in moved and len(here[sonar].ranges_in) == len(moved[sonar].ranges_in)]
     assert len(same) > 8
     for sonar in same:
@@ -58,19 +56,19 @@ def test_a_cone_moved_senses_what_its_candidates_foretold() -> None:
 
 
 def test_a_cone_hears_faces_and_vertices() -> None:
-    assert max(len(found.ranges_in) for found in all_candidates(ConeModel(), POSE).values()) > 1
+    assert max(len(found.ranges_in) for found in all_candidates(ConeSonar(), POSE).values()) > 1
 
 
 def test_chances_are_shares_of_one_and_a_ray_is_sure() -> None:
-    for found in all_candidates(ConeModel(), POSE).values():
+    for found in all_candidates(ConeSonar(), POSE).values():
         assert 0.0 < found.probability.sum() <= 1.0
     for ray in all_candidates(WIRE_SONAR, POSE).values():
         assert ray.probability.tolist() == [1.0]
 
 
 def test_a_limit_is_the_likelier_the_less_there_is_to_hear() -> None:
-    belief, sense = independent(POSE, STD), sense_of(WALLS, N150, ConeModel())
-    every = all_candidates(ConeModel(), POSE)
+    belief, sense = independent(POSE, STD), measurement_model(WALLS, N150, ConeSonar())
+    every = all_candidates(ConeSonar(), POSE)
     for sonar in range(16):
         found = sense.sense(belief, sonar, 0.3, 255.0)
         assert (found.refusal, found.candidates) == (Refusal.LIMIT, None)

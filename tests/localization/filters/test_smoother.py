@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import rts_smoother
 
-from localization.estimation.belief import Belief, Floats, add, difference, independent
-from localization.estimation.candidates import Candidates
-from localization.estimation.motion import OdometryNoise, move, step_variance
-from localization.estimation.observation import Refusal
-from localization.estimation.systematic import step_jacobians, with_constants
-from localization.filters.hearing import Hearing
-from localization.filters.kalman import KalmanFilter
-from localization.filters.method import Smoothing
-from localization.filters.sense import Sensed
+from localization.filters.base import Smoothing
+from localization.filters.belief import Belief, Floats, add, difference, independent
+from localization.filters.ekf import KalmanFilter
+from localization.filters.odometry import OdometryNoise, move, step_jacobians, step_variance, with_parameters
 from localization.filters.smoother import FixedLagSmoother
+from localization.filters.update import Association, Hypotheses, MeasurementUpdate, Refusal
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
 ROWS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
@@ -27,15 +23,15 @@ VARIANCE = np.array([0.01, 0.01, 0.01, 1e-4])
 class Straight:
     """A sense of readings linear in the pose: number `sonar` reads row `sonar`."""
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Sensed:
+    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
         assert (turret_offset_rad, np.isfinite(reading_in)) == (0.0, True)
         row, variance, constant = ROWS[sonar], VARIANCE[sonar : sonar + 1], np.zeros(1)
 
         def expect(poses: Floats) -> tuple[Floats, Floats]:
             return (poses * row).sum(axis=-1), np.broadcast_to(row, (*poses.shape[:-1], 3))
 
-        heard = Candidates(*expect(belief.mean[None, :3]), variance, constant, np.ones(1), expect, 0.0, 0.0)
-        return Sensed(Refusal.NONE, 1.0, heard)
+        heard = Hypotheses(*expect(belief.mean[None, :3]), variance, constant, np.ones(1), expect, 0.0, 0.0)
+        return Association(Refusal.NONE, 1.0, heard)
 
 
 def steps(count: int) -> Floats:
@@ -43,7 +39,7 @@ def steps(count: int) -> Floats:
 
 
 def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
-    return FixedLagSmoother(belief, Hearing(Straight()), NOISE, lag)
+    return FixedLagSmoother(belief, MeasurementUpdate(Straight()), NOISE, lag)
 
 
 @pytest.mark.parametrize("lag", [1, 5, 12])
@@ -51,7 +47,7 @@ def smoother(belief: Belief, lag: int) -> FixedLagSmoother:
 def test_it_is_filterpys_rts_over_the_last_moves(lag: int, size: int) -> None:
     """filterpy smooths errors about the predicted way: x_k+1 - F x_k there is what `later - predicted` is here."""
     rng = np.random.default_rng(7)
-    made = smoother(with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
+    made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.02,) * (size - 3)), lag)
     filtered, predicted, by_state, noise = [made.belief], [made.belief], [], []
     for number, step in enumerate(steps(12)):
         by_state.append(step_jacobians(made.belief.mean, step)[0])
@@ -79,11 +75,11 @@ def test_before_it_has_moved_it_says_what_it_knows() -> None:
     made.hear(0, 0.0, 1.1)
     assert made.smoothed() is made.belief
     assert isinstance(made, Smoothing)
-    assert not isinstance(cast(object, KalmanFilter(belief, Hearing(Straight()), NOISE)), Smoothing)
+    assert not isinstance(cast(object, KalmanFilter(belief, MeasurementUpdate(Straight()), NOISE)), Smoothing)
 
 
 def test_a_coordinate_that_is_certain_stays() -> None:
-    made = smoother(with_constants(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.0,)), 4)
+    made = smoother(with_parameters(independent([1.0, 2.0, 0.3], [0.1, 0.1, 0.01]), (0.0,)), 4)
     for number, step in enumerate(steps(6)):
         made.move(step)
         made.hear(number % 4, 0.0, float(ROWS[number % 4] @ made.belief.mean[:3] + 0.05))

@@ -7,16 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.motion import OdometryNoise
-from localization.estimation.systematic import with_constants
-from localization.filters.finding.atlas import draw_atlas
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import METHODS, finder, make
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Belief, independent
+from localization.filters.odometry import OdometryNoise, with_parameters
+from localization.filters.range_table import build_range_table
+from localization.filters.registry import METHODS, finder, make
 from worlds.bodies import N150
 from worlds.files import load_world
 
-KNOWN = Surroundings(load_world("thesis_room").walls, N150)
+KNOWN = LocalizationConfig(load_world("thesis_room").walls, N150)
 BELIEF = independent([40.0, 45.0, 0.3], [0.5, 0.5, 0.02])
 
 
@@ -41,13 +40,13 @@ def test_robots_that_know_the_same_map_share_its_atlas() -> None:
     known = KNOWN
     one, other = finder(known, None), finder(replace(known, odometry=OdometryNoise(0.0, 0.0, 0.0)), None)
     assert one._map is other._map
-    drawn = draw_atlas(known.walls, N150, known.sonar, known.clearance_in)
+    drawn = build_range_table(known.walls, N150, known.sonar, known.clearance_in)
     assert (one._map.ranges_in == drawn.ranges_in).all()
     assert finder(replace(known, clearance_in=12.0), None)._map is not one._map
 
 
 def test_offsets_of_sonars_are_found_besides_the_wheels_constants_that_the_belief_has() -> None:
-    wheels = with_constants(BELIEF, (0.05,))
+    wheels = with_parameters(BELIEF, (0.05,))
     made = make("offsets", KNOWN, Belief(wheels.mean + np.array([0.0, 0.0, 0.0, 0.01]), wheels.cov))
     assert made.belief.mean.tolist() == [40.0, 45.0, 0.3, 0.01, *[0.0] * 20]
     assert made.belief.std[3:7].tolist() == pytest.approx([0.05, 0.0, 0.0, 2.0])

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.estimation.belief import difference, independent
-from localization.estimation.motion import OdometryNoise, move, step_between, step_variance
+from localization.filters.belief import difference, independent
+from localization.filters.odometry import OdometryNoise, move, step_between, step_variance
 from localization.keeping.kept import Kept, resumed, site_of
-from localization.live.odometry import EncoderPose
+from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 from worlds.files import load_world
 from worlds.world import Polygon

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.systematic import LARGEST
+from localization.filters.belief import Belief, independent
+from localization.filters.odometry import LARGEST
 from localization.keeping.kept import Kept, Site
 from localization.keeping.kept_file import KEYS, MOST_BYTES, load, save
-from localization.live.odometry import EncoderPose
+from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
 
 KEPT = Kept(

@@ -7,19 +7,17 @@ from math import radians
 import numpy as np
 import pytest
 
-from localization.estimation.belief import independent
-from localization.filters.surroundings import Surroundings
-from localization.live import calibrated
-from localization.live.calibrated import with_wheels
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.filters.sonar_ray import WIRE_SONAR
+from localization.live import sensor_input as calibrated
 from localization.live.localizer import Localizer
-from localization.live.told import Retold
-from localization.sonar.measurement import WIRE_SONAR
+from localization.live.sensor_input import FiringSchedule, SensorData, with_wheels
 from worlds.bodies import N150
 from worlds.calibration import FAULTLESS, Calibration, Spread
 from worlds.files import load_world
 
-TOLD = Retold(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
+TOLD = SensorData(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
 ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), Spread(0.01, 0.02, 1e-4))
 
 
@@ -49,8 +47,8 @@ def test_wheels_begin_at_what_was_found() -> None:
 def test_a_localizer_hears_what_is_corrected() -> None:
     walls = load_world("thesis_room").walls
     start = independent([2.0, 3.0, 0.5], [0.1, 0.1, 0.01])
-    known = Surroundings(walls, N150, sonar=WIRE_SONAR, errs=ERRS)
+    known = LocalizationConfig(walls, N150, sonar=WIRE_SONAR, errs=ERRS)
     localizer = Localizer(known, start, FiringSchedule(1.0))
     localizer.update(TOLD)
-    estimate = localizer.update(Retold(2.0, 2.0, 3.0, 0.5, 0.6, TOLD.sonars_in))
+    estimate = localizer.update(SensorData(2.0, 2.0, 3.0, 0.5, 0.6, TOLD.sonars_in))
     assert {echo.sonar: echo.reading_in for echo in estimate.echoes}[15] == 52.0

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from localization.live.echoes import CLOCK_STEP_S, FiringSchedule, FiringTime
+from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, FiringTime
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 
 

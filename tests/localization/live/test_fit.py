@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from localization.estimation.observation import Refusal
-from localization.live.fit import Fit
-from localization.live.localizer import Echo
+from localization.filters.update import Refusal
+from localization.live.localizer import Echo, Fit
 
 
 def echo(refusal: Refusal, nis: float = 0.0) -> Echo:

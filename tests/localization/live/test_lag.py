@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Floats, independent
-from localization.estimation.motion import move
-from localization.live.echoes import CLOCK_STEP_S
-from localization.live.lag import with_lag
-from localization.live.odometry import EncoderPose
+from localization.filters.belief import Floats, independent
+from localization.filters.odometry import move
+from localization.live.localizer import with_lag
+from localization.live.sensor_input import CLOCK_STEP_S, EncoderPose
 
 
 def encoders(clock_s: float, pose: Floats) -> EncoderPose:
@@ -23,9 +22,7 @@ def test_it_is_the_spread_of_poses_at_instants_within_one_step() -> None:
     late = CLOCK_STEP_S * (chance.uniform(0.0, 1.0, 200_000) - chance.uniform(0.0, 1.0, 200_000))
     drawn = move(pose, late[:, None] * rates)
     before = np.array([10.0, 20.0, 3.13])
-    told = with_lag(
-        independent(pose, np.zeros(3)), encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates))
-    )
+    told = with_lag(independent(pose, np.zeros(3)), encoders(1.0, before), encoders(1.2, move(before, 0.2 * rates)))
     np.testing.assert_allclose(told.cov, np.cov(drawn.T), rtol=0.01, atol=1e-7)
     assert (told.mean == pose).all()
 

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief, independent
-from localization.estimation.observation import Refusal
-from localization.filters.surroundings import Surroundings
-from localization.live.echoes import FiringSchedule
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import Belief, independent
+from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
-from localization.live.told import Retold
+from localization.live.sensor_input import FiringSchedule, SensorData
 from nclient.protocol.models import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
@@ -34,12 +33,12 @@ class Robot:
         way = self.speed * time_s
         return 20 + way * math.cos(self.heading), 30 + way * math.sin(self.heading)
 
-    def report(self, time_s: float) -> Retold:
+    def report(self, time_s: float) -> SensorData:
         while self.fired * 0.06 <= time_s + 1e-9:
             self.fire(DEFAULT_SONAR_ORDER[self.fired % 16], self.fired * 0.06)
             self.fired += 1
         x, y = self.pose(time_s)
-        return Retold(time_s, x, y, self.heading % math.tau, self.turret % math.tau, tuple(self.sonars))
+        return SensorData(time_s, x, y, self.heading % math.tau, self.turret % math.tau, tuple(self.sonars))
 
     def fire(self, sonar: int, time_s: float) -> None:
         angle = self.turret + N150.sonar_angles_rad[sonar]
@@ -50,7 +49,7 @@ class Robot:
 
 def localizer(belief: Belief | None = None) -> Localizer:
     start = belief or independent([20, 30, 0.5], [0.2, 0.2, 0.01])
-    return Localizer(Surroundings(ROOM, N150), start, FiringSchedule(0.0))
+    return Localizer(LocalizationConfig(ROOM, N150), start, FiringSchedule(0.0))
 
 
 @pytest.mark.parametrize("turret_rad", [0.0, 1.0, -2.5])
@@ -123,7 +122,7 @@ def test_the_estimate_is_carried_to_the_clock_of_the_state_by_odometry() -> None
 def test_a_method_that_smooths_tells_where_the_robot_was_a_while_ago() -> None:
     robot = Robot(5.0)
     belief = independent([20.4, 29.7, 0.52], [0.5, 0.5, 0.03])
-    looking_back = Localizer(Surroundings(ROOM, N150), belief, FiringSchedule(0.0), "smoother")
+    looking_back = Localizer(LocalizationConfig(ROOM, N150), belief, FiringSchedule(0.0), "smoother")
     plain = localizer(belief)
     looks = []
     for k in range(101):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from localization.live.odometry import REMEMBERED_S, EncoderPose, PoseHistory
+from localization.live.sensor_input import REMEMBERED_S, EncoderPose, PoseHistory
 
 
 def pose(clock_s: float, x: float, heading: float = 0.0, turret: float = 0.0) -> EncoderPose:

@@ -7,15 +7,14 @@ from math import sqrt
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Floats, difference, independent
-from localization.estimation.motion import OdometryNoise, move, step_variance
 from localization.experiments.live.scenario import EXACT_RAYS
-from localization.filters.sense import sense_of
-from localization.filters.surroundings import Surroundings
-from localization.filters.table import make
+from localization.filters.base import LocalizationConfig, measurement_model
+from localization.filters.belief import Floats, difference, independent
+from localization.filters.odometry import OdometryNoise, move, step_variance
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import rays, ring
 from localization.maps.weakness import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, weakness
-from localization.sonar.cone import ConeModel
-from localization.sonar.measurement import rays, ring
 from worlds.bodies import N150, SONARS
 from worlds.raycast import cast_rays
 
@@ -33,7 +32,7 @@ def ranges(pose: Floats) -> Floats:
 
 def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
     """P^-1 = (F P F' + Q)^-1 + J on some way, with J, F and Q by central differences."""
-    bound = weakness(Surroundings(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
+    bound = weakness(LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
     chance = np.diag([0.05**2 * 4.8, 0.002**2 * 4.8])
     for place, cov in zip(PLACES, bound.cov, strict=True):
         information = np.zeros((3, 3))
@@ -55,10 +54,10 @@ def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
         np.testing.assert_allclose(least, 0.0, atol=2e-4 * np.abs(np.linalg.inv(cov)).max())
 
 
-@pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeModel()])
-def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeModel) -> None:
+@pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeSonar()])
+def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeSonar) -> None:
     """Driving along it costs what the odometry strays; the best way is across, and costs less."""
-    bound = weakness(Surroundings(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
+    bound = weakness(LocalizationConfig(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
     along = sqrt(START_STD[0] ** 2 + ROUNDS * 0.05**2 * 5.0 * ROUND_S)
     assert START_STD[0] < bound.worst_in[0] <= along
     assert sqrt(bound.cov[0, 1, 1]) < 0.2
@@ -68,7 +67,7 @@ def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeModel) -> None:
 def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
     """A robot that goes in circles about a place, its sixteen sonars heard at once, by a filter that is no part of
     this."""
-    known = Surroundings(ROOM, N150, QUIET, EXACT_RAYS)
+    known = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS)
     chance = np.random.default_rng(8)
     way = 5.0 * ROUND_S
     squares, headings = [], []
@@ -93,13 +92,13 @@ def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
 def test_nor_does_one_that_drives_straight_on() -> None:
     """Down a long hall, where the way driven tells the heading far better than the ranges of a moment."""
     hall = np.array([[0, 0, 500, 0], [500, 0, 500, 100], [500, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
-    known = Surroundings(hall, N150, QUIET, ConeModel())
+    known = LocalizationConfig(hall, N150, QUIET, ConeSonar())
     chance = np.random.default_rng(3)
     squares, stds = [], []
     for _ in range(16):
         true = np.array([40.0, 50.0, 0.0])
         method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
-        sense = sense_of(hall, N150, ConeModel())
+        sense = measurement_model(hall, N150, ConeSonar())
         for round_ in range(80):
             step = np.array([5.0 * ROUND_S, -0.2 * true[2]])
             true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
@@ -109,8 +108,8 @@ def test_nor_does_one_that_drives_straight_on() -> None:
                 if heard is None or chance.random() > heard.probability.sum():
                     continue
                 range_in = float(chance.choice(heard.ranges_in, p=heard.probability / heard.probability.sum()))
-                range_in += sqrt(ConeModel().variance_at(range_in) - 1.0 / 12.0) * chance.standard_normal()
-                bad = chance.random() < ConeModel().bad_share
+                range_in += sqrt(ConeSonar().variance_at(range_in) - 1.0 / 12.0) * chance.standard_normal()
+                bad = chance.random() < ConeSonar().outlier_probability
                 method.hear(sonar, 0.0, float(np.floor((chance.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
             if round_ > 30:
                 squares.append(difference(method.belief.mean, true)[2] ** 2)
@@ -121,7 +120,7 @@ def test_nor_does_one_that_drives_straight_on() -> None:
 
 
 def test_the_faster_the_weaker_and_cones_weaker_than_rays() -> None:
-    exact, noisy = Surroundings(ROOM, N150, QUIET, EXACT_RAYS), Surroundings(ROOM, N150, QUIET, ConeModel())
+    exact, noisy = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), LocalizationConfig(ROOM, N150, QUIET, ConeSonar())
     slow, fast, real = weakness(exact, PLACES, 1.0), weakness(exact, PLACES, 10.0), weakness(noisy, PLACES, 1.0)
     assert (slow.worst_in < fast.worst_in).all()
     assert (slow.worst_in < real.worst_in).all()

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from localization.estimation.belief import independent
-from localization.filters.surroundings import Surroundings
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
 from localization.missions.helm import Helm
 from nclient import connect
 from worlds.bodies import BODIES
@@ -30,7 +30,7 @@ def helm_at() -> Iterator[MakeHelm]:
             state = robot.refresh()
             belief = independent([state.x_in, state.y_in, state.steering_rad], (0.1, 0.1, 0.01))
             body = BODIES[str(options.get("robot", "n150"))]
-            known = Surroundings(load_world(world).walls, body)
+            known = LocalizationConfig(load_world(world).walls, body)
             return closing.enter_context(Helm(robot, known, body, belief, _idle, method, 10.0))
 
         yield make

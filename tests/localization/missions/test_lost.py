@@ -10,7 +10,7 @@ import pytest
 
 from localization.driving.groping import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
 from localization.driving.navigation import PERIOD_S
-from localization.filters.watch import Trust, Verdict
+from localization.filters.health import FilterHealth, HealthStatus
 from localization.missions.failures import MissionOver
 from localization.missions.helm import Helm, Sight
 from localization.missions.lost import _searching
@@ -42,7 +42,7 @@ class Kidnapper:
             self._helm.robot.place(replace(self._pose, turret_rad=front))
             self._helm.robot.set_position(x_in=told.x_in, y_in=told.y_in)
             self._helm.robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
-        if sight.estimate.verdict.trust is Trust.LOST:
+        if sight.estimate.health.status is HealthStatus.LOST:
             self.lost_s = self.lost_s or sight.estimate.clock_s
 
 
@@ -118,7 +118,7 @@ def test_lost_on_the_last_foot_into_a_dock_it_stands_and_begins_anew(helm_at: Ma
         """For two seconds no place is believed, and the pose is that of nowhere."""
         if sight.estimate.pose[0] > 41.0 and len(lost) < 20:
             lost.append(sight)
-            nowhere = replace(sight.estimate, verdict=Verdict(Trust.LOST, "nothing fits"))
+            nowhere = replace(sight.estimate, health=FilterHealth(HealthStatus.LOST, "nothing fits"))
             helm.sight = sight._replace(estimate=nowhere)
 
     helm.watchers.insert(0, on_the_last_foot)

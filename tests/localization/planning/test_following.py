@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.course import Leg, Stretch, straight, stretches
 from localization.planning.following import STAND, Follower, turn
 from localization.planning.limits import LIMITS

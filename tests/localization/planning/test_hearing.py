@@ -8,9 +8,9 @@ from math import hypot
 import numpy as np
 import pytest
 
-from localization.estimation.belief import independent
-from localization.estimation.observation import Refusal
-from localization.filters.watch import ALL_WELL, Trust, Verdict
+from localization.filters.belief import independent
+from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
 from localization.planning.hearing import MOST_SPARED, spared, take_in
 from localization.planning.unmapped import Unmapped
@@ -35,11 +35,11 @@ def robot() -> Iterator[Robot]:
         yield robot
 
 
-def estimate(state: RobotState, *sonars: int, verdict: Verdict = ALL_WELL) -> Estimate:
+def estimate(state: RobotState, *sonars: int, health: FilterHealth = HEALTHY) -> Estimate:
     clock = state.clock_s or 0.0
     echoes = tuple(Echo(sonar, clock - 0.05, 6, Refusal.GATE, 0.0) for sonar in sonars)
     belief = independent([state.x_in, state.y_in, state.steering_rad], (0.1, 0.1, 0.01))
-    return Estimate(clock, belief, echoes, verdict)
+    return Estimate(clock, belief, echoes, health)
 
 
 def test_what_is_nearer_than_the_map_allows_is_spared_and_all_else_told_as_it_is(robot: Robot) -> None:
@@ -82,7 +82,7 @@ def test_one_who_is_lost_forgets_and_spares_nothing(robot: Robot) -> None:
     unmapped, state = Unmapped(WALLS, N150.sonar_ring_radius_in), robot.refresh()
     for _ in range(3):
         take_in(unmapped, estimate(state, 0), state, ANGLES)
-    lost = estimate(state, 0, verdict=Verdict(Trust.LOST, "searching"))
+    lost = estimate(state, 0, health=FilterHealth(HealthStatus.LOST, "searching"))
     assert spared(unmapped, lost, state, ANGLES).sonars_in == state.sonars_in
     take_in(unmapped, lost, state, ANGLES)
     assert len(unmapped.segments) == 0

@@ -9,8 +9,8 @@ from math import cos, hypot, sin
 import numpy as np
 import pytest
 
-from localization.estimation.belief import Belief
-from localization.filters.watch import ALL_WELL, Trust, Verdict
+from localization.filters.belief import Belief
+from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.live.localizer import Estimate
 from localization.planning.circles import room
 from localization.planning.following import STAND
@@ -39,13 +39,13 @@ class World:
     def __init__(self, x: float = 5.0, y: float = 5.0, std_in: float = 0.1, feels: Feels = lambda *_: False) -> None:
         self.pose = np.array([x, y, 0.0])
         self.clock_s, self.std_in, self.feels = 0.0, std_in, feels
-        self.verdict = ALL_WELL
+        self.health = HEALTHY
         self.unmapped = Unmapped(WALLS, N150.sonar_ring_radius_in)
         self.least_room = np.inf
 
     def estimate(self) -> Estimate:
         cov = np.diag([self.std_in**2, self.std_in**2, 1e-4])
-        return Estimate(self.clock_s, Belief(self.pose.copy(), cov), (), self.verdict)
+        return Estimate(self.clock_s, Belief(self.pose.copy(), cov), (), self.health)
 
     def state(self) -> RobotState:
         raw = [0] * 45
@@ -224,7 +224,7 @@ def test_one_who_is_lost_says_so() -> None:
     world = World()
     pilot = pilot_of(world, (90.0, 55.0))
     world.drive(pilot, 5.0)
-    world.verdict = Verdict(Trust.LOST, "searching")
+    world.health = FilterHealth(HealthStatus.LOST, "searching")
     world.drive(pilot)
     assert pilot.outcome == (Ending.LOST, "searching")
 

@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import ConvexHull
 
-from localization.estimation.belief import Floats
+from localization.filters.belief import Floats
 from localization.planning.clearance import clearances
 from localization.planning.course import Leg
 from localization.planning.roadmap import NoWayError, Roadmap, length_in

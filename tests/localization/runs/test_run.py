@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from localization.estimation.belief import independent
-from localization.estimation.observation import Refusal
+from localization.filters.belief import independent
+from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
 from localization.runs.run import Run, RunMoment, Sighting
 

@@ -9,18 +9,18 @@ import pytest
 from nserver_emu.simulation import sonar
 from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from worlds.compiled import Kernel
+from worlds.raycast import CompiledKernel
 from worlds.world import Polygon, StartPose, World
 
 
 @pytest.mark.parametrize("setup", [IDEAL, NOISY], ids=lambda setup: setup.name)
 def test_machine_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    loaded = Kernel()
+    loaded = CompiledKernel()
     assert loaded.load()
 
-    def lived(kernel: Kernel) -> list[object]:
-        monkeypatch.setattr(sonar, "FIRST_MET", kernel)
+    def lived(kernel: CompiledKernel) -> list[object]:
+        monkeypatch.setattr(sonar, "NEAREST_OBSTACLE", kernel)
         square = Polygon(((-70.0, -70.0), (70.0, -70.0), (70.0, 70.0), (-70.0, 70.0)))
         simulation = Simulation(World("square", rooms=(square,)), seed=9)
         for number in range(3):
@@ -36,4 +36,4 @@ def test_machine_code_changes_no_bit_of_a_simulation(setup: RobotSetup, monkeypa
                 simulation = pickle.loads(pickle.dumps(simulation))
         return told
 
-    assert lived(loaded) == lived(Kernel())
+    assert lived(loaded) == lived(CompiledKernel())

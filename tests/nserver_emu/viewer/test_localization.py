@@ -10,8 +10,8 @@ import pytest
 from viewed_daemon import served
 from wire_client import simulation
 
-from localization.estimation.observation import Refusal
-from localization.filters.watch import Trust
+from localization.filters.health import HealthStatus
+from localization.filters.update import Refusal
 from nserver_emu.server.handling.handlers import Emulator
 from nserver_emu.server.ports.daemon import Daemon
 from nserver_emu.viewer.desk import STALE_S, Desk
@@ -30,7 +30,7 @@ GOOD: dict[str, Any] = {
 
 def test_refusals_have_the_filter_s_own_names() -> None:
     assert [refusal.name.lower() for refusal in Refusal] == list(REFUSALS)
-    assert [trust.value for trust in Trust] == list(TRUSTS)
+    assert [trust.value for trust in HealthStatus] == list(TRUSTS)
 
 
 def test_what_is_right_comes_through() -> None:

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from localization.experiments.live.bad_readings import BadReadings
-from localization.live.echoes import FiringSchedule
-from localization.live.told import Retold
+from localization.live.sensor_input import FiringSchedule, SensorData
 
 ROUND_S = FiringSchedule(0.0).round_s
 
 
-def report(clock_s: float | None) -> Retold:
-    return Retold(clock_s, 1.0, 2.0, 0.3, 0.4, (300,) * 16)
+def report(clock_s: float | None) -> SensorData:
+    return SensorData(clock_s, 1.0, 2.0, 0.3, 0.4, (300,) * 16)
 
 
 def made_bad(share: float) -> BadReadings:

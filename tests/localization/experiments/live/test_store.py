@@ -9,7 +9,7 @@ from localization.experiments.live.matrix import Trial
 from localization.experiments.live.scenario import SCENARIOS
 from localization.experiments.live.store import Store
 from localization.experiments.live.summary import TrialResult
-from localization.sonar.cone import ConeModel
+from localization.filters.sonar_cone import ConeSonar
 
 TRIAL = Trial(SCENARIOS["measured"], "5.4", 7)
 RESULT = TrialResult(7, True, 10, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 9, 1.0, 2.0, 3.0, 4.5)
@@ -32,7 +32,7 @@ def test_all_that_decides_a_result_is_in_its_name(tmp_path: Path) -> None:
         replace(TRIAL, periods=10),
         replace(TRIAL, scenario=replace(scenario, method="ukf")),
         replace(TRIAL, scenario=replace(scenario, bad_share=0.21)),
-        replace(TRIAL, scenario=replace(scenario, sonar=ConeModel(margin_db=31.0))),
+        replace(TRIAL, scenario=replace(scenario, sonar=ConeSonar(margin_db=31.0))),
         replace(TRIAL, scenario=replace(scenario, odometry=replace(scenario.odometry, drift_std=0.003))),
     ]
     store = Store(tmp_path, "code")

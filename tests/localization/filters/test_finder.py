@@ -1,0 +1,135 @@
+"""A filter that knows when it is lost: kidnapped, it says so within seconds and finds itself again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from localization.experiments.live.scenario import QUIET
+from localization.filters.base import LocalizationConfig
+from localization.filters.belief import independent
+from localization.filters.global_localization import Alternatives, GlobalLocalizer
+from localization.filters.health import HealthStatus
+from localization.filters.registry import finder
+from localization.filters.sonar_cone import ConeSonar
+from localization.live.localizer import Estimate, Localizer
+from localization.live.sensor_input import FiringSchedule
+from nclient import Robot, connect
+from nclient.protocol.models import DEFAULT_SONAR_ORDER
+from nclient.robot_state import Pose
+from worlds.bodies import N150
+from worlds.files import load_world
+
+pytestmark = pytest.mark.long
+
+ROOM = LocalizationConfig(load_world("several_walls").walls, N150, QUIET, ConeSonar(), clearance_in=N150.radius_in)
+SQUARE = LocalizationConfig(load_world("thesis_room").walls, N150, QUIET, ConeSonar(), clearance_in=N150.radius_in)
+START = (30.0, 60.0, 0.3)
+
+
+def open_at(world: str, pose: tuple[float, float, float]) -> Robot:
+    heading = math.degrees(pose[2])
+    return connect(f"sim:{world}?setup=measured&seed=3&start={pose[0]},{pose[1]},{heading},{heading}&step_s=0.05")
+
+
+def localizer_of(robot: Robot, filter_: GlobalLocalizer) -> Localizer:
+    state = robot.configure_sonars(rate=15, order=DEFAULT_SONAR_ORDER)
+    assert state.clock_s is not None
+    return Localizer(ROOM, filter_.belief, FiringSchedule(state.clock_s), filter_)
+
+
+def turn(robot: Robot, localizer: Localizer, seconds: float) -> Estimate:
+    """Turn on the spot, polling."""
+    for _ in range(round(seconds / 0.1)):
+        robot.drive(translation_in_s=0.0, steering_rad_s=0.2)
+        estimate = localizer.update(robot.refresh())
+    return estimate
+
+
+def off_in(robot: Robot, estimate: Estimate) -> float:
+    truth = robot.truth()
+    return math.hypot(estimate.pose[0] - truth.x_in, estimate.pose[1] - truth.y_in)
+
+
+def test_told_its_place_it_tracks_like_the_kalman_filter_and_all_is_well() -> None:
+    with open_at("several_walls", START) as robot:
+        localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
+        estimate = turn(robot, localizer, 4.0)
+        assert estimate.health.status is HealthStatus.OK
+        assert off_in(robot, estimate) < 1.0
+
+
+def test_told_nothing_it_finds_itself_where_the_room_allows() -> None:
+    with open_at("several_walls", START) as robot:
+        nowhere = finder(ROOM, None)
+        assert nowhere.health == (HealthStatus.LOST, "searching: nothing was told of the place")
+        assert nowhere.belief.std[0] > 100
+        localizer = localizer_of(robot, nowhere)
+        estimate = turn(robot, localizer, 4.0)
+        assert estimate.health.status is HealthStatus.OK
+        assert off_in(robot, estimate) < 2.0
+
+
+def test_in_a_square_room_it_says_that_four_places_look_alike() -> None:
+    with open_at("thesis_room", (20.0, 35.0, 0.3)) as robot:
+        several = finder(SQUARE, None)
+        estimate = turn(robot, localizer_of(robot, several), 4.0)
+        assert len(several.hypotheses) == 4
+        assert estimate.health.status is HealthStatus.LOST
+        assert "4 places look alike" in estimate.health.reason
+        places = [known.belief.mean for known in several.hypotheses]
+        truth = robot.truth()
+        assert min(math.hypot(place[0] - truth.x_in, place[1] - truth.y_in) for place in places) < 2.0
+
+
+def test_kidnapped_it_says_lost_within_five_seconds_and_finds_itself_again() -> None:
+    with open_at("several_walls", START) as robot:
+        localizer = localizer_of(robot, finder(ROOM, independent(START, (0.2, 0.2, 0.01))))
+        turn(robot, localizer, 3.0)
+        told = robot.refresh()
+        robot.place(Pose(80.0, 75.0, 2.0, 2.0))
+        robot.set_position(x_in=told.x_in, y_in=told.y_in)
+        robot.set_angles(steering_rad=told.steering_rad, turret_rad=told.turret_rad)
+        said = (turn(robot, localizer, 0.1).health for _ in range(100))
+        lost_after, health = next(
+            (0.1 * tick, told) for tick, told in enumerate(said) if told.status is HealthStatus.LOST
+        )
+        assert lost_after <= 5.0
+        assert "another place explains what is heard better" in health.reason
+        estimate = turn(robot, localizer, 6.0)
+        assert estimate.health.status is HealthStatus.OK
+        assert off_in(robot, estimate) < 2.0
+
+
+def test_constants_are_looked_for_anew_where_it_is_found() -> None:
+    lost = finder(ROOM, None, constants=(0.05,))
+    assert lost.belief.mean.shape == (4,)
+    assert lost.belief.std[3] == pytest.approx(0.05)
+    np.testing.assert_allclose(lost.ahead(np.array([1.0, 0.0])).mean[:2], [1.0, 0.0])
+
+
+def test_where_the_evidence_alone_falls_it_is_lost_without_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "localization.filters.global_localization.alternatives", lambda *_: Alternatives(None, None, -math.inf)
+    )
+    with open_at("several_walls", START) as robot:
+        localizer = localizer_of(robot, finder(ROOM, independent((80.0, 75.0, 2.0), (0.2, 0.2, 0.01))))
+        said = (turn(robot, localizer, 0.1).health for _ in range(200))
+        assert (
+            "fits anywhere better than here" in next(told for told in said if told.status is HealthStatus.LOST).reason
+        )
+
+
+@pytest.mark.parametrize("slip_rad", [0.35, -0.35])
+def test_a_heading_that_slipped_is_set_right_and_never_called_lost(slip_rad: float) -> None:
+    """Far more standard deviations off than a filter comes back from by itself, but the place is the right one."""
+    with open_at("several_walls", START) as robot:
+        told = independent((*START[:2], START[2] + slip_rad), (0.2, 0.2, 0.02))
+        localizer = localizer_of(robot, finder(ROOM, told, constants=(0.05,)))
+        said = [turn(robot, localizer, 0.1) for _ in range(40)]
+        assert HealthStatus.LOST not in {estimate.health.status for estimate in said}
+        assert off_in(robot, said[-1]) < 1.0
+        off_rad = said[-1].pose[2] - robot.truth().steering_rad
+        assert abs(math.remainder(off_rad, math.tau)) < 0.15

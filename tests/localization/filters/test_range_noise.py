@@ -1,0 +1,42 @@
+"""Which part of a reading's error is the same each time: rounding, against its covariance by quadrature."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import WIRE_SONAR, RangeNoise
+
+
+def covariance_of_rounding(std: float, step: float) -> float:
+    """Of two readings of one range, which may be any: the mean over ranges of the squared mean error."""
+    ranges = np.linspace(0.0, step, 401)[:-1]
+    steps = step * np.arange(-60, 61)
+    below = [[0.5 * math.erfc((there - at) / (std * math.sqrt(2.0))) for there in steps] for at in ranges]
+    read = np.array(below) @ np.full(len(steps), step) + steps[0] - 0.5 * step
+    error = read - ranges
+    return float(((error - error.mean()) ** 2).mean())
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1])
+@pytest.mark.parametrize("std", [0.01, 0.05, 0.1, 0.2, 0.3])
+def test_rounding_errs_the_same_way_until_noise_shakes_it(std: float, step: float) -> None:
+    noise = RangeNoise(relative_std=0.0, floor_std_in=std * step, rounding_var_in2=step * step / 12.0)
+    there, told = covariance_of_rounding(std * step, step), noise.constant_at(30.0)
+    assert there - 1e-3 * step * step <= told <= 1.7 * there + 1e-9 * step * step
+    assert told <= noise.variance_at(30.0)
+
+
+def test_without_noise_it_is_all_of_rounding_and_without_rounding_nothing() -> None:
+    assert RangeNoise(0.0, 1e-6, 1 / 12).constant_at(50.0) == pytest.approx(1 / 12)
+    assert RangeNoise().constant_at(50.0) == 0.0
+
+
+@pytest.mark.parametrize("noise", [WIRE_SONAR, ConeSonar()])
+def test_far_away_readings_are_all_anew(noise: RangeNoise) -> None:
+    assert noise.constant_at(10.0) > 0.5 * noise.rounding_var_in2
+    assert noise.constant_at(100.0) < 1e-9
+    assert noise.variance_at(100.0) == pytest.approx(float(noise.variance(np.array(100.0))))
