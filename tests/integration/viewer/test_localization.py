@@ -130,13 +130,14 @@ def test_global_localization_and_go_are_shown(browser: Browser) -> None:
     with nserver("several_walls", "--noisy", "--seed", "3", "--speed", "4", "--start", "5,5,0,0") as program:
         address = f"nserver://127.0.0.1:{program.port}/1"
         with open_page(browser, program.url) as page:
-            localize_options = ("--map", "several_walls", "--start", "unknown", "--waypoints", "30,10", "--publish", program.url)
-            with Forked("nomad", "localize", address, *localize_options) as localizer:
+            map_options = ("--map", "several_walls", "--publish", program.url)
+            with Forked(
+                "nomad", "localize", address, *map_options, "--start", "unknown", "--waypoints", "30,10"
+            ) as localizer:
                 page.wait(f"{TEXT}.includes('✕ LOST')", 60.0)
                 page.wait(f"{TEXT}.includes('✓ OK')", 60.0)
                 localizer.terminate()
-            go_options = ("--map", "several_walls", "--to", "30,20", "--publish", program.url)
-            with Forked("nomad", "go", address, *go_options) as driver:
+            with Forked("nomad", "go", address, *map_options, "--to", "30,20") as driver:
                 page.wait("nserver.estimateOf('1')?.waypoints[0]?.join() === '30,20'", 60.0)
                 page.wait("nserver.estimateOf('1')?.pose[0] + nserver.estimateOf('1').pose[1] > 47", 60.0)
                 assert driver.wait(timeout=60) == 0
