@@ -14,7 +14,10 @@ from nclient.common import process
 
 NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
 NSERVER = [sys.executable, "-m", "nserver_emu"]
-LONG = "import sys\nfrom nclient.common import process as outputs\ntry:\n    print('x' * {size}, flush={flush})\n    sys.stdout.flush()\n"
+LONG = (
+    "import sys\nfrom nclient.common import process as outputs\n"
+    "try:\n    print('x' * {size}, flush={flush})\n    sys.stdout.flush()\n"
+)
 TOLD = LONG + "except OSError as error:\n    sys.exit(outputs.ended_by(error, 'try'))\n"
 FULL = "stdout: cannot be written: No space left on device; make room on that disk, or name a file on another\n"
 

@@ -1,4 +1,4 @@
-"""What can be done at the page, by pointer and by key, and that clients of the same daemon see it."""
+"""Actions at the page, by pointer and by keyboard, and their effect on clients of the same server."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser
 
-from tests.integration.viewer.browsing import Opened, nserver, opened
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
 from worlds.files import load_world
 
 
-def drag(page: Opened, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """With the tool in force, from one place of the world to another."""
+def drag(page: OpenPage, start: tuple[float, float], end: tuple[float, float]) -> None:
+    """Drag with the active tool from one point of the world to another."""
     page.page.mouse.move(*page.at(*start))
     page.page.mouse.down()
     page.page.mouse.move(*page.at(*end), steps=4)
     page.page.mouse.up()
 
 
-def test_an_obstacle_drawn_by_pointer_is_heard_by_the_sonar_of_a_client(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_obstacle_drawn_by_pointer_changes_sonar(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         assert robot.refresh().sonars_in[0] == 93
         page.page.click("#tool-add")
         drag(page, (50, -8), (60, 8))
@@ -44,8 +44,8 @@ def test_an_obstacle_drawn_by_pointer_is_heard_by_the_sonar_of_a_client(browser:
                 page.wait(f"Math.abs(nserver.scene.world.obstacles[0].corners[0][0] + 5 - {middle}) < 1")
 
 
-def test_an_obstacle_of_any_corners_by_clicks_and_by_keyboard(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_obstacle_by_clicks_and_by_keyboard(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.click("#tool-add")
         for corner in ((40, 40), (60, 40), (50, 60), (40, 40)):
             page.page.mouse.click(*page.at(*corner))
@@ -57,15 +57,15 @@ def test_an_obstacle_of_any_corners_by_clicks_and_by_keyboard(browser: Browser) 
         page.wait("nserver.scene.world.obstacles.length === 2")
         page.page.fill("#corners", "70,70 80")
         page.page.click("#add-corners")
-        assert "corners are such as" in page.page.inner_text("#notice")
+        assert "Corners must be pairs" in page.page.inner_text("#notice")
         page.page.fill("#corners", "-5,-5 5,-5 5,5")
         page.page.click("#add-corners")
         page.wait("document.querySelector('#notice').innerText.includes('not possible there') "
                   "|| document.querySelector('#notice').innerText.includes('range of values')")
 
 
-def test_a_robot_is_dragged_turned_and_placed_in_numbers(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_robot_is_dragged_turned_and_placed(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         page.page.click("#tool-place")
         drag(page, (3, 2), (43, 32))
         page.wait("Math.abs(nserver.scene.robots['1'].actual[0] - 40) < 1")
@@ -82,8 +82,8 @@ def test_a_robot_is_dragged_turned_and_placed_in_numbers(browser: Browser) -> No
         assert robot.truth().x_in == pytest.approx(20)
 
 
-def test_keys_drive_while_they_are_held_and_the_stop_button_stops(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_keys_drive_while_pressed_and_stop_button_stops(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         page.page.focus("#pad")
         page.page.keyboard.down("w")
         page.wait("nserver.scene.robots['1'].state[38] === 100")
@@ -97,7 +97,7 @@ def test_keys_drive_while_they_are_held_and_the_stop_button_stops(browser: Brows
         page.page.click("#stop")
         page.wait("nserver.scene.robots['1'].state[41] === 0")
         page.page.click("#release")
-        page.wait("document.querySelector('#held').hidden")
+        page.wait("document.querySelector('#estop-banner').hidden")
         robot.drive(steering_rad_s=0.5)
         page.wait("nserver.scene.robots['1'].state[41] !== 0")
         page.page.focus("#map")
@@ -105,8 +105,8 @@ def test_keys_drive_while_they_are_held_and_the_stop_button_stops(browser: Brows
         page.wait("nserver.scene.robots['1'].state[41] === 0")
 
 
-def test_the_knob_drives_and_a_page_that_dies_lets_go(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_closing_the_page_stops_driving(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         box = page.page.locator("#pad").bounding_box()
         assert box is not None
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -120,17 +120,17 @@ def test_the_knob_drives_and_a_page_that_dies_lets_go(browser: Browser) -> None:
 
 
 @pytest.mark.parametrize("by_keyboard", [False, True])
-def test_get_robot_conf_is_answered_by_a_click(browser: Browser, by_keyboard: bool) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_get_robot_conf_gets_pose_from_page(browser: Browser, by_keyboard: bool) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         found: list[Any] = []
         asking = threading.Thread(target=lambda: found.append(robot.ask_pose()), daemon=True)
         asking.start()
-        page.wait("document.querySelector('#asked').innerText.includes('asks for a pose')")
-        if by_keyboard:  # it is said for as long as the program waits, whatever is done meanwhile
+        page.wait("document.querySelector('#pose-request').innerText.includes('requests a pose')")
+        if by_keyboard:  # the request is shown as long as the program waits
             page.page.click("#tool-pan")
             page.page.click("#stop")
             page.page.wait_for_timeout(200)
-            assert page.page.is_visible("#asked")
+            assert page.page.is_visible("#pose-request")
         if by_keyboard:
             page.page.fill("#window-drive input[step='any'] >> nth=0", "50")
             page.page.fill("#window-drive input[step='any'] >> nth=1", "20")
@@ -142,11 +142,11 @@ def test_get_robot_conf_is_answered_by_a_click(browser: Browser, by_keyboard: bo
         (pose,) = found
         assert (pose.x_in, pose.y_in) == pytest.approx((50, 20), abs=0.5)
         assert pose.steering_rad == pytest.approx(0 if by_keyboard else math.pi / 2, abs=0.02)
-        page.wait("document.querySelector('#asked').hidden && nserver.toolName === 'pan'")
+        page.wait("document.querySelector('#pose-request').hidden && nserver.toolName === 'pan'")
 
 
-def test_time_is_paused_stepped_and_made_faster_and_faults_are_switched(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_pause_step_speed_and_faults(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.click("#pause")
         page.wait("nserver.scene.paused")
         before = page.value("nserver.scene.time_s")
@@ -156,14 +156,14 @@ def test_time_is_paused_stepped_and_made_faster_and_faults_are_switched(browser:
         page.page.fill("#factor", "5")
         page.page.press("#factor", "Tab")
         page.wait("nserver.scene.speed === 5 && !nserver.scene.paused")
-        page.page.click("text=Faults on purpose")
-        page.page.fill("#faults", '[[rule]]\nkind = "nothing there is called so"\n')
+        page.page.click("text=Fault injection")
+        page.page.fill("#faults", '[[rule]]\nkind = "unknown"\n')
         page.page.click("#faults-set")
         page.wait("document.querySelector('#notice').innerText.includes('the page')")
 
 
-def test_a_saved_world_loads_again_and_its_obstacles_too(browser: Browser, tmp_path: Path) -> None:
-    with nserver("centre_vertex") as program, opened(browser, program.url) as page:
+def test_saved_world_can_be_loaded(browser: Browser, tmp_path: Path) -> None:
+    with nserver("centre_vertex") as program, open_page(browser, program.url) as page:
         page.page.fill("#corners", "70,70 80,70 80,80")
         page.page.click("#add-corners")
         page.wait("nserver.scene.world.obstacles.some((thing) => thing.corners[0][0] === 70)")
@@ -182,11 +182,11 @@ def test_a_saved_world_loads_again_and_its_obstacles_too(browser: Browser, tmp_p
     assert again.starts == original.starts
 
 
-def test_a_link_that_only_looks_shows_nothing_to_do(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_read_only_page_has_no_controls(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         watch = program.url.split("token=")[0] + "token=" + page.value("nserver.watchToken")
-        with opened(browser, watch) as other:
-            other.wait("document.body.classList.contains('only-looks')")
+        with open_page(browser, watch) as other:
+            other.wait("document.body.classList.contains('read-only')")
             assert not other.page.is_visible("#stop")
             assert not other.page.is_visible("#window-drive")
             assert other.page.is_visible("#window-robot")

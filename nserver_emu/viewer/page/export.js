@@ -1,52 +1,51 @@
-// Pictures to keep: the map as PNG and SVG, and the run as one HTML file that replays without a server.
+// Exports: the map as PNG or SVG, and the run as one HTML file that replays without a server.
 //
-// The run is what came over the link since the page was opened, the last MOST_KEPT messages of it and the last MOST_SIZE
-// characters; what was before them is folded into one whole picture that it begins with. Where the link was lost there is
-// a gap in it, and then a whole picture. The file holds this page's own modules, style and run.
+// A run contains the messages received since the page was opened, at most MAX_MESSAGES and MAX_SIZE characters. Older
+// ones are merged into the complete picture with which it begins. It has a gap where the connection was lost, followed by a
+// complete picture. The HTML file contains the modules and the style of this page and the run.
 
-import { download } from './parts.js';
+import { download } from './widgets.js';
 import { drawScene } from './draw.js';
-import { SvgPen } from './svg.js';
-import { drawnOn, beamsOn } from './scene.js';
-import { graphicsToSvg } from './svg_graphics.js';
+import { SvgPen, graphicsToSvg } from './svg.js';
+import { updateShapes, updateBeams, MAX_TRACE_NUMBERS } from './scene.js';
 
-const KEPT = ['picture', 'localization', 'waypoints'];
-const MOST_KEPT = 24000, MOST_SIZE = 60e6, MOST_TRACE_NUMBERS = 8000, MODULE = /(from|import) '\.\/([\w]+\.js)'/g;
+const SAVED_TYPES = ['picture', 'localization', 'waypoints'];
+const MAX_MESSAGES = 24000, MAX_SIZE = 60e6, MODULE = /(from|import) '\.\/([\w]+\.js)'/g;
 
 export function newRun() { return { base: null, messages: [], sizes: [], size: 0 }; }
 
-export function keepMessage(run, message, size = 0, most = { kept: MOST_KEPT, size: MOST_SIZE }) {
-  if (!KEPT.includes(message.type)) return;
+export function recordMessage(run, message, size = 0, max = { messages: MAX_MESSAGES, size: MAX_SIZE }) {
+  if (!SAVED_TYPES.includes(message.type)) return;
   if (!run.base) { if (message.since === 0) run.base = message; return; }
   run.messages.push(message);
   run.sizes.push(size);
   run.size += size;
-  while (run.messages.length > most.kept || (run.size > most.size && run.messages.length > 1)) {
+  while (run.messages.length > max.messages || (run.size > max.size && run.messages.length > 1)) {
     const oldest = run.messages.shift();
     run.size -= run.sizes.shift();
-    if (oldest.type === 'picture') run.base = folded(run.base, oldest);
+    if (oldest.type === 'picture') run.base = mergePictures(run.base, oldest);
   }
 }
 
-// How much simulated time a run holds, in words.
+// Return the simulated time that a run covers, as text.
 export function runLength(run) {
   const last = run.messages.findLast((message) => message.type === 'picture');
-  return `${run.base && last ? Math.max(last.time_s - run.base.time_s, 0).toFixed(0) : 0} s of it`;
+  return `${run.base && last ? Math.max(last.time_s - run.base.time_s, 0).toFixed(0) : 0} s`;
 }
 
-// The whole picture that a whole one and the next make.
-export function folded(base, picture) {
+// Return the complete picture that a complete one and the next update make.
+export function mergePictures(base, picture) {
   if (picture.since === 0) return picture;
   const traces = { ...base.traces };
   for (const [id, both] of Object.entries(picture.traces ?? {})) {
     traces[id] = Object.fromEntries(['actual', 'encoder'].map((name) => {
       const points = [...(traces[id]?.[name].points ?? []), ...both[name].points];
-      return [name, { gone: both[name].gone, points: points.slice(-MOST_TRACE_NUMBERS) }];
+      return [name, { gone: both[name].gone, points: points.slice(-MAX_TRACE_NUMBERS) }];
     }));
   }
   const { drawn, ...rest } = picture;
-  const graphics = drawn ? drawnOn(base.graphics, drawn) : rest.graphics ?? base.graphics;
-  return { ...base, ...rest, since: 0, traces, graphics, beams: beamsOn(base.beams, picture.beams) };
+  const graphics = drawn ? updateShapes(base.graphics, drawn) : rest.graphics ?? base.graphics;
+  return { ...base, ...rest, since: 0, traces, graphics, beams: updateBeams(base.beams, picture.beams) };
 }
 
 export function savePng(app) {
@@ -64,6 +63,7 @@ export function saveSvg(app) { download('map.svg', 'image/svg+xml', svgOf(app));
 
 export async function saveRun(app) {
   const text = async (address) => (await fetch(address)).text();
+  // 1. Collect all modules of the page, with import paths that an import map resolves.
   const modules = new Map();
   const gather = async (name) => {
     if (modules.has(name)) return;
@@ -75,6 +75,7 @@ export async function saveRun(app) {
   await gather('main.js');
   const imports = Object.fromEntries([...modules].map(([name, source]) =>
     [`nserver/${name}`, `data:text/javascript;charset=utf-8,${encodeURIComponent(source)}`]));
+  // 2. Put modules, style and run into the page. A '<' in the data must not end the script element.
   const safe = (value) => JSON.stringify(value).replace(/</g, '\\u003c');
   const page = await text('/'), style = await text('/page/style.css');
   const whole = page

@@ -1,28 +1,28 @@
-// Small parts the windows are made of: tables of names and texts, canvases that are crisp, labelled buttons and fields.
+// Building blocks of the windows: tables, canvases at screen resolution, labelled buttons and fields.
 
 import { unitIn, unitName } from './units.js';
 
 export function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
+  const node = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith('on')) made.addEventListener(name.slice(2), value);
-    else if (name in made && name !== 'list' && name !== 'style') made[name] = value;
-    else if (name === 'style') made.style.cssText = value;
-    else made.setAttribute(name, value);
+    if (name.startsWith('on')) node.addEventListener(name.slice(2), value);
+    else if (name in node && name !== 'list' && name !== 'style') node[name] = value;
+    else if (name === 'style') node.style.cssText = value;
+    else node.setAttribute(name, value);
   }
-  made.append(...children);
-  return made;
+  node.append(...children);
+  return node;
 }
 
 export function table(box, label) {
   const rows = element('tbody');
-  const made = element('table', {}, rows);
-  made.setAttribute('aria-label', label);
-  box.append(made);
+  const node = element('table', {}, rows);
+  node.setAttribute('aria-label', label);
+  box.append(node);
   return rows;
 }
 
-// Puts a text into the row of that name, which is made when it is first wanted; nothing is touched that stays.
+// Set the text of the row with the given name, adding the row first if needed. Unchanged texts are not touched.
 export function cell(rows, name, text) {
   rows.cells ??= new Map();
   if (!rows.cells.has(name)) {
@@ -34,7 +34,8 @@ export function cell(rows, name, text) {
   if (value.textContent !== text) value.textContent = text;
 }
 
-// The pen of a canvas as wide as its place, drawn in CSS pixels and crisp on a dense screen; null while it is hidden.
+// Return the 2D context of a canvas resized to its element: units are CSS pixels, the resolution is that of the screen.
+// `ratio` is height / width, by default that of the element. Return null while the canvas is hidden.
 export function sizedPen(canvas, ratio) {
   const width = canvas.clientWidth, density = window.devicePixelRatio || 1;
   const height = ratio ? Math.round(width * ratio) : canvas.clientHeight;
@@ -60,10 +61,10 @@ export function field(text, attributes = {}) {
   return { input, label: element('label', {}, text, input) };
 }
 
-// A field for a length, shown in the page's unit; `inches` is read and set in inches whatever that is.
+// A field for a length, shown in the unit of the page; `inches` gets and sets the value in inches.
 export function lengthField(app, text, inches, attributes = {}, per = '') {
   const name = document.createTextNode(''), input = element('input', { type: 'number', step: 'any', ...attributes });
-  const made = {
+  const node = {
     input, label: element('label', {}, name, input),
     get inches() { return Number(input.value) * unitIn(app.metric); },
     set inches(value) { input.value = String(Math.round(value / unitIn(app.metric) * 100) / 100); },
@@ -73,25 +74,26 @@ export function lengthField(app, text, inches, attributes = {}, per = '') {
   app.onUnits(() => {
     const now = Number(input.value) * unitIn(metric);
     metric = app.metric;
-    made.inches = now;
+    node.inches = now;
     relabel();
   });
-  made.inches = inches;
+  node.inches = inches;
   relabel();
-  return made;
+  return node;
 }
 
-// A form whose Enter does the same as its button.
+// A form: Enter does the same as its button.
 export function form(submit, ...children) {
   return element('form', { onsubmit: (event) => { event.preventDefault(); submit(); } }, ...children);
 }
 
+// A selection list; offer(names, selected) updates its options, unless the user is just using it.
 export function choice(text, attributes, change) {
   const select = element('select', { ...attributes, onchange: () => change(select.value) });
-  const offer = (names, now) => {
+  const offer = (names, selected) => {
     if (select.dataset.names !== names.join()) select.replaceChildren(...names.map((name) => element('option', { value: name }, name)));
     select.dataset.names = names.join();
-    if (document.activeElement !== select) select.value = now;
+    if (document.activeElement !== select) select.value = selected;
   };
   return { select, label: element('label', {}, text, select), offer };
 }
