@@ -13,7 +13,7 @@ from typing import Any
 
 from fuzz.mutating import bytes_changed, either, tree_changed
 from fuzz.reader import Reader
-from localization.live.publish import waypoints_in
+from localization.live.publish import parse_answer
 from nclient.errors import ControlError
 from nserver_emu.control.cli import said_in, shown
 from nserver_emu.control.commands import COMMANDS, answer_line
@@ -149,7 +149,7 @@ _TREE = either(tree_changed, tree_changed, tree_changed, bytes_changed)
 READERS = (
     Reader("viewer_messages", "what a page says", _text(_message), (BadMessage,), _message_seeds, _TREE),
     Reader("published", "what a localizer publishes", _text(_published), (BadMessage,), _published_seeds, _TREE),
-    Reader("publish_answers", "what a page answers to it", waypoints_in, (ValueError,),
+    Reader("publish_answers", "what a page answers to it", parse_answer, (ValueError,),
            lambda: [b'{"waypoints": [[1, 2], [3.5, 4]], "set": 2}', b'{"waypoints": null, "set": 0}'], _TREE,
            longest=1024),
     Reader("control_answers", "what nserver ctl is answered", _answer, (ControlError,), _answer_seeds, _TREE,

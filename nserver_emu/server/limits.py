@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 from nclient.common.idle import SILENT_S
 from nclient.protocol.tcp_framing import MAX_UNKNOWN_WORDS
 from nclient.recording.format import LONGEST_LINE
-from worlds.texts import MOST_BYTES
+from worlds.schema import MOST_BYTES
 
 _LIMIT: Final = "limit"
 FOR_A_PAGE: Final = 7

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import __main__, lost_command, plan_command
-from localization.experiments import live_command as live
+from localization.experiments import __main__, live
+from localization.experiments import lost as lost_command
+from localization.experiments import plan as plan_command
+from localization.experiments.figure_trial import FIGURES
 from localization.experiments.results import Summary
-from localization.experiments.trial import FIGURES
 
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
