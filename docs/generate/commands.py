@@ -1,8 +1,6 @@
-"""docs/commands.md: what each command does on each model, asked of the emulator itself, row by row of THE table.
+"""Generate the table of docs/commands.md: the effect of each command on each model, by calling the emulator.
 
-    python -m nserver_emu.server.handlers.command_table > docs/commands.md          (scripts/command-table does that)
-
-Rules: no cell is written by hand. A command is asked once with plain arguments of a robot that stands free.
+Each command is called once, with plain arguments, on a robot that stands in free space.
 """
 
 from __future__ import annotations
@@ -39,34 +37,10 @@ _EXAMPLES: Final[dict[str, tuple[Any, ...]]] = {
     "sim_control": (1, 0),
     "conf_sn": (15, *range(16)),
 }
-"""Arguments where zeros would not do."""
-
-_HEAD: Final = """\
-# Commands
-
-What `nserver` answers to each command over TCP, by model of the robot. Made by `scripts/command-table`, which asks
-the emulator; a test asks it again, row by row.
-
-- **yes** answered, with its effect
-- **no effect** answered and without effect: accelerations in the `ideal` setup, as the original documents, where axes
-  jump to their speed (they ramp in the others); having something redrawn, for what there is to see is always as of now
-  and nothing is erased (the server counts how often each layer was asked for)
-- **error 4** refused: this model does not have it, or nothing stands behind it
-- **if allowed** refused with error 5 unless the server was started to allow it (`--allow-control`, `--allow-quit`)
-- **—** does not exist over TCP
-
-The column *own line* names the models on whose own serial line the command exists.
-
-The table is of simulated robots. Behind `nserver --real ADDRESS` commands about the robot go to the real one: what its
-own line lacks is error 4, `real_robot` and `simulated_robot` switch ([Gateway](gateway.md)).
-
-| command | Robot | type | N150 | N200 | Scout | own line | what it does |
-|---|---|---|---|---|---|---|---|
-"""
-
+"""Arguments of commands for which zeros are invalid."""
 
 class Support(StrEnum):
-    """What a command gets on a model."""
+    """The reply to a command on a model."""
 
     SUPPORTED = "yes"
     NO_EFFECT = "no effect"
@@ -77,12 +51,12 @@ class Support(StrEnum):
 
 
 def examples(row: Command) -> tuple[Any, ...]:
-    """Arguments of a call that a robot which has the command takes."""
+    """Return valid arguments for a command."""
     return _EXAMPLES.get(row.name, (0,) * len(row.arguments))
 
 
 def support(row: Command, model: str, emulator: Emulator | None = None) -> Support:
-    """What the emulator does at this command with a robot of this model, in its ideal setup."""
+    """Return what the emulator does for this command on a robot of this model, in the ideal setup."""
     if row.tcp_type is None:
         return Support.NOT_OVER_TCP
     asked = emulator or _emulator(model, Allowed())
@@ -98,7 +72,9 @@ def support(row: Command, model: str, emulator: Emulator | None = None) -> Suppo
 
 
 def rows() -> Iterator[str]:
-    """The lines of the table."""
+    """Yield the lines of the table."""
+    yield "| command | Robot | type | N150 | N200 | Scout | serial line | effect |"
+    yield "|---|---|---|---|---|---|---|---|"
     for row in COMMANDS:
         cells = [support(row, model).value for model in MODEL_NAMES]
         line = "all" if row.line_models == ALL else ", ".join(sorted(name.title() for name in row.line_models))
@@ -107,13 +83,13 @@ def rows() -> Iterator[str]:
         yield f"| `{row.name}` | `{row.method}` | {number} | {' | '.join(cells)} | {line} | {row.summary} |"
 
 
-def markdown() -> str:
-    """The whole document."""
-    return _HEAD + "".join(f"{row}\n" for row in rows())
+def blocks() -> dict[str, Iterator[str]]:
+    """Return the table of the page."""
+    return {"commands": rows()}
 
 
 def _emulator(model: str, allowed: Allowed) -> Emulator:
-    """One robot of this model, free, and the triangle that the examples speak of."""
+    """Return an emulator with one robot of this model and the obstacle that the examples use."""
     simulation = Simulation(load_world("thesis_room"))
     simulation.add_robot(1, None, MODELS[model], IDEAL)
     made = Emulator(simulation, allowed=allowed)
@@ -123,7 +99,3 @@ def _emulator(model: str, allowed: Allowed) -> Emulator:
 
 def _ramps(emulator: Emulator) -> bool:
     return emulator.simulation.robots[1].setup.ramps
-
-
-if __name__ == "__main__":
-    print(markdown(), end="")

@@ -1,8 +1,6 @@
-"""docs/protocol.md: the bytes of every command in both languages, read off THE table.
+"""Generate docs/protocol.md: the bytes of every command in both protocols, from the command table.
 
-    python -m nclient.protocol.wire_page > docs/protocol.md          (scripts/protocol-page does that)
-
-Rules: no row is written by hand. A layout that has no words here is a KeyError, and not a guess.
+A message layout without a description here raises a KeyError.
 """
 
 from __future__ import annotations
@@ -56,8 +54,8 @@ _SIZES: Final[dict[int, str]] = {
 }  # fmt: skip
 _PACKET: Final = "length (low, high), serial, type"
 _WHOLE: Final[tuple[tuple[type[Construct], str], ...]] = (
-    (TcpMask, "7 bytes of the mask, one a word"), (LineMask, "7 bytes of the mask"),
-    (TextWords, "text, four characters a word, the first lowest; NUL"), (LineText, "text, NUL"),
+    (TcpMask, "7 bytes of the mask, one per word"), (LineMask, "7 bytes of the mask"),
+    (TextWords, "text, four characters per word, the first lowest; NUL"), (LineText, "text, NUL"),
     (MotionWords, "type; a line: x1 y1 x2 y2, 3 unused; an arc: x1 y1 angle1 angle2 radius xc yc "
                   "(lengths x 100, angles in rad x 10^6)"),
     (UserPacket, f"{_PACKET}, bytes"),
@@ -76,58 +74,25 @@ _READERS: Final[dict[type[Construct], Callable[[Any], str]]] = {
     GreedyRange: lambda _: "bytes",
 }
 _NAMED: Final = {"clock": "clock", "volts": "volts (CPU, motors)"}
-_HEAD: Final = """\
-# Protocol
-
-What goes over the wire for each command, in both languages. Made by `scripts/protocol-page` from the one table,
-`nclient/protocol/commands.py`, which client, emulator and C library read too. What a command does, and on which model:
-[Commands](commands.md). Lengths are in 1/10 inch, angles in 1/10 degree, counter-clockwise positive, rates per second.
-
-## Frames
-
-| | an Nserver, over TCP (port 7019) | a robot's own line (serial 38400 8N1, or TCP port 65001) |
-|---|---|---|
-| a frame | type, count (16 bits each), words; high byte first | 01, length (low, high), type, data, checksum, 5C |
-| a number | a word: 32 bits, two's complement | u8, u16, u32, s16, s32: low byte first, top bit of s is the sign |
-| length | in words | of type, data and checksum |
-| checksum | none | the sum of all bytes before it, the 01 included, modulo 256 |
-| an answer | the next frame of the connection | a frame of the command's own type; type 8, NAK, is a refusal |
-| an error | type 91, one word: the code | NAK, or silence |
-
-`nomad wire encode` and `nomad wire decode` make and read frames of both:
-
-```sh
-nomad wire encode vm 100 -50 0
-nomad wire encode vm 100 -50 0 --line serial --model n150
-```
-
-State[a..b] are the numbers of the state vector: 1..16 infrareds, 17..32 sonars, 33 bumpers, 34..37 x, y, steering,
-turret, 38..40 velocities, 41 motors, 42 laser mode, 43 compass. On a robot's own line a state holds what the mask
-allows, and signed numbers are sign and magnitude: -50 is 32 80. [stamps] are there where position data are asked for:
-nine numbers a sensor, x, y, steering, turret, three velocities, time of the pose, time of the sensor. *laser* is a
-count n and n readings of 1, 2 or 4 numbers, by the laser's mode.
-"""
-
-
-def markdown() -> str:
-    """The whole page."""
-    return "\n".join((_HEAD, *_over_tcp(), "", *_on_the_line(), "")).rstrip() + "\n"
+def blocks() -> dict[str, Iterator[str]]:
+    """Return the tables of the page."""
+    return {"tcp": _over_tcp(), "serial": _on_serial_line()}
 
 
 def _over_tcp() -> Iterator[str]:
-    yield from ("## Over TCP", "", f"A *state* is {_layout(STATE)}.", "")
-    yield from ("| command | type | request, in words | answer | its type |", "|---|---|---|---|---|")
+    yield from (f"A *state* is {_layout(STATE)}.", "")
+    yield from ("| command | type | request, in words | reply | its type |", "|---|---|---|---|---|")
     for row in COMMANDS:
         if row.tcp_type is not None:
-            answer, number = ("none", "—")
+            reply, number = ("none", "—")
             if row.has_tcp_reply:
-                answer, number = _reply(row.tcp_reply), str(REPLY_TYPES[row.tcp_reply])
-            yield f"| `{row.name}` | {row.tcp_type} | {_request(row, tcp=True)} | {answer} | {number} |"
+                reply, number = _reply(row.tcp_reply), str(REPLY_TYPES[row.tcp_reply])
+            yield f"| `{row.name}` | {row.tcp_type} | {_request(row, tcp=True)} | {reply} | {number} |"
 
 
-def _on_the_line() -> Iterator[str]:
-    yield from ("## On a robot's own line", "", f"A *state* is {_layout(LINE_STATE)}.", "")
-    yield "| command | type | of | request | answer | wait, s |"
+def _on_serial_line() -> Iterator[str]:
+    yield from (f"A *state* is {_layout(LINE_STATE)}.", "")
+    yield "| command | type | models | request | reply | timeout, s |"
     yield "|---|---|---|---|---|---|"
     for row in COMMANDS:
         if row.line_type is not None:
@@ -139,23 +104,23 @@ def _on_the_line() -> Iterator[str]:
 def _request(row: Command, *, tcp: bool) -> str:
     layout = row.tcp_request if tcp else row.line_request
     if isinstance(layout, ByteWords):
-        layout, one = row.line_request, "; one byte a word"
+        layout, suffix = row.line_request, "; one byte per word"
     else:
-        one = ""
+        suffix = ""
     if isinstance(layout, ArmPacket):
         fields = [_SIZES[id(field)] for field in layout.subcon.subcon.subcons[3:-1]]  # head before, end behind
         data = ", ".join(f"{a.name} {size}" for a, size in zip(row.arguments, fields, strict=True))
-        return f"{_PACKET} {row.packet_type}, {data}{one}"
+        return f"{_PACKET} {row.packet_type}, {data}{suffix}"
     if isinstance(layout, ObstacleWords):
         return "n, x1, y1 .. xn, yn" + (", dx, dy" if layout.tail else "")
     for kind, words in _WHOLE:
         if isinstance(layout, kind):
-            return words + one
+            return words + suffix
     return ", ".join(_arguments(row.arguments, tcp)) or "—"
 
 
 def _arguments(arguments: tuple[Argument, ...], tcp: bool) -> Iterator[str]:
-    """order_0 to order_15 are one, order[16]; on a line each with its size."""
+    """Yield the argument names; order_0 to order_15 become order[16]. On a serial line the size is appended."""
     for name, same in groupby(arguments, key=lambda argument: re.sub(r"_\d+$", "", argument.name)):
         each = list(same)
         size = "" if tcp else f" {_SIZES[id(each[0].line)]}"
@@ -182,7 +147,3 @@ def _run(run: Any) -> str:
 
 def _times(count: int, what: str) -> str:
     return what if count == 1 else f"{count} x {what}" if what != "word" else f"{count} words"
-
-
-if __name__ == "__main__":
-    print(markdown(), end="")

@@ -1,7 +1,5 @@
 """Generate clib/src/commands.inc, the command table of the C library.
 
-    python -m nclient.protocol.c_table > clib/src/commands.inc          (scripts/clib-table does that)
-
     ROW(ID, name, TCP type, line type, TCP arguments, line arguments, TCP reply, line reply, models, s, packet, data)
 
 Commands that the table cannot express raise a KeyError here. clib/src/table.h explains the letters of the arguments.
@@ -64,7 +62,7 @@ _HEAD: Final = """\
 """
 
 
-def written() -> str:
+def table() -> str:
     """Return the text of commands.inc."""
     return _HEAD + "".join(f"{_row(row)}\n" for row in COMMANDS)
 
@@ -103,7 +101,3 @@ def _number(value: int | None) -> str:
 
 def _text(value: str) -> str:
     return f'"{value}"'
-
-
-if __name__ == "__main__":
-    print(written(), end="")
