@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from wire_client import ORIGIN, simulation
 
-from fuzz.page import House as QuietHouse
+from fuzz.messages import FakeServer
 from nclient.faults.kinds import Drop
 from nclient.faults.plan import Direction, Plan, Rule
 from nclient.faults.plan_file import plan_text
@@ -25,7 +25,7 @@ from worlds.files import parse_world
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
 
-class House(QuietHouse):
+class House(FakeServer):
     """A daemon without a socket, that remembers what it was told."""
 
     def __init__(self, pace: Pace | None = None) -> None:
