@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from localization.experiments.live.scenario import SCENARIOS, START_STD, Scenario
+from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Floats, difference, independent
 from localization.filters.odometry import pose_of
@@ -24,7 +24,7 @@ from localization.filters.registry import METHODS, make
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule
 from nclient import connect
-from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
+from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from worlds.bodies import N150
 from worlds.files import load_world
 

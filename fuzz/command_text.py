@@ -10,15 +10,15 @@ import functools
 
 from fuzz.mutation import any_of, mutate_bytes, word_mutator
 from fuzz.reader import Reader
-from nclient import access
 from nclient.address import Address
+from nclient.cli.shell_help import OWN
+from nclient.cli.shell_session import Session
+from nclient.common import allowlist
 from nclient.connect import open_backend
 from nclient.errors import AddressError, FaultPlanError, ShellError, StartError, WireError, WorldFileError
 from nclient.protocol.commands import COMMANDS
 from nclient.schemes import OPTIONS, Wanted, opening_of
-from nclient.shell.own_words import OWN
-from nclient.shell.session import Session
-from nserver_emu.server.in_process import open_address
+from nserver_emu.server.inprocess import open_address
 
 _SHELL = (
     "pr 240 0 0; wait", "vm(10, -20, 0)", "ct", "Smask[17] = 0", "State[34]", "Laser", "help vm", 'tk "hello there"',
@@ -63,16 +63,16 @@ def _simulation(data: bytes) -> None:
 @functools.cache
 def _allow_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(exit_on_error=False)
-    access.add_options(parser)
+    allowlist.add_options(parser)
     return parser
 
 
 def _network(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
-    access.is_loopback(text)
-    allowed = access.access_of(_allow_parser().parse_args([f"--allow={text}"]))
+    allowlist.is_loopback(text)
+    allowed = allowlist.access_of(_allow_parser().parse_args([f"--allow={text}"]))
     allowed.admits("192.168.1.7")
-    access.warning("0.0.0.0", allowed)
+    allowlist.warning("0.0.0.0", allowed)
 
 
 def _encode(lines: tuple[str, ...], head: bytes = b"") -> list[bytes]:

@@ -13,14 +13,14 @@ from typing import Any
 
 from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader
-from localization.command_line.publishing import waypoints_in
+from localization.live.publish import waypoints_in
 from nclient.errors import ControlError
-from nserver_emu.ctl_answers import said_in, shown
-from nserver_emu.server.control.control import COMMANDS, answer_line
-from nserver_emu.server.in_process import open_address
-from nserver_emu.server.ports.fault_desk import FaultDesk
+from nserver_emu.control.cli import said_in, shown
+from nserver_emu.control.commands import COMMANDS, answer_line
+from nserver_emu.server.inprocess import open_address
+from nserver_emu.server.link import FaultDesk
 from nserver_emu.viewer.localization import published
-from nserver_emu.viewer.protocol import CALLS, CONTROLS, BadMessage, from_page
+from nserver_emu.viewer.messages import CALLS, CONTROLS, BadMessage, from_page
 
 _PLAN = 'seed = 1\n[[rule]]\ndo = "drop"\nevery = 10\n'
 _WORLD = "[[wall]]\npoints_in = [[-90, -90], [90, -90]]\n"

@@ -14,25 +14,23 @@ from typing import Any, Final
 
 from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader, input_file
-from localization.keeping import kept_file
+from localization.live import saved_estimate
 from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
+from nclient.protocol.codec import line_request, tcp_request
 from nclient.protocol.commands import Call
-from nclient.protocol.language import line_request, tcp_request
-from nclient.protocol.models import MODELS
-from nclient.protocol.terms import line_terms
-from nclient.recording.follower import TCP, Follower
-from nclient.recording.log import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
-from nclient.recording.player import LOOSE, Player
+from nclient.protocol.types import MODELS
+from nclient.protocol.wire_state import line_terms
+from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
 from nclient.recording.readable import lines_of
-from nclient.recording.script import script_of, state_before
-from nserver_emu.server.conversation.session import Session
-from nserver_emu.server.in_process import open_address
-from nserver_emu.server.keeping import snapshot
-from nserver_emu.server.keeping.recording import Beginning, header
-from nserver_emu.server.keeping.replay import replay
-from nserver_emu.server.setting_up.setting import Setting
-from nserver_emu.server.stage.pace import Pace
-from nserver_emu.server.stage.stage import Allowed
+from nclient.recording.recorder import TCP, Follower
+from nclient.recording.replayer import LOOSE, Player, script_of, state_before
+from nserver_emu.persistence import snapshot
+from nserver_emu.persistence.recording import Beginning, header
+from nserver_emu.persistence.replay import replay
+from nserver_emu.server.config import Setting
+from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.inprocess import open_address
+from nserver_emu.server.session import Session
 
 MAX_STEPS: Final = 100
 """Time steps, or seconds, that a recording may contain; more would exceed the time limit of an input."""
@@ -141,7 +139,7 @@ def _snapshot_seeds() -> list[bytes]:
 
 def _estimate_seeds() -> list[bytes]:
     values = {
-        "format": kept_file.FORMAT, "world": "thesis_room", "walls": "x", "body": "n150", "clock_s": 3.5,
+        "format": saved_estimate.FORMAT, "world": "thesis_room", "walls": "x", "body": "n150", "clock_s": 3.5,
         "encoders": [1.0, 2.0, 0.5], "turret_rad": 0.1, "mean": [1.0, 2.0, 0.5],
         "cov": [[1.0, 0.1, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 0.1]],
     }  # fmt: skip
@@ -157,6 +155,6 @@ READERS = (
     Reader("replays", "recordings, replayed with --replay", _replay, (NomadError,), _server_seeds, _TREE,
            max_size=16384),
     Reader("snapshots", "saved simulations", _snapshot, (SnapshotError,), _snapshot_seeds, _TREE, max_size=32768),
-    Reader("saved_estimates", "saved estimates (--resume)", lambda data: kept_file.load(input_file(data, ".json")),
+    Reader("saved_estimates", "saved estimates (--resume)", lambda data: saved_estimate.load(input_file(data, ".json")),
            (EstimateFileError,), _estimate_seeds, _TREE),
 )  # fmt: skip

@@ -11,14 +11,12 @@ from pathlib import Path
 
 from fuzz.mutation import any_of, mutate_bytes, word_mutator
 from fuzz.reader import Reader, input_file
-from localization.missions.files import load_mission
+from localization.missions.steps import load_mission
 from nclient.errors import FaultPlanError, MissionFileError, SetupFileError, WorldFileError
-from nclient.faults.kinds import KINDS
-from nclient.faults.plan_file import load_plan, parse_plan, plan_text
-from nserver_emu.server.setting_up.old_setups import read_setups
-from nserver_emu.simulation.model_files import load_models
-from nserver_emu.simulation.setup_keys import KEYS
-from nserver_emu.simulation.setup_toml import load_setup
+from nclient.faults.plan import KINDS, load_plan, parse_plan, plan_text
+from nserver_emu.legacy_setup import read_setups
+from nserver_emu.simulation.models import load_models
+from nserver_emu.simulation.noise import KEYS, load_setup
 from worlds.calibration import FAULTLESS, calibration_text, load_calibration
 from worlds.files import SHIPPED, load_world
 

@@ -16,25 +16,25 @@ from typing import Any
 
 from fuzz.mutation import after_header, any_of, choose, mutate_bytes, random_below, word_mutator
 from fuzz.reader import Reader
-from nclient.backends.backend import Backend
+from nclient.backends.base import Backend
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import NserverBackend
+from nclient.cli import state_text
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.faults.frames import Frames, LineFrames, TcpFrames
+from nclient.protocol.client_state import HELLO_SIZE, adopt, build_hello, read_hello
 from nclient.protocol.commands import BY_LINE_TYPE, BY_TCP_TYPE, MAX_REPLY_WORDS, NAK_TYPE, Call
-from nclient.protocol.hello import HELLO_SIZE, adopt, build_hello, read_hello
-from nclient.protocol.models import MODELS, N150, N200, SCOUT
-from nclient.protocol.serial_frame import HOST_LIMIT, SerialFramer, build_frame
-from nclient.protocol.tcp_frame import TcpFramer, reply_bounds, request_bounds
-from nclient.protocol.terms import line_terms
-from nclient.protocol.transcript import WIRES, Transcript
-from nclient.recording.follower import LINES, Follower
+from nclient.protocol.decode import WIRES, Transcript
+from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_frame
+from nclient.protocol.tcp_framing import TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.types import MODELS, N150, N200, SCOUT
+from nclient.protocol.wire_state import line_terms
 from nclient.recording.readable import told
+from nclient.recording.recorder import LINES, Follower
 from nclient.robot import Robot
-from nclient.shell import glance
-from nclient.transports.byte_stream import Deadline
-from nserver_emu.server.conversation.line_session import NAK, LineSession
-from nserver_emu.server.conversation.session import Session, Visit, error_reply
+from nclient.transports.stream import Deadline
+from nserver_emu.server.serial_session import NAK, LineSession
+from nserver_emu.server.session import Session, Visit, error_reply
 
 _VECTORS = Path(__file__).parents[1] / "tests" / "vectors"
 _LINE_MODELS = (N150, SCOUT, N200)
@@ -127,7 +127,7 @@ def _make_calls(backend: Backend, first: int) -> None:
             robot.execute(call)
         except RobotRefused:
             continue
-        list(glance.lines(robot.state, ()))
+        list(state_text.lines(robot.state, ()))
 
 
 def _tcp_handshake() -> list[bytes]:

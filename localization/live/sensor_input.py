@@ -34,7 +34,7 @@ import numpy as np
 
 from localization.filters.belief import HEADING, Belief, Floats, add, difference, wrapped
 from localization.filters.odometry import POSE, with_parameters
-from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
+from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from worlds.calibration import FAULTLESS, Calibration
 
 

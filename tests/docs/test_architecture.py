@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from nclient import cli
+from nclient.cli import main
 from nclient.protocol.commands import BY_NAME, COMMANDS
-from nclient.protocol.mask import BUMPER_SLOT
+from nclient.protocol.types import BUMPER_SLOT
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -62,7 +62,7 @@ def test_names_of_a_question_exist(question: str) -> None:
     command for question in QUESTIONS for command in re.findall(r"`(nomad [^`]*(?:-50 0|thesis_room)[^`]*)`", question)
 ])  # fmt: skip
 def test_commands_of_the_questions_run(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(shlex.split(command)[1:]) == 0
+    assert main.main(shlex.split(command)[1:]) == 0
     assert capsys.readouterr().out
 
 

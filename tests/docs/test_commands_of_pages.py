@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import __main__ as figures
-from nclient import cli
+from localization.experiments import __main__
+from nclient.cli import main
 from nserver_emu.options import nserver_parser
 
 ROOT = Path(__file__).parents[2]
@@ -21,12 +21,12 @@ TESTS_OF_PAGES = {
     "calibration.md": "localization/test_docs.py",
     "c-programs.md": "docs/test_pages.py",
     "faults.md": "docs/test_pages.py",
-    "from-c.md": "nclient/test_from_c.py",
+    "from-c.md": "docs/test_from_c_page.py",
     "fuzzing.md": "fuzz/test_documentation.py",
     "localization.md": "docs/test_pages.py",
     "maps.md": "localization/test_docs.py",
     "missions.md": "integration/test_missions_page.py",
-    "protocol.md": "nclient/protocol/test_wire_page.py",
+    "protocol.md": "docs/test_protocol_page.py",
     "real-robot.md": "docs/test_pages.py",
     "security.md": "docs/test_tunnels.py",
     "sensors.md": "docs/test_pages.py",
@@ -80,15 +80,15 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
         assert runpy.run_path(str(ROOT / script))["options_parser"]().parse_args(words[:cut])
         if words[cut:]:
             assert script == "benchmarks/calibration.py"
-            assert cli.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
+            assert main.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
         return
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
     if kind in ("live", "lost", "plan"):
-        experiment = importlib.import_module(f"localization.experiments.{kind}.command")
+        experiment = importlib.import_module(f"localization.experiments.{kind}_command")
         assert experiment._parser().parse_args(words)
     else:
-        assert figures._parser().parse_args([kind, *words]).figures[0] == kind
+        assert __main__._parser().parse_args([kind, *words]).figures[0] == kind
 
 
 def test_service_options_are_valid() -> None:

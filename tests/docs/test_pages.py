@@ -20,7 +20,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from forked import Forked
+
+from tests.programs.forked import Forked
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

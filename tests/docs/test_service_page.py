@@ -15,9 +15,9 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from forked import Forked
 
 from nserver_emu.cli import main
+from tests.programs.forked import Forked
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "packaging/nserver.service"

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.files import load_mission
+from localization.missions.steps import load_mission
 from nclient.errors import NomadError
-from nclient.faults.plan_file import load_plan
-from nserver_emu.simulation.model_files import load_models
-from nserver_emu.simulation.setup_toml import load_setup
+from nclient.faults.plan import load_plan
+from nserver_emu.simulation.models import load_models
+from nserver_emu.simulation.noise import load_setup
 from worlds.calibration import load_calibration
 from worlds.files import load_world
 

@@ -17,7 +17,7 @@ pytest.importorskip("atheris", reason="atheris has no wheel for this system")
 ROOT = Path(__file__).parents[2]
 FUZZ = """
 from fuzz import __main__ as command
-command.PACKAGES = ("nclient.protocol.hello",)
+command.PACKAGES = ("nclient.protocol.client_state",)
 raise SystemExit(command.main())
 """
 

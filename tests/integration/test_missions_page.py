@@ -11,9 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.files import parse_list
-from localization.missions.programs import parse_program
-from localization.missions.verbs import CONDITIONS, VERBS
+from localization.missions.steps import CONDITIONS, VERBS, parse_list, parse_program
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "missions.md").read_text()

@@ -10,7 +10,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from clean_install import (
+
+from tests.packaging.clean_install import (
     ALL,
     CHECKS,
     EXTRAS,

@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from forked import Forked
 from playwright.sync_api import Browser, Page
 
 from nclient import Robot, connect
+from tests.programs.forked import Forked
 
 CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
 FLAGS = [

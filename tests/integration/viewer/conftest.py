@@ -6,17 +6,13 @@ own, so that other tests can run event loops in the main thread.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from browsing import CHROMIUM, FLAGS
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS
 
 _THREAD = ThreadPoolExecutor(1, "pages")
 

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from browsing import CHROMIUM, FLAGS, OpenPage, nserver, open_page
 from playwright.sync_api import Browser, sync_playwright
+
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS, OpenPage, nserver, open_page
 
 ROOM = ("several_walls", "--robot", "n200", "--robot", "scout", "--start", "8,8,0,0", "--start", "88,8,120,0",
         "--noisy", "--seed", "3", "--speed", "4")  # fmt: skip
 WINDOWS = ("drive", "robot", "short", "long", "time", "world", "traffic")
-LOCALIZE = "import sys; from nclient.cli import main; sys.exit(main())"
+LOCALIZE = "import sys; from nclient.cli.main import main; sys.exit(main())"
 
 
 @contextmanager

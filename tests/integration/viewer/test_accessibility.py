@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from browsing import nserver, open_page
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, open_page
 
 NAMED = """[...document.querySelectorAll('button, input, select, textarea, canvas, summary')]
     .filter((one) => one.checkVisibility() && !(one.ariaLabel || one.innerText || one.labels?.length || one.title))

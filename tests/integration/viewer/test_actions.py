@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import OpenPage, nserver, open_page
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
 from worlds.files import load_world
 
 

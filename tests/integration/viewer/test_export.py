@@ -6,8 +6,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from browsing import OpenPage, nserver, open_page
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
 
 
 def save_from_menu(page: OpenPage, button: str, file: Path) -> Path:

@@ -8,9 +8,10 @@ from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
-from browsing import nserver, open_page
-from forked import Forked
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, open_page
+from tests.programs.forked import Forked
 
 
 def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from browsing import nserver, open_page
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, open_page
 
 TIME = "nserver.scene.time_s"
 TEXT = "document.querySelector('#lockstep')"

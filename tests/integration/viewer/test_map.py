@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from browsing import nserver, open_page
 from playwright.sync_api import Browser
 
 from nclient import Pose
+from tests.integration.viewer.browsing import nserver, open_page
 
 NEAR = 40
 """How far apart two colours of the screen may be, of 255, and still be one."""

@@ -6,9 +6,9 @@ import json
 import math
 from pathlib import Path
 
-from browsing import OpenPage, nserver, open_page
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
 from worlds.files import load_world
 from worlds.writing import world_text
 

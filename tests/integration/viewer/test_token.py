@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from browsing import nserver, open_page
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, open_page
 
 
 def test_token_is_removed_from_address_and_survives_reload(browser: Browser) -> None:
