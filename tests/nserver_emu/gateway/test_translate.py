@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, COMMANDS, Call, on_line
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.translate import Link, Plan, in_shape, moving_axes, plan, state_for, stays_here, whole_state
-from nserver_emu.server.handlers.command_table import examples
 from nserver_emu.server.session import Visit
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
 from tests.nserver_emu.gateway.real_robots import LINE_STATE
