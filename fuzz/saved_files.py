@@ -19,11 +19,11 @@ from nclient.errors import EstimateFileError, NomadError, RecordingError, Snapsh
 from nclient.protocol.codec import line_request, tcp_request
 from nclient.protocol.commands import Call
 from nclient.protocol.types import MODELS
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
 from nclient.recording.readable import lines_of
-from nclient.recording.recorder import TCP, Follower
-from nclient.recording.replayer import LOOSE, Player, script_of, state_before
+from nclient.recording.recorder import TCP, FrameDecoder
+from nclient.recording.replayer import LOOSE, Player, load_exchanges, state_before
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
@@ -42,7 +42,7 @@ def _recording(data: bytes) -> None:
         for _ in lines_of(entry, with_bytes=True):
             pass
     for name in recording.connections():
-        script = script_of(recording, name)
+        script = load_exchanges(recording, name)
         state_before(script, 0)
         player = Player(script, LOOSE)
         for entry in recording.entries:
@@ -95,11 +95,11 @@ def _client_recording(wire: str, model: str) -> bytes:
     """Return a recording of some exchanges with a simulated robot."""
     line = wire != "tcp"
     robot = open_address(f"sim:thesis_room?robot={model}&line={int(line)}")
-    follower = Follower(wire, MODELS[model])
+    follower = FrameDecoder(wire, MODELS[model])
     calls = ([] if line else [Call("connect_robot", (1, 7))]) + [Call("vm", (10, 0, 0)), Call("get_sn"), Call("st")]
     entries = [Entry(0.0, "open", "1", more={"wire": wire, "model": model})]
     for number, call in enumerate(calls):
-        request = line_request(call, line_terms(MODELS[model])) if line else tcp_request(call)
+        request = line_request(call, serial_wire_state(MODELS[model])) if line else tcp_request(call)
         robot.send(request)
         entries.append(Entry(0.1 * number, OUT, "1", request, tuple(follower.to_robot(request))))
         reply = robot.receive()

@@ -22,15 +22,15 @@ from nclient.backends.nserver import NserverBackend
 from nclient.cli import state_text
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.faults.frames import Frames, LineFrames, TcpFrames
-from nclient.protocol.client_state import HELLO_SIZE, adopt, build_hello, read_hello
+from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, build_handshake, read_handshake
 from nclient.protocol.commands import BY_LINE_TYPE, BY_TCP_TYPE, MAX_REPLY_WORDS, NAK_TYPE, Call
-from nclient.protocol.decode import WIRES, Transcript
+from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_frame
 from nclient.protocol.tcp_framing import TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.readable import told
-from nclient.recording.recorder import LINES, Follower
+from nclient.recording.recorder import LINES, FrameDecoder
 from nclient.robot import Robot
 from nclient.transports.stream import Deadline
 from nserver_emu.server.serial_session import NAK, LineSession
@@ -149,10 +149,10 @@ _HANDSHAKES: list[list[bytes]] = []
 
 
 def _hello(data: bytes) -> None:
-    found = read_hello(data)
-    terms = line_terms(N200)
-    adopt(found, terms)
-    if read_hello(build_hello(found)) != found:
+    found = read_handshake(data)
+    wire_state = serial_wire_state(N200)
+    apply_handshake(found, wire_state)
+    if read_handshake(build_handshake(found)) != found:
         raise AssertionError("encoding and decoding changed the handshake")
 
 
@@ -181,7 +181,7 @@ def _frames(kind: int, parts: list[bytes]) -> list[object]:
 def _captures(data: bytes) -> None:
     """Decode turns: a byte with direction and length, then the data."""
     kind = data[0] if data else 0
-    follower = Follower(LINES[kind % 3], _LINE_MODELS[kind // 3 % 3])
+    follower = FrameDecoder(LINES[kind % 3], _LINE_MODELS[kind // 3 % 3])
     at = 1
     while at < len(data):
         size = data[at] & 127
@@ -194,7 +194,7 @@ def _captures(data: bytes) -> None:
 
 def _wire_lines(data: bytes) -> None:
     kind = data[0] if data else 0
-    transcript = Transcript(WIRES[kind % 3], _LINE_MODELS[kind // 3 % 3])
+    transcript = WireDecoder(WIRES[kind % 3], _LINE_MODELS[kind // 3 % 3])
     for line in data[1:].decode("utf-8", "replace").splitlines():
         json.dumps(transcript.read(line))
 
@@ -304,8 +304,8 @@ READERS = (
     Reader("line_replies", "serial protocol, host side", _line_replies, _REPLY_ERRORS, _line_reply_seeds,
            after_header(2, _SERIAL)),
     Reader("hello", "handshake of an N200, eleven bytes", _hello, (WireError,),
-           lambda: [bytes(HELLO_SIZE), b"\xff" * HELLO_SIZE, b"\x12\x34\x56\x78\x9a\x01\x3f\x21abc"], mutate_bytes,
-           max_size=24),
+           lambda: [bytes(HANDSHAKE_SIZE), b"\xff" * HANDSHAKE_SIZE, b"\x12\x34\x56\x78\x9a\x01\x3f\x21abc"],
+           mutate_bytes, max_size=24),
     Reader("framers", "frames after invalid bytes", _framers, (),
            lambda: [bytes((1, kind)) + seed[2:] for kind in range(6) for seed in
                     (*itertools.islice(_line_request_seeds(), 9), *itertools.islice(_tcp_reply_seeds(), 9))],
