@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from nclient.common import files
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
 from worlds.geometry import area, crossing, lengths, polygon_segments
 
@@ -55,7 +55,7 @@ class Table:
         known = [*keys, *(key for name in lengths for key in _length_keys(name))]
         for key in self.values:
             if key not in known:
-                self.fail(key, f"unknown key; expected one of {', '.join(known)}{did_you_mean(key, known)}")
+                self.fail(key, f"unknown key; expected one of {', '.join(known)}{suggest(key, known)}")
 
     def text(self, key: str, default: str) -> str:
         """A text that is not empty."""

@@ -42,7 +42,7 @@ from localization.live.localizer import Fit
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import OutputFileError
 from worlds.robots import BODIES, Calibration, format_calibration
 from worlds.world import World
@@ -161,7 +161,7 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputFileError(unwritable(path, error)) from error
+        raise OutputFileError(describe_write_error(path, error)) from error
 
 
 def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) -> tuple[Calibration, int] | str:

@@ -289,7 +289,7 @@ class RealSide:
 
     def _agree(self, visit: Visit) -> tuple[Call, ...]:
         """A connection's mask: the robot sends everything, with the stamps that any connection wants."""
-        self._wishes[visit] = visit.terms.mask.position
+        self._wishes[visit] = visit.wire_state.mask.position
         position = 0
         for wish in self._wishes.values():
             position |= wish

@@ -99,7 +99,7 @@ class RealRobot:
         self._opens = opens
         self._backend = opens()
         try:
-            self.link = Link(self._backend.terms.model, self._backend.terms.line)
+            self.link = Link(self._backend.wire_state.model, self._backend.wire_state.line)
             self._settle(again=False)
             self._backend.execute(REFRESH)
         except ReplyTimeout as error:

@@ -30,12 +30,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.backends.base import Backend
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import RecordingError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, Model, rad_from_tenths
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.gateway.translate import Link, whole_state
 from nserver_emu.server.session import Answer, Visit
 from nserver_emu.server.state_encoder import state_slots
@@ -146,7 +146,7 @@ def write(shadow: Shadow, address: str, path: Path) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordingError(unwritable(path, error, "the report of the shadow")) from error
+        raise RecordingError(describe_write_error(path, error, "the report of the shadow")) from error
 
 
 def as_json(shadow: Shadow, address: str) -> str:
@@ -186,9 +186,9 @@ class Simulated:
     link = None
 
     def __init__(self, simulate: Answer, robot_id: int, model: Model) -> None:
-        self.terms = tcp_terms(model)
+        self.wire_state = tcp_wire_state(model)
         self._simulate = simulate
-        self._visit = Visit(self.terms, robot_id)
+        self._visit = Visit(self.wire_state, robot_id)
 
     def execute(self, call: Call) -> Reply:
         """What the simulation answers. Raises RobotRefused."""

@@ -37,7 +37,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
-from nclient.protocol.codec import within_line
+from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call, on_line
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
@@ -115,14 +115,15 @@ def state_for(visit: Visit, reply: Reply, link: Link) -> Reply:
     """The state reply that this connection gets; it counts as sent."""
     slots, laser = whole_state(reply, link), None
     if link.model.has_laser:
-        slots[LASER_SLOT] = visit.terms.laser_mode
-        laser = shaped(reply.laser, visit.terms.laser_width, link) if visit.terms.mask.has(LASER_SLOT) else None
+        slots[LASER_SLOT] = visit.wire_state.laser_mode
+        wire_state = visit.wire_state
+        laser = shaped(reply.laser, wire_state.laser_width, link) if wire_state.mask.has(LASER_SLOT) else None
     return replace(reply, slots=dict(enumerate(as_sent(visit, slots))), laser=laser)
 
 
 def laser_for(visit: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:
     """The answer to get_ls or, where `segments`, to get_sg."""
-    return replace(reply, laser=shaped(reply.laser, LINES if segments else visit.terms.get_laser_width, link))
+    return replace(reply, laser=shaped(reply.laser, LINES if segments else visit.wire_state.get_laser_width, link))
 
 
 def shaped(laser: tuple[int, ...] | None, width: int, link: Link) -> tuple[int, ...] | None:
@@ -161,12 +162,12 @@ def plan(call: Call, visit: Visit, link: Link) -> Plan | int:
         return NOT_AVAILABLE
     if call.name == "mv" and any(not 0 <= mode <= _MV_HIGHEST for mode in call.args[::2]):
         return BAD_VALUES
-    if call.name == "ct" and visit.terms.mask.position and not link.masks:
+    if call.name == "ct" and visit.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
     calls, shape = _ROWS[call.name](call, visit, link)
     if link.own_line and not all(on_line(BY_NAME[said.name], link.model) for said in calls):
         return NOT_AVAILABLE
-    return Plan(tuple(map(within_line, calls)) if link.own_line else calls, shape)
+    return Plan(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, shape)
 
 
 Row = Callable[[Call, Visit, Link], Plan]
@@ -219,11 +220,11 @@ def _get_cp(call: Call, _visit: Visit, link: Link) -> Plan:
 
 
 def _conf_cp(call: Call, visit: Visit, _link: Link) -> Plan:
-    return Plan((call,), _as_it_is) if visit.terms.line else Plan((call, REFRESH), _state)
+    return Plan((call,), _as_it_is) if visit.wire_state.line else Plan((call, REFRESH), _state)
 
 
 def _tk(call: Call, visit: Visit, _link: Link) -> Plan:
-    return Plan((call, REFRESH), _state) if visit.terms.line else Plan((call,), _done)
+    return Plan((call, REFRESH), _state) if visit.wire_state.line else Plan((call,), _done)
 
 
 def _place(call: Call, _visit: Visit, _link: Link) -> Plan:
