@@ -233,7 +233,7 @@ def test_it_says_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_picture_that_is_no_png_is_told_before_the_drive(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     assert localize(NOISY, *TO_GOAL, "--picture", name) == 1
     assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
 
@@ -278,7 +278,7 @@ def test_an_interrupted_run_is_saved_and_told(
 def test_a_file_that_cannot_be_written_is_told_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
     in_the_way = tmp_path / "file"
     for file, told in ((tmp_path, f"{str(tmp_path)!r}: cannot be written there"),
