@@ -65,14 +65,14 @@ HELP = "help"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
-    process.fill_in()
+    process.ensure_std_streams()
     words = _asked_for_help(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
     try:
         code = run(words)
         sys.stdout.flush()
     except OSError as error:
-        return process.ended_by(error, "nserver")
+        return process.handle_broken_pipe(error, "nserver")
     return code
 
 

@@ -311,7 +311,7 @@ class RealRobotProxy:
 
         The robot sends all slots, with the position stamps that any of the connections wants.
         """
-        self._stamp_masks[context] = context.terms.mask.position
+        self._stamp_masks[context] = context.wire_state.mask.position
         union = 0
         for mask in self._stamp_masks.values():
             union |= mask

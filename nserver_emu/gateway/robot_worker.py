@@ -116,7 +116,7 @@ class RobotWorker:
         self._open_backend = open_backend
         self._backend = open_backend()
         try:
-            self.link = Link(self._backend.terms.model, self._backend.terms.line)
+            self.link = Link(self._backend.wire_state.model, self._backend.wire_state.line)
             self._send_opening_calls(reconnected=False)
             self._backend.execute(REFRESH)
         except ReplyTimeout as error:

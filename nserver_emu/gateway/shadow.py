@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from nclient.backends.base import Backend
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import RecordingError, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, Model, rad_from_tenths
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.gateway.translate import Link, whole_state
 from nserver_emu.server.session import Answer, Visit
 from nserver_emu.server.state_encoder import state_slots
@@ -149,7 +149,7 @@ class ShadowReport:
         try:
             path.write_text(text, encoding="utf-8")
         except OSError as error:
-            raise RecordingError(unwritable(path, error, "the report of the shadow")) from error
+            raise RecordingError(describe_write_error(path, error, "the report of the shadow")) from error
 
     def as_json(self, address: str) -> str:
         """Return address, model, number of compared states, and the quantities by name."""
@@ -187,9 +187,9 @@ class SimulatedBackend:
     link = None
 
     def __init__(self, simulate: Answer, robot_id: int, model: Model) -> None:
-        self.terms = tcp_terms(model)
+        self.wire_state = tcp_wire_state(model)
         self._simulate = simulate
-        self._context = Visit(self.terms, robot_id)
+        self._context = Visit(self.wire_state, robot_id)
 
     def execute(self, call: Call) -> Reply:
         """Return the simulation's reply.

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
-from nclient.protocol.codec import within_line
+from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import BY_NAME, Call, on_line
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
@@ -98,12 +98,12 @@ def plan(call: Call, context: Visit, link: Link) -> TranslatedCall | int:
         return NOT_AVAILABLE
     if call.name == "mv" and any(not 0 <= mode <= _MAX_MV_MODE for mode in call.args[::2]):
         return BAD_VALUES
-    if call.name == "ct" and context.terms.mask.position and not link.masks:
+    if call.name == "ct" and context.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
     calls, build_reply = _ROWS[call.name](call, context, link)
     if link.own_line and not all(on_line(BY_NAME[sent.name], link.model) for sent in calls):
         return NOT_AVAILABLE
-    return TranslatedCall(tuple(map(within_line, calls)) if link.own_line else calls, build_reply)
+    return TranslatedCall(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, build_reply)
 
 
 # --- Replies ---------------------------------------------------------------------------------------------------------
@@ -129,14 +129,15 @@ def state_for(context: Visit, reply: Reply, link: Link) -> Reply:
     """
     slots, laser = whole_state(reply, link), None
     if link.model.has_laser:
-        slots[LASER_SLOT] = context.terms.laser_mode
-        laser = shaped(reply.laser, context.terms.laser_width, link) if context.terms.mask.has(LASER_SLOT) else None
+        slots[LASER_SLOT] = context.wire_state.laser_mode
+        wire_state = context.wire_state
+        laser = shaped(reply.laser, wire_state.laser_width, link) if wire_state.mask.has(LASER_SLOT) else None
     return replace(reply, slots=dict(enumerate(as_sent(context, slots))), laser=laser)
 
 
 def laser_for(context: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:
     """Return the reply to get_ls or, with `segments`, to get_sg."""
-    width = LINES if segments else context.terms.get_laser_width
+    width = LINES if segments else context.wire_state.get_laser_width
     return replace(reply, laser=shaped(reply.laser, width, link))
 
 
@@ -236,12 +237,12 @@ def _get_cp(call: Call, _context: Visit, link: Link) -> TranslatedCall:
 
 
 def _conf_cp(call: Call, context: Visit, _link: Link) -> TranslatedCall:
-    on_its_line = context.terms.line
+    on_its_line = context.wire_state.line
     return TranslatedCall((call,), _unchanged) if on_its_line else TranslatedCall((call, REFRESH), state_for)
 
 
 def _tk(call: Call, context: Visit, _link: Link) -> TranslatedCall:
-    on_its_line = context.terms.line
+    on_its_line = context.wire_state.line
     return TranslatedCall((call, REFRESH), state_for) if on_its_line else TranslatedCall((call,), _done)
 
 

@@ -17,7 +17,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
 from nclient.protocol.types import N150, Model, model_named
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.server.context import Pace
 from nserver_emu.server.handlers.table import Emulator
@@ -47,7 +47,7 @@ class ScriptedRobot:
     def __init__(
         self, model: Model = N150, *, line: bool = True, answers: Mapping[str, ScriptedAnswer] | None = None
     ) -> None:
-        self.terms: Terms = line_terms(model) if line else tcp_terms(model)
+        self.wire_state: WireState = serial_wire_state(model) if line else tcp_wire_state(model)
         self.greeting: Reply | None = None
         self.port = 1
         self.link: LinkStatistics | None = None
@@ -84,7 +84,7 @@ class EmulatedLine:
     """A backend over the bytes of a robot's own line; each exchange advances simulated time by `step_s`."""
 
     def __init__(self, emulator: Emulator, model: Model, step_s: float = 0.1) -> None:
-        self.terms = line_terms(model)
+        self.wire_state = serial_wire_state(model)
         self.greeting: Reply | None = None
         self.port = 1
         self.link: LinkStatistics | None = None
@@ -95,8 +95,8 @@ class EmulatedLine:
         self._session = LineSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
 
     def execute(self, call: Call) -> Reply:
-        request = codec.line_request(call, self.terms)
-        codec.note(call, self.terms)
+        request = codec.line_request(call, self.wire_state)
+        codec.update_from_request(call, self.wire_state)
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
         answer = self._session.answers(most=1)
@@ -104,7 +104,7 @@ class EmulatedLine:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
         (frame,) = self._framer.receive(answer)
-        reply = codec.read_line_reply(frame, self.terms)
+        reply = codec.read_line_reply(frame, self.wire_state)
         if reply.kind == "nak":
             raise RobotRefused(call.name, None)
         return reply

@@ -7,6 +7,7 @@ import math
 
 import pytest
 
+from docs.generate.commands import examples
 from nclient.backends.wrappers import Capped
 from nclient.connect import Wanted, open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
@@ -16,7 +17,6 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N200
 from nserver_emu.gateway.gateway import TIMEOUT_S
 from nserver_emu.server.context import Pace
-from nserver_emu.server.handlers.command_table import examples
 from nserver_emu.simulation.noise import NOISY
 from tests.nserver_emu.gateway.harness import LINE_STATE, EmulatedLine, GatewayHarness, ScriptedRobot, emulated, line_of
 from worlds.world import StartPose

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from nserver_emu.server.handlers.command_table import examples
 
 from nclient.protocol.commands import BY_NAME, COMMANDS, Call, on_line
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
-from nclient.protocol.wire_state import LINES, PIXELS, POINTS, line_terms, tcp_terms
+from nclient.protocol.wire_state import LINES, PIXELS, POINTS, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.translate import (
     Link,
     TranslatedCall,
@@ -19,7 +20,6 @@ from nserver_emu.gateway.translate import (
     stays_here,
     whole_state,
 )
-from nserver_emu.server.handlers.command_table import examples
 from nserver_emu.server.session import Visit
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
 from tests.nserver_emu.gateway.harness import LINE_STATE
@@ -30,9 +30,9 @@ N200_LINE = Link(N200, own_line=True)
 
 
 def context(mask: Mask = EVERYTHING, laser_mode: int = 51) -> Visit:
-    made = Visit(tcp_terms(N150), robot_id=1)
-    made.terms.note_mask(mask)
-    made.terms.note_laser_mode(laser_mode)
+    made = Visit(tcp_wire_state(N150), robot_id=1)
+    made.wire_state.note_mask(mask)
+    made.wire_state.note_laser_mode(laser_mode)
     return made
 
 
@@ -105,7 +105,7 @@ def test_replies_after_conf_cp_and_tk() -> None:
     assert planned("conf_cp", 1, link=N200_LINE).calls == (Call("conf_cp", (1,)), Call("gs"))
     assert shaped("conf_cp", LINE_STATE, 1, link=N200_LINE).kind == "state"
     assert shaped("tk", LINE_STATE, link=N200_LINE) == Reply("simple", values=(0,))
-    host = Visit(line_terms(N200), robot_id=1)
+    host = Visit(serial_wire_state(N200), robot_id=1)
     assert shaped("conf_cp", scores, 1, link=N200_LINE, of=host) == scores
     assert shaped("tk", LINE_STATE, link=N200_LINE, of=host).kind == "state"
 
@@ -141,8 +141,8 @@ def test_mv_modes_that_clients_refuse_are_refused() -> None:
 
 def test_stamps_are_error_4_on_a_line_without_stamps() -> None:
     asking = context(EVERYTHING.with_position(2))
-    assert plan(Call("ct", asking.terms.mask.smask), asking, LINE) == 4
-    assert isinstance(plan(Call("ct", asking.terms.mask.smask), asking, SERVER), TranslatedCall)
+    assert plan(Call("ct", asking.wire_state.mask.smask), asking, LINE) == 4
+    assert isinstance(plan(Call("ct", asking.wire_state.mask.smask), asking, SERVER), TranslatedCall)
 
 
 def test_a_line_packet_becomes_a_whole_clean_state() -> None:
@@ -158,12 +158,12 @@ def test_a_line_packet_becomes_a_whole_clean_state() -> None:
 def test_masked_slots_repeat_their_last_value() -> None:
     asking = context()
     assert state_for(asking, LINE_STATE, LINE).slots[20] == 40
-    asking.terms.note_mask(Mask((0, *[0] * 33, *[1] * 10)))
+    asking.wire_state.note_mask(Mask((0, *[0] * 33, *[1] * 10)))
     nearer = Reply("state", {**LINE_STATE.slots, 20: 7, 34: 101}, clock=5001, volts=(1, 2))
     reply = state_for(asking, nearer, LINE)
     assert (reply.slots[20], reply.slots[34], reply.slots[1], reply.slots[0]) == (40, 101, 15, 10)
     assert (reply.clock, reply.volts) == (5001, (1, 2))
-    asking.terms.note_mask(EVERYTHING)
+    asking.wire_state.note_mask(EVERYTHING)
     assert state_for(asking, nearer, LINE).slots[20] == 7
 
 
