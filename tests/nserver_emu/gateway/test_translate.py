@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from nserver_emu.server.handlers.command_table import examples
 
+from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, COMMANDS, Call, on_line
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
