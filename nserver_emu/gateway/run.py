@@ -20,17 +20,18 @@ import logging
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, Capped
-from nclient.opening import Wanted
-from nclient.schemes import opening_of
+from nclient.connect import Connector
+from nclient.url import parse_address
 from nserver_emu.gateway import shadow
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealSide
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.link import NOTHING, FaultDesk
+from nserver_emu.server.link import FaultDesk
 
 log = logging.getLogger(__name__)
 
@@ -88,7 +89,6 @@ ROBOT_ID: Final = 1
 LINE: Final = f"real:{ROBOT_ID}"
 """What a plan of faults calls the line to it."""
 SUMMARY_S: Final = 60.0
-_OWN: Final = ("tm_s", "feed", "reconnect")
 _NEED_REAL: Final = ("real_read_only", "max_speed", "max_turn", "shadow")
 
 
@@ -167,15 +167,14 @@ def _side(options: argparse.Namespace, faults: FaultDesk | None) -> RealSide:
 
     Faults are those of the address, or where it names none those that the daemon has for this line.
     """
-    opening = opening_of(options.real, Wanted())
-    opening.values = {**opening.values, **dict.fromkeys(_OWN)}
-    if faults is not None and "faults" not in opening.values:
-        opening.values = {**opening.values, "faults": NOTHING}
-        opening.kept["faults"] = lambda: faults.injector(LINE)
+    address = parse_address(options.real)
+    address = replace(address, options=replace(address.options, tm_s=None, feed=None, reconnect=None))
+    injector = None if faults is None else lambda: faults.injector(LINE)
+    connector = Connector(address, injector=injector)
     capped = around(options)
-    feed_s = POLL_S if opening.values.get("bumper_stop") else TIMEOUT_S / 3
+    feed_s = POLL_S if address.options.bumper_stop else TIMEOUT_S / 3
     return RealSide(
-        lambda: capped(opening.backend()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
+        lambda: capped(connector.open()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
     )
 
 

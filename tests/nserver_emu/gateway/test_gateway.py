@@ -8,7 +8,7 @@ import math
 import pytest
 
 from nclient.backends.wrappers import Capped
-from nclient.connect import Wanted, open_backend
+from nclient.connect import open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call
@@ -384,7 +384,7 @@ def test_position_data_are_asked_for_once_for_all_who_want_them() -> None:
 
 
 def test_stamps_of_another_nserver_come_through() -> None:
-    house = House(lambda: open_backend("sim:thesis_room", Wanted()))
+    house = House(lambda: open_backend("sim:thesis_room"))
     guest = house.guest()
     guest.ask("ct", *EVERYTHING.with_position(2).smask)
     guest.ask("dp", 500, 600)
