@@ -37,8 +37,8 @@ from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
 from nclient.recording.format import Recording, read_recording
-from nclient.recording.recorder import HELLO_FIRST, TCP, ProgramsRecording, Recorded
-from nclient.recording.replayer import STRICT, PlayedPeer, Player, Script, script_of
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ProgramsRecording, Recorded
+from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
 from nclient.transports import memory, serial, tcp
 from nclient.transports.memory import MemoryStream
@@ -108,18 +108,18 @@ class Connector:
         self._create = options.create
         self._recorder: ProgramsRecording | None = None
         self._recording: Recording | None = None
-        self._script: Script | None = None
+        self._replayed: RecordedConnection | None = None
         self._replays = 0
 
     @property
     def model(self) -> Model:
         """Return the robot's model: that of the address, or of the replayed recording."""
-        return self._script.model if self._script else self.address.model
+        return self._replayed.model if self._replayed else self.address.model
 
     @property
     def wire(self) -> str:
         """Return the protocol on the stream: tcp, serial or hello (serial, after eleven bytes from the robot)."""
-        return self._script.line if self._script else self.address.wire
+        return self._replayed.line if self._replayed else self.address.wire
 
     def open(self) -> Backend:
         """Open the connection with everything that the address configures.
@@ -203,7 +203,7 @@ class Connector:
         return DirectBackend(
             stream,
             self.model,
-            hello=hello and self.wire == HELLO_FIRST and self.model.sends_mask,
+            hello=hello and self.wire == HANDSHAKE_FIRST and self.model.sends_mask,
             timeout_s=self.timeout_s,
             checks=True if checks is None else checks,
             link=self.link,
@@ -212,10 +212,10 @@ class Connector:
     def _start_tcp(self, stream: ByteStream) -> NserverBackend:
         return NserverBackend(
             stream,
-            robot_id=self._script.robot_id if self._script else self.robot_id,
+            robot_id=self._replayed.robot_id if self._replayed else self.robot_id,
             model=self.model,
             timeout_s=DEFAULT_TIMEOUT_S if self.timeout_s is None else self.timeout_s,
-            create=self._create and not self._script,
+            create=self._create and not self._replayed,
             # Over TCP there is little to count except losses, so that counting is left out without reconnect=.
             link=self.link if self.address.options.reconnect else None,
         )
@@ -229,7 +229,7 @@ class Connector:
                     self._recorder = self._open_recorder(Path(self.address.options.record))
                 stream = self._recorder.around(stream)
             if injector := self._current_injector():
-                greets = self.wire == HELLO_FIRST and self.model.sends_mask
+                greets = self.wire == HANDSHAKE_FIRST and self.model.sends_mask
                 language = TcpLanguage(wide=False) if self.wire == TCP else LineLanguage(greets)
                 stream = FaultyStream(stream, FaultyLine(language, injector), time.monotonic, time.sleep)
         except BaseException:
@@ -260,9 +260,9 @@ class Connector:
         self._recording = self._recording or read_recording(Path(self.address.path))
         names = self._recording.connections()
         name = self.address.options.connection or (names[min(self._replays, len(names) - 1)] if names else "")
-        self._script = script_of(self._recording, name)
+        self._replayed = load_exchanges(self._recording, name)
         self._replays += 1
-        return MemoryStream(PlayedPeer(Player(self._script, self.address.options.order or STRICT)))
+        return MemoryStream(ReplayPeer(Player(self._replayed, self.address.options.order or STRICT)))
 
     def _needs_keep_alive(self, backend: Backend) -> bool:
         """Return False for a simulation too fast for a keep-alive, unless the address has `tm_s=`."""

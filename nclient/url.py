@@ -20,11 +20,11 @@ from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
 from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
 from nclient.backends.wrappers import DEFAULT_RETRIES, LONGEST_PAUSE_S
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 from nclient.faults.plan import Plan, load_plan
 from nclient.protocol.types import N150, Model, model_named
-from nclient.recording.recorder import HELLO_FIRST, SERIAL, TCP
+from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
 from nclient.transports import memory
 
@@ -138,7 +138,7 @@ class Scheme(NamedTuple):
 SCHEMES: Final[dict[str, Scheme]] = {
     "nserver": Scheme(f"nserver://host[:port]/id, {EXAMPLES}", TCP),
     "serial": Scheme("serial:///dev/ttyUSB0?model=n150&baud=38400", SERIAL),
-    "robotd": Scheme("robotd://host[:port]?model=n200", HELLO_FIRST),
+    "robotd": Scheme("robotd://host[:port]?model=n200", HANDSHAKE_FIRST),
     "replay": Scheme("replay:FILE", TCP, in_process=True),
 }
 
@@ -253,7 +253,7 @@ class RawAddress(NamedTuple):
             if name in parsers:
                 values[name] = self._value(name, text, parsers[name])
             elif not ignore_unknown:
-                raise AddressError(f"{self.text!r}: no option {name!r}{did_you_mean(name, parsers)} "
+                raise AddressError(f"{self.text!r}: no option {name!r}{suggest(name, parsers)} "
                                    f"There are {', '.join(parsers)}.")
         return values
 
@@ -359,7 +359,7 @@ def known_schemes() -> tuple[str, ...]:
 def _unknown_scheme(raw: RawAddress) -> AddressError:
     schemes = known_schemes()
     name = raw.scheme or raw.text.partition("/")[0].lower()
-    hint = did_you_mean(name, schemes, before="", after=":? ")
+    hint = suggest(name, schemes, before="", after=":? ")
     return AddressError(
         f"{raw.text!r} is no address: {hint}There are {', '.join(f'{each}:' for each in schemes)} {EXAMPLES}"
     )

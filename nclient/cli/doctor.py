@@ -17,7 +17,7 @@ import time
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
 from nclient.connect import Connector, address_or_default
-from nclient.diagnostics import EXCHANGES, INTERVAL_S, Examination, Finding, Grade, report, worst
+from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
 from nclient.url import parse_address
 
 
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     """Examine and tell; the exit code."""
     address = address_or_default(options.address)
     connector = Connector(parse_address(address))
-    chart = Examination(connector.open_session, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
+    chart = Diagnostics(connector.open_session, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
     findings = report(chart)
     grade = worst(findings)
     if options.json:

@@ -25,7 +25,7 @@ from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
 from nclient.connect import Connector, address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol.decode import is_it_another
+from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.types import Model
 from nclient.recording.recorder import TCP
 from nclient.robot import Robot
@@ -96,7 +96,7 @@ class StopFirst:
 
     def remedy(self) -> str:
         """What is left to say where st was answered, and nothing after it could be read."""
-        hint = is_it_another(self._model, self.answers[-1])
+        hint = model_mismatch_hint(self._model, self.answers[-1])
         return f"st was answered, and nothing showed that it stands still{'; ' if hint else ''}{hint}"
 
     def _tell(self) -> None:

@@ -33,7 +33,7 @@ from typing import Any, Final, NamedTuple
 
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import model_named
-from nclient.protocol.wire_state import Terms, line_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state
 from nserver_emu.server.graphics import Graphics, Traces
 from nserver_emu.server.layers import layers
 from nserver_emu.server.limits import Limits
@@ -248,7 +248,7 @@ class Stage:
         self.holds = Holds()
         self.shown: dict[str, World] = {}
         """Worlds whose text was told to somebody, who may want to have them back (switches.py)."""
-        self._line_terms: dict[int, Terms] = {}
+        self._serial_wire_states: dict[int, WireState] = {}
         self.clicks = Clicks()
         self._looked: dict[int, tuple[float, Look]] = {}
         self._promises = Promises()
@@ -311,12 +311,13 @@ class Stage:
         self.drivers.take(visit, visit.robot_id, axes)
         return self.robot_of(visit)
 
-    def line_terms(self, robot_id: int) -> Terms:
+    def serial_wire_state(self, robot_id: int) -> WireState:
         """Mask and laser mode in force on a robot's own lines: the robot's, whoever asks by which of them, and after
         he has left. As at power-on in a simulation that is restored."""
-        if robot_id not in self._line_terms:
-            self._line_terms[robot_id] = line_terms(model_named(self.simulation.robots[robot_id].model.family))
-        return self._line_terms[robot_id]
+        if robot_id not in self._serial_wire_states:
+            family = self.simulation.robots[robot_id].model.family
+            self._serial_wire_states[robot_id] = serial_wire_state(model_named(family))
+        return self._serial_wire_states[robot_id]
 
     def arm_of(self, visit: Visit) -> Arm:
         """The arm of the connection's robot, as it is now."""
@@ -350,9 +351,9 @@ class Stage:
         if look is None or looked_s != now_s:
             look = Look(robot, self.pace.speed_tenths)
             self._looked[visit.robot_id] = (now_s, look)
-        if not visit.terms.line:
+        if not visit.wire_state.line:
             return state_reply(robot, visit, now_s, look)
-        told, mask, mode = visit.told, visit.terms.mask, visit.terms.laser_mode
+        told, mask, mode = visit.told, visit.wire_state.mask, visit.wire_state.laser_mode
         if told is None or told.look is not look or told.mask is not mask or told.laser_mode != mode:
             told = visit.told = Told(look, mask, mode, state_reply(robot, visit, now_s, look))
         return told.reply

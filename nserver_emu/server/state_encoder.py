@@ -179,7 +179,7 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
 
 def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, look: Look) -> Reply:
     """The whole state of a robot, `look` as of now, on the terms of this connection."""
-    mask = visit.terms.mask
+    mask = visit.wire_state.mask
     slots, laser = with_laser(robot, visit, look.slots(mask), wanted=mask.has(LASER_SLOT))
     slots = as_sent(visit, slots)
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
@@ -188,8 +188,8 @@ def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, look: Look) 
 
 def as_sent(visit: Visit, slots: list[int]) -> list[int]:
     """State[0..44] as this connection gets it; from now on that is what it was sent last."""
-    mask, kept = visit.terms.mask, visit.kept
-    if not mask.whole and not visit.terms.line:
+    mask, kept = visit.wire_state.mask, visit.kept
+    if not mask.whole and not visit.wire_state.line:
         slots = [
             value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)
         ]
@@ -203,9 +203,9 @@ def with_laser(
     """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
     if not robot.model.sees:
         return slots, None
-    terms = visit.terms
-    told = [*slots[:LASER_SLOT], terms.laser_mode, *slots[LASER_SLOT + 1 :]]
-    return told, laser_vector(robot, visit, terms.laser_width) if wanted and is_on(terms.laser_mode) else None
+    wire_state = visit.wire_state
+    told = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
+    return told, laser_vector(robot, visit, wire_state.laser_width) if wanted and is_on(wire_state.laser_mode) else None
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:

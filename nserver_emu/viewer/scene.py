@@ -69,7 +69,7 @@ def laser_modes(talkers: Iterable[Talker], robots: Collection[int]) -> Modes:
     for talker in talkers:
         visit = talker.session.visit
         if talker.here and talker.line != VIEWER and visit.robot_id in found:
-            found[visit.robot_id].append((talker.session.name, visit.terms.laser_mode))
+            found[visit.robot_id].append((talker.session.name, visit.wire_state.laser_mode))
     return {number: sorted(clients, key=_on_first)[:MOST_NAMED] for number, clients in found.items()}
 
 

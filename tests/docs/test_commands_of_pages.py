@@ -21,12 +21,12 @@ TESTS_OF_PAGES = {
     "calibration.md": "localization/test_docs.py",
     "c-programs.md": "docs/test_pages.py",
     "faults.md": "docs/test_pages.py",
-    "from-c.md": "nclient/test_from_c.py",
-    "fuzzing.md": "fuzz/test_fuzzing_page.py",
+    "from-c.md": "docs/test_from_c_page.py",
+    "fuzzing.md": "fuzz/test_documentation.py",
     "localization.md": "docs/test_pages.py",
     "maps.md": "localization/test_docs.py",
     "missions.md": "integration/test_missions_page.py",
-    "protocol.md": "nclient/protocol/test_wire_page.py",
+    "protocol.md": "docs/test_protocol_page.py",
     "real-robot.md": "docs/test_pages.py",
     "security.md": "docs/test_tunnels.py",
     "sensors.md": "docs/test_pages.py",
@@ -85,7 +85,7 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
     if kind in ("live", "lost", "plan"):
-        experiment = importlib.import_module(f"localization.experiments.{kind}.command")
+        experiment = importlib.import_module(f"localization.experiments.{kind}_command")
         assert experiment._parser().parse_args(words)
     else:
         assert __main__._parser().parse_args([kind, *words]).figures[0] == kind

@@ -83,7 +83,7 @@ _FAILED, _SUCCEEDED = 0, 1
 def tk(stage: Stage, visit: Visit, args: tuple[str, ...]) -> Reply:
     """Say a text: it is kept in the transcript. On the robot's own line the answer is the state."""
     stage.transcript.add(Utterance(stage.simulation.time_s, visit.robot_id or 0, args[0]))
-    return stage.state(visit) if visit.terms.line else done()
+    return stage.state(visit) if visit.wire_state.line else done()
 
 
 def special_request(_stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:

@@ -55,7 +55,7 @@ def get_ir(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     robot = stage.robot_of(visit)
     if robot.infrared is None:
         return error_reply(NOT_AVAILABLE)
-    stamps = infrared_stamps(robot) if visit.terms.mask.position & Position.INFRARED else {}
+    stamps = infrared_stamps(robot) if visit.wire_state.mask.position & Position.INFRARED else {}
     slots = dict(enumerate(robot.infrared.readings, start=1))
     return Reply("infrared", slots, stamps=stamps, clock=robot_clock_ms(robot, stage.simulation.time_s))
 
@@ -72,7 +72,7 @@ def conf_cp(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     if args[0] not in list(CompassMode):
         return error_reply(BAD_VALUES)
     robot.configure_compass(args[0])
-    if visit.terms.line:
+    if visit.wire_state.line:
         return Reply("compass", values=CALIBRATED if robot.compass.calibrated else NOT_CALIBRATED)
     return stage.state(visit)
 
@@ -82,7 +82,7 @@ def get_cp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     robot, now_s = stage.robot_of(visit), stage.simulation.time_s
     if robot.compass is None:
         return error_reply(NOT_AVAILABLE)
-    stamps = compass_stamps(robot, now_s) if visit.terms.mask.position & Position.COMPASS else {}
+    stamps = compass_stamps(robot, now_s) if visit.wire_state.mask.position & Position.COMPASS else {}
     slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
     return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
@@ -101,7 +101,7 @@ def conf_ls(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
 
 def get_ls(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     """What the laser sees, in the shape of its mode."""
-    return _laser(stage, visit, visit.terms.get_laser_width)
+    return _laser(stage, visit, visit.wire_state.get_laser_width)
 
 
 def conf_sg(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
@@ -124,8 +124,8 @@ def _laser(stage: Stage, visit: Visit, width: int) -> Reply:
     robot, now_s = stage.robot_of(visit), stage.simulation.time_s
     if not robot.model.sees:
         return error_reply(NOT_AVAILABLE)
-    seen = laser_vector(robot, visit, width) if is_on(visit.terms.laser_mode) else (0,)
-    stamps = {"laser": stamp_now(robot, now_s)} if visit.terms.mask.position & Position.LASER else {}
+    seen = laser_vector(robot, visit, width) if is_on(visit.wire_state.laser_mode) else (0,)
+    stamps = {"laser": stamp_now(robot, now_s)} if visit.wire_state.mask.position & Position.LASER else {}
     return Reply("laser", laser=seen, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
 
@@ -158,7 +158,7 @@ def get_sn(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     """All sixteen sonars, mask or not."""
     robot = stage.robot_of(visit)
     slots = dict(enumerate(robot.sonar.readings_in, start=17))
-    stamps = sonar_stamps(robot) if visit.terms.mask.position & Position.SONAR else {}
+    stamps = sonar_stamps(robot) if visit.wire_state.mask.position & Position.SONAR else {}
     return Reply("sonar", slots, stamps=stamps, clock=robot_clock_ms(robot, stage.simulation.time_s))
 
 
@@ -181,7 +181,7 @@ def get_ra(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 def get_bp(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     """The bumpers."""
     robot = stage.robot_of(visit)
-    asked = visit.terms.mask.position & Position.BUMPER
+    asked = visit.wire_state.mask.position & Position.BUMPER
     now_s = stage.simulation.time_s
     stamps = {"bumper": stamp_now(robot, now_s)} if asked else {}
     return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=robot_clock_ms(robot, now_s))

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, Call
-from nserver_emu.server.handlers.command_table import examples
 from nserver_emu.server.handlers.table import HANDLERS, Emulator
 from nserver_emu.server.ownership import Holds, moves
 from nserver_emu.server.session import Visit, error_reply

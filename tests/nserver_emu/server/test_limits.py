@@ -22,7 +22,7 @@ from nserver_emu.server.admission import Door
 from nserver_emu.server.connection import REQUESTS_A_TURN
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of, page
+from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of
 from tests.nserver_emu.server.daemon_house import Client, House, with_daemon
 from tests.nserver_emu.server.wire_client import simulation
 
@@ -56,9 +56,6 @@ def parsed(*words: str) -> Limits:
     add_options(parser)
     return limits_of(parser.parse_args(words))
 
-
-def test_the_page_is_made_from_the_table() -> None:
-    assert (ROOT / "docs/limits.md").read_text() == "\n".join(page()) + "\n", "scripts/limits-page makes it anew"
 
 
 def test_every_limit_is_a_row_with_an_enforcer_that_is_there() -> None:
