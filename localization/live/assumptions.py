@@ -25,10 +25,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from localization.live.localizer import Echo, Fit
-from nclient.address import parsed
 from nclient.connect import address_or_default
 from nclient.errors import AddressError, WorldFileError
-from nclient.schemes import Wanted, opening_of
+from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world
 from worlds.schema import read_text, toml_of
 from worlds.world import World
@@ -41,7 +40,7 @@ def resolve_robot_model(option: str | None, model: str, address: str | None) -> 
 
     `address` None: the default's. Raises AddressError where they contradict.
     """
-    there = parsed(address_or_default(address))
+    there = split_address(address_or_default(address))
     told = there.scheme == SIMULATION or "model" in there.options
     if option is None or (told and option == model):
         return model
@@ -85,7 +84,7 @@ def taken(option: str | None, simulated: bool, address: str | None = None) -> Ta
 
 def sonar_model_of_address(address: str) -> bool | None:
     """Whether an address says that sonars are exact rays; None where it says nothing of it."""
-    there = parsed(address)
+    there = split_address(address)
     if there.scheme != SIMULATION:
         return None
     setup = there.options.get("setup", "")
@@ -119,11 +118,11 @@ def add_map_option(parser: argparse.ArgumentParser, known: str = "") -> None:
 def resolve_world(options: argparse.Namespace, known: str = "") -> World:
     """The world, of options with an `address` (None: the default's); where none is told that is wrong usage. Raises
     WorldFileError where it cannot be read, AddressError where the address is none."""
-    there = parsed(address_or_default(options.address))
+    there = split_address(address_or_default(options.address))
     told = options.map or known
     if not told and there.scheme == SIMULATION:
         told = there.text.partition(":")[2].partition("?")[0] or DEFAULT_WORLD
     if not told:
-        opening_of(there.text, Wanted())
+        parse_address(there.text)
         options.refuse("which walls are there? --map WORLD, a shipped world or a TOML file")
     return load_world(told)
