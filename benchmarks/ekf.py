@@ -22,7 +22,7 @@ import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
-from localization.experiments.figure_trial import FIGURES, Course, course_of, run
+from localization.experiments.figure_trial import FIGURES, FigureSetup, figure_setup, run
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import correct
@@ -64,7 +64,7 @@ STEP: Final = (0.05, 0.01)
 class Case(NamedTuple):
     """One robot in the thesis room: what it believes, does, reads, and what is made of the reading."""
 
-    course: Course
+    course: FigureSetup
     belief: Belief
     step: Floats
     readings_in: Floats
@@ -99,7 +99,7 @@ class Result(TypedDict):
 
 def make_case() -> Case:
     """A robot that uses all sixteen beams."""
-    course = course_of(FIGURES["5.4"])
+    course = figure_setup(FIGURES["5.4"])
     belief = independent(POSE, STD)
     step = np.array(STEP)
     predicted = predict(belief, step, course.noise)
@@ -151,7 +151,7 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
     belief = independent(POSE, (0.2, 0.2, 0.01))
     known = LocalizationConfig(world.walls, N150, sonar=sonar)
     particles = make("mcl", known, belief)
-    course = course_of(FIGURES["5.8"])
+    course = figure_setup(FIGURES["5.8"])
     aimed = rays(belief.mean[None], course.beams)
     readings = np.rint(sight(aimed, course.walls.lines[meet(aimed, course.walls)]).ranges_in).tolist()
 
@@ -166,7 +166,7 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
 
 def batch_steps_per_s(seeds: int) -> float:
     """Steps a second of whole trials (figure 5.6: truth, readings, bound and filter) of that many seeds at once."""
-    course = course_of(FIGURES["5.6"])
+    course = figure_setup(FIGURES["5.6"])
     begin = time.thread_time()
     runs = run(course, range(seeds))
     return float(runs.steps.sum()) / (time.thread_time() - begin)

@@ -25,7 +25,13 @@ from localization.cli.options import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
 from localization.live.run import Run, RunMoment, TruthSample
-from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.navigation.waypoints import (
+    STOP_RADIUS_IN,
+    Navigator,
+    Speeds,
+    follow_waypoints,
+    start_localizer,
+)
 from nclient import Robot, connect
 from worlds.io import load_world
 from worlds.robots import BODIES
@@ -59,11 +65,11 @@ def localized(address: str, eye: Robot) -> Run:
         state = robot.refresh()
         belief = independent([state.x_in, state.y_in, state.steering_rad], START_STD)
         navigator = Navigator(WAYPOINTS, Speeds(), STOP_RADIUS_IN)
-        for progress in follow(robot, begin(robot, known, belief), navigator, time.sleep):
+        for progress in follow_waypoints(robot, start_localizer(robot, known, belief), navigator, time.sleep):
             before, seen = seen, _sighting(eye)
             told = progress.state
             odometry = (told.x_in, told.y_in, told.steering_rad)
-            truth = before.towards(seen, progress.estimate.clock_s)
+            truth = before.interpolate(seen, progress.estimate.clock_s)
             done.add(RunMoment(progress.estimate, odometry, truth, progress.passed))
             if done.duration_s > TIME_LIMIT_S:
                 break

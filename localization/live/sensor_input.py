@@ -91,8 +91,8 @@ def with_wheels(pose: Belief, errs: Calibration) -> Belief:
     if errs is IDEAL_CALIBRATION:
         return pose
     spread = errs.spread
-    longer = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))
-    longer.mean[POSE:] = np.array([errs.way_scale - 1.0, errs.turn_scale - 1.0, errs.drift_rad_in])
+    longer = with_parameters(pose, (spread.distance_scale, spread.turn_scale, spread.drift_rad_in))
+    longer.mean[POSE:] = np.array([errs.distance_scale - 1.0, errs.turn_scale - 1.0, errs.drift_rad_in])
     return longer
 
 

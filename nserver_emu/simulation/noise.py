@@ -379,7 +379,7 @@ def setup_of(model: RobotModel, setup: RobotSetup) -> RobotSetup:
 
 
 def _odometry(errs: Calibration, odometry: Odometry, track_in: float | None) -> Odometry:
-    way, turn, drift, turret = errs.way_scale, errs.turn_scale, errs.drift_rad_in, odometry.scales[2]
+    way, turn, drift, turret = errs.distance_scale, errs.turn_scale, errs.drift_rad_in, odometry.scales[2]
     if track_in is None:
         return replace(odometry, scales=(way, turn, turret), drifts=(drift, 0.0))
     apart = (turn - way) / track_in

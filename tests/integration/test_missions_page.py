@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.steps import CONDITIONS, VERBS, parse_list, parse_program
+from localization.missions.steps import CONDITIONS, STEP_PARSERS, parse_program, parse_toml
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "missions.md").read_text()
@@ -43,10 +43,10 @@ def test_command_runs(command: str, tmp_path: Path) -> None:
 def test_list_and_program_are_missions() -> None:
     (steps,) = [text for kind, text in BLOCKS if kind == "toml"]
     (program,) = [text for kind, text in BLOCKS if kind == "python"]
-    assert parse_list(steps, "page").settings.title == "Rounds"
+    assert parse_toml(steps, "page").settings.title == "Rounds"
     assert parse_program(program, "page").settings.title == "Mail"
 
 
 def test_page_has_every_step_and_condition() -> None:
-    for word in (*VERBS, *CONDITIONS):
+    for word in (*STEP_PARSERS, *CONDITIONS):
         assert f"`{word}`" in PAGE

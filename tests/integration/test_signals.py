@@ -66,7 +66,7 @@ def test_a_signal_stops_the_robot_and_what_was_asked_for_is_written(
     elif command == "mission":
         assert json.loads(written.read_text())["ending"] == "interrupted"
     elif command == "localize":
-        assert "0 of 1 way-points reached" in told
+        assert "0 of 1 waypoints reached" in told
         assert written.read_text()
     else:
         assert not written.exists(), "what half a square has shown is no model"

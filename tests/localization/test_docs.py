@@ -35,4 +35,4 @@ def test_the_file_of_the_page_is_a_model_file(tmp_path: Path) -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", (DOCS / "calibration.md").read_text(encoding="utf-8"), re.DOTALL)
     file = tmp_path / "mine.toml"
     file.write_text(text)
-    assert load_calibration(file, "n150").spread.way_scale == 0.001
+    assert load_calibration(file, "n150").spread.distance_scale == 0.001

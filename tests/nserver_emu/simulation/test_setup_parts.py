@@ -122,7 +122,7 @@ def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_whe
 
 
 def test_what_a_robot_errs_by_itself_stays_whatever_is_switched() -> None:
-    errs = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+    errs = Calibration(distance_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
     own = replace(N150, errs=errs)
     choices = part_choices("sensors", own, setup_of(own, IDEAL))
     assert {setup.sonar.offsets_in for setup in choices.values()} == {errs.offsets_in}
