@@ -108,7 +108,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
         serving = asyncio.create_task(daemon.serve(stop))
         _, writer = await asyncio.open_connection(LOOPBACK, port)
         for call in (Call("connect_robot", (1, 0)), Call("vm", ROUND_AND_ROUND)):
-            writer.write(codec.tcp_request(call))
+            writer.write(codec.encode_tcp_request(call))
         with seldom_sought():
             yield daemon, lines[0].split()[-1]
         if daemon.emulator.simulation.robots[1].still((0,)):

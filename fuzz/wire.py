@@ -29,7 +29,7 @@ from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_fram
 from nclient.protocol.tcp_framing import TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.recording.readable import told
+from nclient.recording.format import format_frame
 from nclient.recording.recorder import LINES, FrameDecoder
 from nclient.robot import Robot
 from nclient.transports.stream import Deadline
@@ -187,7 +187,7 @@ def _captures(data: bytes) -> None:
         size = data[at] & 127
         turn = data[at + 1 : at + 1 + size]
         for found in follower.to_host(turn) if data[at] > 127 else follower.to_robot(turn):
-            told(found)
+            format_frame(found)
         at += 1 + size
     json.dumps(follower.clock_s)
 

@@ -33,7 +33,7 @@ from nclient.errors import AddressError
 from nclient.faults.plan import load_plan
 from nclient.openers import open_nserver, open_tcp
 from nclient.opening import Opening, Option, Scheme, Wanted
-from nclient.protocol.types import N150, model_named
+from nclient.protocol.types import N150, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL
 from nclient.recording.replayer import ORDERS
 from nclient.transports import memory
@@ -64,7 +64,7 @@ _REMOTE = _LINES | {"nserver"}
 
 OPTIONS: tuple[Option, ...] = (
     Option("timeout_s", text.seconds, schemes=_REMOTE),
-    Option("model", model_named, schemes=_REMOTE),
+    Option("model", get_model, schemes=_REMOTE),
     Option("baud", text.baud, schemes=_SERIAL),
     Option("checks", text.flag, schemes=_LINES),
     Option("order", text.one_of(ORDERS), schemes=_REPLAY),
@@ -90,7 +90,7 @@ def opening_of(given: str, wanted: Wanted) -> Opening:
     readers = {option.name: option.read for option in OPTIONS if option.belongs_to(address.scheme)}
     values = {**scheme.defaults, **address.read(readers, others=scheme.reads_the_rest)}
     if scheme.reads_the_rest:
-        values = {"model": model_named(address.options.get("robot", N150.name)), **values}
+        values = {"model": get_model(address.options.get("robot", N150.name)), **values}
     return Opening(address, scheme, wanted, OPTIONS, values)
 
 

@@ -18,7 +18,7 @@ from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
 from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import Plan, require_rules_for
 from nclient.opening import Opening
-from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ProgramsRecording, Recorded
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording, RecordingTarget
 from nclient.transports.stream import ByteStream
 
 _FASTEST_FED = 1000
@@ -37,18 +37,18 @@ def recorded(stream: ByteStream, path: str, opening: Opening) -> ByteStream:
         except RecordingError:
             stream.close()
             raise
-    recorded: ByteStream = recording.around(stream)
+    recorded: ByteStream = recording.wrap(stream)
     return recorded
 
 
-def _recording(path: Path, opening: Opening) -> ProgramsRecording:
+def _recording(path: Path, opening: Opening) -> ClientRecording:
     """Who answers in this process has a time of its own, which the robot's clock tells."""
     line = _line_of(opening)
-    what = Recorded(opening.foreign_text, line, opening.model)
+    what = RecordingTarget(opening.foreign_text, line, opening.model)
     if opening.scheme.in_process:
-        return ProgramsRecording(path, what)
+        return ClientRecording(path, what)
     start_s = time.monotonic()
-    return ProgramsRecording(path, what, lambda: time.monotonic() - start_s, datetime.now(UTC))
+    return ClientRecording(path, what, lambda: time.monotonic() - start_s, datetime.now(UTC))
 
 
 def faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:

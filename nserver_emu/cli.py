@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from nclient.common import process
-from nclient.common.allowlist import access_of, warning
+from nclient.common.allowlist import allowlist_from_options, warning
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import NomadError, SnapshotError
@@ -124,7 +124,7 @@ async def _serve_with(
         log.warning("paused, and no client can resume: --allow-control lets them")
     gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
     daemon = Daemon(emulator, emulator.pace.factor, gateway, faults)
-    daemon.door = Door(limits := limits_of(options), access_of(options))
+    daemon.door = Door(limits := limits_of(options), allowlist_from_options(options))
     make_room(limits.connections + (limits.page_connections if options.viewer else 0))
     daemon.places |= real_options.places(options)
     stop = asyncio.Event()

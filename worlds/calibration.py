@@ -21,7 +21,7 @@ from typing import Any, Final
 from nclient.errors import WorldFileError
 from worlds.bodies import SONARS
 from worlds.tables import Table
-from worlds.texts import read_text, toml_of
+from worlds.texts import parse_toml, read_text
 
 TABLES: Final = ("odometry", "sonar", "spread")
 """The tables of a model that are a calibration's."""
@@ -96,7 +96,7 @@ def _spreads(table: Table) -> Iterator[tuple[str, Any]]:
 def load_calibration(path: Path, name: str) -> Calibration:
     """The calibration of the model `name` in a model file. Raises WorldFileError, also where there is none of it."""
     text = read_text(path)
-    values = toml_of(text, str(path))
+    values = parse_toml(text, str(path))
     names = []
     for model in Table(str(path), "", values).tables("model"):
         names.append(model.text("name", ""))

@@ -24,7 +24,7 @@ from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.outlines import require_outline
 from worlds.tables import SHORTEST_IN, Table
-from worlds.texts import read_text, toml_of
+from worlds.texts import parse_toml, read_text
 from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
@@ -62,7 +62,7 @@ def world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
 def parse_world(text: str, file: str, name: str) -> World:
     """The world that the text of a file describes; `file` is what errors call it, `name` what it is called
     unless it says so itself. Raises WorldFileError."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
     if not any(values.get(key) for key in ("room", "wall", "obstacle")):

@@ -30,7 +30,7 @@ from nclient.connect import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.schemes import Wanted, opening_of
 from worlds.files import DEFAULT_WORLD, load_world
-from worlds.texts import read_text, toml_of
+from worlds.texts import parse_toml, read_text
 from worlds.world import World
 
 SIMULATION: Final = "sim"
@@ -92,7 +92,7 @@ def rays_told_by(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values = toml_of(read_text(Path(setup)), setup)
+        values = parse_toml(read_text(Path(setup)), setup)
     except WorldFileError:
         return None
     sonar = values.get("sonar", {})

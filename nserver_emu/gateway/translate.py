@@ -38,7 +38,7 @@ import numpy as np
 
 from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.codec import clamp_to_serial
-from nclient.protocol.commands import BY_NAME, Call, on_line
+from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
@@ -165,7 +165,7 @@ def plan(call: Call, visit: Visit, link: Link) -> Plan | int:
     if call.name == "ct" and visit.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
     calls, shape = _ROWS[call.name](call, visit, link)
-    if link.own_line and not all(on_line(BY_NAME[said.name], link.model) for said in calls):
+    if link.own_line and not all(exists_on_serial(BY_NAME[said.name], link.model) for said in calls):
         return NOT_AVAILABLE
     return Plan(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, shape)
 

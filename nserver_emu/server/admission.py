@@ -28,7 +28,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from nclient.common.allowlist import NOT_ALLOWED, Access
+from nclient.common.allowlist import NOT_ALLOWED, Allowlist
 from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
@@ -39,13 +39,13 @@ class Door:
     """The rules of all ports. `turned_away` counts those who were not let in."""
 
     limits: Limits = field(default_factory=Limits)
-    access: Access = field(default_factory=Access)
+    access: Allowlist = field(default_factory=Allowlist)
     turned_away: int = 0
 
     def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
         """Why a newcomer from this address may not come in; empty: he may. `present`: addresses of those who are;
         `at`: the one of ours that he came to."""
-        if not self.access.admits(host, at):
+        if not self.access.allows(host, at):
             return NOT_ALLOWED
         if len(present) >= self.limits.connections:
             return f"there are {len(present)} connections already (--limit-connections)"

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import OFF, TCP, ConnectionRecorder
+from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder
 from nserver_emu.server.admission import Allowance, Patience
 from nserver_emu.server.client_registry import FORGOTTEN_AFTER_S
 from nserver_emu.server.link import Arrival, Cable, FaultyCable
@@ -53,7 +53,7 @@ class Talker(ABC):
         self._cable = cable
         self._faulty = False
         self._delivering = False
-        self._tape: ConnectionRecorder = OFF
+        self._tape: ConnectionRecorder = NULL_RECORDER
         self._allowance: Allowance | None = None
         """How fast it is answered; None: as fast as it asks."""
         self.here = True

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state
 from nserver_emu.server.graphics import Graphics, Traces
 from nserver_emu.server.layers import layers
@@ -316,7 +316,7 @@ class Stage:
         he has left. As at power-on in a simulation that is restored."""
         if robot_id not in self._serial_wire_states:
             family = self.simulation.robots[robot_id].model.family
-            self._serial_wire_states[robot_id] = serial_wire_state(model_named(family))
+            self._serial_wire_states[robot_id] = serial_wire_state(get_model(family))
         return self._serial_wire_states[robot_id]
 
     def arm_of(self, visit: Visit) -> Arm:

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from nclient.errors import ConnectionLost
-from nclient.recording.format import LogWriter
-from nclient.recording.recorder import OFF, AnyRecorder, Recorder
+from nclient.recording.format import RecordingWriter
+from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
 from nserver_emu.garbage import Tidying
 from nserver_emu.server.admission import Door, Doorkeeper
 from nserver_emu.server.client_registry import Acquaintances
@@ -55,7 +55,7 @@ class Daemon:
     ) -> None:
         self.emulator = emulator
         self.host: Host = emulator if host is None else host
-        self.recorder: AnyRecorder = OFF
+        self.recorder: TrafficRecorder = NULL_RECORDER
         self.connections: set[Talker] = set()
         self.door = Door()
         self.lost_s = 0.0
@@ -97,7 +97,7 @@ class Daemon:
 
     def paced(self) -> None:
         """The emulator's pace was changed by who may, not by a client."""
-        self.recorder.paced(self.emulator.pace.factor, self.emulator.pace.paused)
+        self.recorder.record_pace(self.emulator.pace.factor, self.emulator.pace.paused)
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
         """Stop these robots, and let nobody move them until they are released (holds.py)."""
@@ -118,7 +118,7 @@ class Daemon:
 
     def changed(self, what: Mapping[str, Any]) -> None:
         """The simulation was changed by who may, not by a client (switches.py, holds.py)."""
-        self.recorder.changed(what)
+        self.recorder.record_change(what)
 
     async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
@@ -140,7 +140,7 @@ class Daemon:
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
         clock = asyncio.get_running_loop().time
-        log_writer = LogWriter(path, header, self.door.limits.log)
+        log_writer = RecordingWriter(path, header, self.door.limits.log)
         self.recorder = Recorder(log_writer, lambda: self.emulator.simulation.time_s, clock)
 
     async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
@@ -197,7 +197,7 @@ class Daemon:
     def step(self, dt_s: float) -> None:
         """Let simulated time pass."""
         self.steps += 1
-        self.recorder.stepped(dt_s)
+        self.recorder.record_step(dt_s)
         self.emulator.pass_time(dt_s)
 
     def tick(self) -> None:

@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Language, LineLanguage
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
-from nclient.protocol.types import Model, model_named
-from nclient.recording.recorder import HANDSHAKE_FIRST, OFF, SERIAL
+from nclient.protocol.types import Model, get_model
+from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
 from nserver_emu.server.connection import READ_SIZE, Connection, Talker
 from nserver_emu.server.link import Cable, PacedCable
 from nserver_emu.server.serial_session import LineSession
@@ -62,7 +62,7 @@ def own_line(daemon: Daemon, robot_id: int) -> OwnLine:
     if robot_id not in robots:
         known = ", ".join(map(str, robots))
         raise AddressError(f"a line for robot {robot_id}: there is no such robot, but {known}; --robots makes more")
-    return OwnLine(robot_id, model_named(robots[robot_id].model.family))
+    return OwnLine(robot_id, get_model(robots[robot_id].model.family))
 
 
 def last_frame(data: bytes) -> int:
@@ -188,7 +188,7 @@ class SerialLine(Talker):
         self.here = False
         self._daemon.emulator.leave(self.session.visit)
         self._tape.close()
-        self._tape = OFF
+        self._tape = NULL_RECORDER
         self._begin()
 
     def _language(self) -> Language:

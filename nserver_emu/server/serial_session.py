@@ -112,10 +112,10 @@ class LineSession(Conversation[SerialFrame]):
         call = self._known.get(request)
         if call is None:
             try:
-                call = codec.line_call(request, wire_state)
+                call = codec.decode_serial_request(request, wire_state)
             except WireError as error:
                 self._count_refusal(str(error))
-                return codec.line_reply(BY_NAME["gs"], NAK, wire_state)
+                return codec.encode_serial_reply(BY_NAME["gs"], NAK, wire_state)
             if len(self._known) < MOST_KNOWN:
                 self._known[request] = call
         codec.update_from_request(call, wire_state)
@@ -127,7 +127,7 @@ class LineSession(Conversation[SerialFrame]):
             reply = NAK
         if reply.kind == "state":
             return self._state_frame(name, reply)
-        return codec.line_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.wire_state)
+        return codec.encode_serial_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.wire_state)
 
     def _state_frame(self, name: str, reply: Reply) -> bytes:
         """A state packet; the one reply that is told again and again between two steps is built once a command."""
@@ -136,7 +136,7 @@ class LineSession(Conversation[SerialFrame]):
             frames = {}
             self._told = (reply, frames)
         if name not in frames:
-            frames[name] = codec.line_reply(
+            frames[name] = codec.encode_serial_reply(
                 BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.wire_state
             )
         return frames[name]

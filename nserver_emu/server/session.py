@@ -36,7 +36,7 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, request_bounds, shorter
+from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits
@@ -263,7 +263,7 @@ class Session(Conversation[TcpFrame | InvalidFrame]):
         self._acquaintance = acquaintance
         self._head: bytes | None = b""
         self._silent = False
-        self._framer = TcpFramer(shorter(request_bounds, most_words), gives_up=True)
+        self._framer = TcpFramer(limit_words(request_bounds, most_words), gives_up=True)
 
     @property
     def unfinished(self) -> int:
@@ -300,7 +300,7 @@ class Session(Conversation[TcpFrame | InvalidFrame]):
                 log.warning("%s: closed: %s", self.name, request.reason)
             return self._refuse(request.code, request.reason)
         try:
-            call = codec.tcp_call(request)
+            call = codec.decode_tcp_request(request)
         except WireError as error:
             return self._refuse(BAD_VALUES, str(error))
         row = BY_NAME[call.name]
@@ -318,9 +318,9 @@ class Session(Conversation[TcpFrame | InvalidFrame]):
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
             self._count_refusal(f"{name}: error {reply.values[0]}")
-        return codec.tcp_reply(BY_NAME[name], reply, self.visit.wire_state)
+        return codec.encode_tcp_reply(BY_NAME[name], reply, self.visit.wire_state)
 
     def _refuse(self, code: int, reason: str) -> bytes:
         self._count_refusal(reason)
         self.visit.wire_state.wide = bool(self._framer.wide)
-        return codec.tcp_reply(BY_NAME["gs"], error_reply(code), self.visit.wire_state)
+        return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.visit.wire_state)

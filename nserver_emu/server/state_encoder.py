@@ -38,7 +38,7 @@ from nclient.protocol.types import (
     Mask,
     Position,
     Stamp,
-    clamped_word,
+    clamp_word,
     heading_tenths,
     rad_from_tenths,
     raw_volts,
@@ -236,8 +236,8 @@ def infrared_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
     return (
-        clamped_word(tenths(pose.x_in)),
-        clamped_word(tenths(pose.y_in)),
+        clamp_word(tenths(pose.x_in)),
+        clamp_word(tenths(pose.y_in)),
         heading_tenths(pose.steering_rad),
         heading_tenths(pose.turret_rad),
     )

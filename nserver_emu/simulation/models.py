@@ -38,7 +38,7 @@ from worlds.bodies import Body
 from worlds.calibration import TABLES as CALIBRATION_TABLES
 from worlds.calibration import Calibration, calibration_of
 from worlds.tables import INCHES, Table
-from worlds.texts import read_text, toml_of
+from worlds.texts import parse_toml, read_text
 
 ROLLING: Final = AxisLimits(
     top_speed=20.0,
@@ -138,7 +138,7 @@ def load_models(path: Path) -> Mapping[str, RobotModel]:
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
     """The same from the text of a file; `file` is what errors call it. A model may be like one above it."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("model",))
     models = dict(MODELS)

@@ -73,7 +73,7 @@ class Hand(Talker):
     def call(self, name: str, args: list[int], then: Then) -> None:
         """Say a command; `then` gets the answer, at once or when it is there."""
         try:
-            request = codec.tcp_request(Call(name, tuple(args)))
+            request = codec.encode_tcp_request(Call(name, tuple(args)))
         except (NomadError, TypeError, ValueError) as error:
             then({"ok": False, "error": f"{name}: {error}"})
             return
@@ -101,7 +101,7 @@ class Hand(Talker):
                 self.close()
                 return
             name, then = self._waiting.popleft()
-            then(_answer(name, codec.read_tcp_reply(BY_NAME[name], frame, self._wire_state)))
+            then(_answer(name, codec.decode_tcp_reply(BY_NAME[name], frame, self._wire_state)))
 
     def _plug_in_faults(self) -> None:
         """None here, whatever plan is in force."""

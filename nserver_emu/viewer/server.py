@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_this_machine
+from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
 from nclient.errors import ConnectionLost
 from nserver_emu.viewer.auth import HTTP_LOG, REFUSED, Reception, Tokens, address, from_here, known_host, new_tokens
 from nserver_emu.viewer.controller import Desk
@@ -215,7 +215,7 @@ class Viewing:
         if self._reception is not None:
             self._reception.heard(request)
         host = request.remote or ""
-        if not self._door.access.admits(host, _our_end(request)):
+        if not self._door.access.allows(host, _our_end(request)):
             self._door.turn_away(host, NOT_ALLOWED)
             return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not let in\n")
         try:
@@ -244,7 +244,7 @@ class Viewing:
 
     def _may_know(self, request: web.Request) -> None:
         """Raises HTTPForbidden for who may not know how the daemon does."""
-        if not is_this_machine(request.remote or "", _our_end(request)) or not known_host(request.host, self._known):
+        if not is_same_machine(request.remote or "", _our_end(request)) or not known_host(request.host, self._known):
             self._may(request)
 
     async def _health(self, request: web.Request) -> web.StreamResponse:

@@ -18,15 +18,15 @@ from typing import Any, Final
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
-from nclient.recording.readable import told
+from nclient.recording.format import format_frame
 from nclient.recording.recorder import (
     HANDSHAKE_FIRST,
     SERIAL,
     TCP,
-    AnyRecorder,
     ConnectionRecorder,
     Decoded,
     FrameDecoder,
+    TrafficRecorder,
 )
 
 MOST_ROWS: Final = 40
@@ -44,7 +44,7 @@ Row = dict[str, Any]
 class Listening:
     """See the head of this file. `watched`: whether anybody looks; `time_s`: simulated time."""
 
-    def __init__(self, inner: AnyRecorder, wire_state_of: TermsOf, time_s: Callable[[], float]) -> None:
+    def __init__(self, inner: TrafficRecorder, wire_state_of: TermsOf, time_s: Callable[[], float]) -> None:
         self.inner = inner
         self.watched = False
         self.missed = 0
@@ -61,17 +61,17 @@ class Listening:
         """A tape that listens, before the real one's."""
         return _Ear(self, name, line, model, self.inner.open(name, line, model, robot_id))
 
-    def stepped(self, dt_s: float) -> None:
+    def record_step(self, dt_s: float) -> None:
         """Handed on."""
-        self.inner.stepped(dt_s)
+        self.inner.record_step(dt_s)
 
-    def paced(self, factor: float | None, paused: bool) -> None:
+    def record_pace(self, factor: float | None, paused: bool) -> None:
         """Handed on."""
-        self.inner.paced(factor, paused)
+        self.inner.record_pace(factor, paused)
 
-    def changed(self, what: Mapping[str, Any]) -> None:
+    def record_change(self, what: Mapping[str, Any]) -> None:
         """Handed on."""
-        self.inner.changed(what)
+        self.inner.record_change(what)
 
     def close(self) -> None:
         """Handed on."""
@@ -88,7 +88,7 @@ class Listening:
             self._rows.append({
                 "time_s": round(self._time_s(), 3), "who": who, "to": to,
                 "what": frame.get("call") or frame.get("reply") or "error", "of": _of(frame, asked),
-                "text": told(frame),
+                "text": format_frame(frame),
                 "hex": data[:MOST_HEX].hex(" "), "size": len(data), "parts": parts(frame, line),
             })  # fmt: skip
 
@@ -108,8 +108,8 @@ def parts(frame: Decoded, line: str) -> list[list[Any]]:
     row = BY_NAME[frame["call"]]
     names = [argument.name for argument in row.arguments]
     beside: list[list[Any]] = []
-    if row.beside is not None:
-        name, place = row.beside
+    if row.extra_arguments is not None:
+        name, place = row.extra_arguments
         del names[place]
         beside = [[name, frame[name]]] if name in frame else []
     args = frame["args"]
@@ -157,4 +157,4 @@ class _Ear:
         if wire_state is None:
             return
         self._follower = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
-        self._follower.take_up(wire_state)
+        self._follower.resume(wire_state)

@@ -57,7 +57,7 @@ def reply_to_connect(port: int, keys: ssl.SSLContext | None) -> bytes:
     """Return the reply to CONNECT over TLS or plain TCP, empty if the connection is closed."""
     plain = socket.create_connection(("127.0.0.1", port), TIMEOUT_S)
     with plain, contextlib.suppress(OSError), keys.wrap_socket(plain) if keys else plain as stream:
-        stream.sendall(codec.tcp_request(Call("connect_robot", (1, 1))))
+        stream.sendall(codec.encode_tcp_request(Call("connect_robot", (1, 1))))
         return stream.recv(8)
     return b""
 

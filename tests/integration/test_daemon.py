@@ -27,7 +27,7 @@ from tests.nserver_emu.server.daemon_house import House, with_daemon
 from tests.nserver_emu.server.wire_client import simulation
 from worlds.world import StartPose
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 def test_a_robot_drives_in_real_time_for_one_client_and_another_sees_it() -> None:
@@ -163,7 +163,7 @@ def test_what_comes_while_an_answer_takes_its_time_is_looked_at_up_to_a_crowd_an
     async def visit(house: House) -> None:
         waiting, other = await house.call(), await house.call()
         await waiting.ask("vm", 0, 0, 20)
-        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))) + GS * 1000)
+        waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))) + GS * 1000)
         while not any(connection.session.crowded for connection in house.daemon.connections):
             assert (await other.ask("gs")).kind == "state"
         before = turns
@@ -199,7 +199,7 @@ def test_a_client_that_vanishes_while_it_waits_leaves_a_robot_that_stands() -> N
     async def visit(house: House) -> None:
         waiting, other = await house.call(), await house.call()
         await waiting.ask("vm", 0, 0, 20)
-        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))))
+        waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))))
         while not any(connection.session.waiting for connection in house.daemon.connections):
             await asyncio.sleep(0.001)
         waiting.writer.close()
@@ -381,7 +381,7 @@ def test_second_connections_find_their_own_robots_and_the_gone_are_forgotten() -
         assert [(await client.ask("sim_truth")).values[-1] for client in second] == [1, 2]
         for client in first:
             client.writer.close()
-        second[0].writer.write(codec.tcp_request(Call("disconnect_robot", (1, 1))))
+        second[0].writer.write(codec.encode_tcp_request(Call("disconnect_robot", (1, 1))))
         second[1].writer.close()
         while house.daemon.connections or len(house.daemon.acquaintances):
             await asyncio.sleep(0.005)

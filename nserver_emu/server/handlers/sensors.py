@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, Position, clamped_word, heading_tenths, wrapped_word
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, Position, clamp_word, heading_tenths, wrap_word
 from nclient.protocol.wire_state import LINES
 from nserver_emu.server.context import Stage
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
@@ -192,9 +192,9 @@ def sim_truth(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
     pose = stage.robot_of(visit).actual
     values = (
         1,
-        wrapped_word(stage.clock_ms),
-        clamped_word(round(pose.x_in * 1000)),
-        clamped_word(round(pose.y_in * 1000)),
+        wrap_word(stage.clock_ms),
+        clamp_word(round(pose.x_in * 1000)),
+        clamp_word(round(pose.y_in * 1000)),
         round(math.degrees(pose.steering_rad) * 1000),
         round(math.degrees(pose.turret_rad) * 1000),
         stage.simulation.seed & _INT32_MAX,

@@ -233,7 +233,7 @@ def test_ws_is_asked_for_again_and_again_and_a_stop_comes_between() -> None:
     house, robot = scripted()
     robot.state = moving
     waiter, other = house.guest(), house.guest()
-    waiter.session.receive(codec.tcp_request(Call("ws", (1, 0, 0, 1))))
+    waiter.session.receive(codec.encode_tcp_request(Call("ws", (1, 0, 0, 1))))
     assert waiter.session.answers(1) == b""
     assert waiter.session.tick() == b""
     house.work()
@@ -268,7 +268,7 @@ def test_who_asks_for_the_state_during_zr_gets_the_last_one() -> None:
     watcher.ask("gs")
     robot.names()
     house.side.robot.saying = "zr"
-    watcher.session.receive(codec.tcp_request(Call("gs")))
+    watcher.session.receive(codec.encode_tcp_request(Call("gs")))
     (state,) = watcher.client.read("gs", watcher.session.answers(1))
     assert (state.slots[34], state.clock) == (100, 5000)
     assert robot.names() == []
@@ -339,7 +339,7 @@ def test_an_owner_gone_dumb_has_its_robot_stopped_however_much_others_ask(caplog
         owner.ask("gs")
         house.gateway.tick()
     robot.state = Reply("state", {**LINE_STATE.slots, 41: 1}, clock=0)
-    owner.session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
+    owner.session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
     owner.session.answers(1)
     for _ in range(50):
         house.now_s += 0.1
@@ -484,7 +484,7 @@ def test_a_shadow_begins_with_the_robot_what_takes_long_and_is_not_waited_for() 
     def is_zeroing() -> bool:
         return shadow.zeroing
 
-    guest.session.receive(codec.tcp_request(Call("zr")))
+    guest.session.receive(codec.encode_tcp_request(Call("zr")))
     assert guest.session.answers(1) == b""
     assert is_zeroing()
     house.emulator.simulation.step(60.0)

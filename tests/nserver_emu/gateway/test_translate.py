@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from docs.generate.commands import examples
-from nclient.protocol.commands import BY_NAME, COMMANDS, Call, on_line
+from nclient.protocol.commands import BY_NAME, COMMANDS, Call, exists_on_serial
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS, serial_wire_state, tcp_wire_state
@@ -22,8 +22,8 @@ N200_LINE = Link(N200, own_line=True)
 
 def visit(mask: Mask = EVERYTHING, laser_mode: int = 51) -> Visit:
     made = Visit(tcp_wire_state(N150), robot_id=1)
-    made.wire_state.note_mask(mask)
-    made.wire_state.note_laser_mode(laser_mode)
+    made.wire_state.set_mask(mask)
+    made.wire_state.set_laser_mode(laser_mode)
     return made
 
 
@@ -57,7 +57,7 @@ def test_what_is_said_to_a_robot_exists_there_and_the_rest_is_error_4(model: Mod
             assert found == 4
             lacking |= set() if stays_here(row.name) else {row.name}
         elif own_line:
-            assert all(on_line(BY_NAME[call.name], model) for call in found.calls)
+            assert all(exists_on_serial(BY_NAME[call.name], model) for call in found.calls)
     n200_only = {row.name for row in COMMANDS if row.line_models == {"n200"}}
     expected = {"sim_truth", "sim_control"}
     if own_line:
@@ -149,12 +149,12 @@ def test_a_lines_packet_makes_a_whole_clean_state() -> None:
 def test_a_connection_keeps_what_its_mask_leaves_out() -> None:
     asking = visit()
     assert state_for(asking, LINE_STATE, LINE).slots[20] == 40
-    asking.wire_state.note_mask(Mask((0, *[0] * 33, *[1] * 10)))
+    asking.wire_state.set_mask(Mask((0, *[0] * 33, *[1] * 10)))
     nearer = Reply("state", {**LINE_STATE.slots, 20: 7, 34: 101}, clock=5001, volts=(1, 2))
     reply = state_for(asking, nearer, LINE)
     assert (reply.slots[20], reply.slots[34], reply.slots[1], reply.slots[0]) == (40, 101, 15, 10)
     assert (reply.clock, reply.volts) == (5001, (1, 2))
-    asking.wire_state.note_mask(EVERYTHING)
+    asking.wire_state.set_mask(EVERYTHING)
     assert state_for(asking, nearer, LINE).slots[20] == 7
 
 

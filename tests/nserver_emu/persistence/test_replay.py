@@ -15,7 +15,7 @@ from nclient.faults.plan import Direction, Nak, Plan, Rule
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
-from nclient.recording.format import Entry, LogWriter, Recording, read_recording
+from nclient.recording.format import Entry, Recording, RecordingWriter, read_recording
 from nclient.recording.recorder import Recorder, RecordingStream
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
@@ -95,13 +95,15 @@ def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) ->
     async def visit(house: House) -> None:
         driver, watcher = await house.call(), await house.call()
         await driver.ask("vm", 100, 0, 0)
-        watcher.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2))) + codec.tcp_request(Call("gs")) * 1500)
+        watcher.writer.write(
+            codec.encode_tcp_request(Call("ws", (1, 1, 1, 2))) + codec.encode_tcp_request(Call("gs")) * 1500
+        )
         driver.writer.close()
         for name in ("ws", *["gs"] * 1500):
             await watcher.reply(name)
         other = await house.knock()
         assert (await other.ask("gs")).slots[38] == 0
-        watcher.writer.write(codec.tcp_request(Call("disconnect_robot", (1, 1))))
+        watcher.writer.write(codec.encode_tcp_request(Call("disconnect_robot", (1, 1))))
         assert await watcher.reader.read() == b""
         await other.ask("gs")
 
@@ -267,10 +269,10 @@ def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> N
     address = "sim:thesis_room?noisy=1&seed=4"
     whole = []
     for _ in range(2):
-        recorder = Recorder(LogWriter(tmp_path / "run.log", {"address": address}))
+        recorder = Recorder(RecordingWriter(tmp_path / "run.log", {"address": address}))
         stream = RecordingStream(MemoryStream(open_address(address)), recorder.open("", "tcp", N150))
         for call in (Call("connect_robot", (1, 1)), *map(request, range(50))):
-            stream.send(codec.tcp_request(call))
+            stream.send(codec.encode_tcp_request(call))
             stream.receive(Deadline.after(0))
         stream.close()
         recorder.close()
@@ -282,17 +284,17 @@ def test_a_clients_recording_of_the_emulator_in_its_process(tmp_path: Path) -> N
 
 def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
-    LogWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
+    RecordingWriter(path, {"address": "serial:///dev/ttyUSB0"}).close()
     with pytest.raises(RecordingError, match=r"recorded at serial:///dev/ttyUSB0.*`nomad play` answers as it did"):
         replay(read_recording(path))
-    LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20, real_robots=1)).close()
+    RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20, real_robots=1)).close()
     with pytest.raises(RecordingError, match="real robots answered"):
         replay(read_recording(path))
-    LogWriter(path, {"by": "nserver"}).close()
+    RecordingWriter(path, {"by": "nserver"}).close()
     with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
     head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
-    recorder = Recorder(LogWriter(path, head), lambda: 0.0)
+    recorder = Recorder(RecordingWriter(path, head), lambda: 0.0)
     recorder.open("a", "tcp", N150).to_robot(b"")
     recorder.close()
     path.write_text(path.read_text().replace('"event":"open"', '"event":"time"'))
@@ -312,7 +314,7 @@ def test_recordings_that_cannot_be_asked_again(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[str, Any], told: str) -> None:
     path = tmp_path / "run.log"
-    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer = RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
     writer.write(Entry(0.0, "time", more=changes))
     writer.close()
     with pytest.raises(RecordingError, match=told):
@@ -322,7 +324,7 @@ def test_entries_that_no_daemon_writes_are_named(tmp_path: Path, changes: dict[s
 @pytest.mark.parametrize("missing", ["wire", "model"])
 def test_a_connection_that_is_opened_without_what_it_takes_is_told_by_that(tmp_path: Path, missing: str) -> None:
     path = tmp_path / "run.log"
-    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer = RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
     told = {"wire": "tcp", "model": "n150"}
     del told[missing]
     writer.write(Entry(0.0, "open", "a", more=told))
@@ -334,7 +336,7 @@ def test_a_connection_that_is_opened_without_what_it_takes_is_told_by_that(tmp_p
 @pytest.mark.parametrize("kind", ["out", "in", "close"])
 def test_a_connection_that_has_gone_is_told(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "run.log"
-    writer = LogWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
+    writer = RecordingWriter(path, header(LOCKSTEP, "", port=1, requests_a_turn=20))
     for each in ("open", "close", kind):
         writer.write(Entry(0.0, each, "a", more={"wire": "tcp", "model": "n150"} if each == "open" else {}))
     writer.close()
@@ -355,7 +357,7 @@ def test_a_step_is_no_longer_than_a_daemon_at_its_fastest_makes_up_for() -> None
 def test_a_beginning_that_no_daemon_had_is_told(tmp_path: Path, part: str, wrong: dict[str, Any]) -> None:
     head = header(LOCKSTEP, "", port=1, requests_a_turn=20)
     path = tmp_path / "run.log"
-    LogWriter(path, head | {part: head[part] | wrong}).close()
+    RecordingWriter(path, head | {part: head[part] | wrong}).close()
     with pytest.raises(RecordingError, match="line 1: does not tell how the simulation began"):
         replay(read_recording(path))
 
@@ -366,7 +368,7 @@ def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
     models.touch()
     setting = dataclasses.replace(THREE, model_file=models)
     beginning = Beginning(setting, Pace(None, True, 0.25), Allowed(quit=True), saved, snapshot_text="all of it")
-    LogWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
+    RecordingWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
     assert beginning_of(read_recording(tmp_path / "run.log").header, "run.log") == beginning
 
 

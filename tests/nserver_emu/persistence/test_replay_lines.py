@@ -38,7 +38,7 @@ class Host:
 
     def request(self, name: str, *args: int) -> bytes:
         call = Call(name, args)
-        data = codec.line_request(call, self.wire_state)
+        data = codec.encode_serial_request(call, self.wire_state)
         codec.update_from_request(call, self.wire_state)
         return data
 
@@ -51,7 +51,7 @@ class Host:
             data = await self.reader.read(65536)
             assert data, "the line is dead"
             self._frames += self._framer.receive(data)
-        return codec.read_line_reply(self._frames.pop(0), self.wire_state)
+        return codec.decode_serial_reply(self._frames.pop(0), self.wire_state)
 
 
 class House:
@@ -142,7 +142,7 @@ def test_hosts_at_a_pseudo_terminal_one_after_the_other(tmp_path: Path) -> None:
         try:
             for _ in range(2):
                 fd = os.open(tmp_path / "robot", os.O_RDWR | os.O_NOCTTY)
-                request = codec.line_request(Call("vm", (100, 0, 0)), serial_wire_state(N150))
+                request = codec.encode_serial_request(Call("vm", (100, 0, 0)), serial_wire_state(N150))
                 os.write(fd, request)
                 answered = await loop.run_in_executor(None, os.read, fd, 1)
                 assert answered == b"\x01"

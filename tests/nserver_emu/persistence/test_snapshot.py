@@ -36,7 +36,7 @@ def busy() -> tuple[Emulator, WireClient]:
     client.ask("add_obstacle", *BOX)
     client.ask("draw_robot", 1, 2, 3, 4, 2)
     client.ask("refresh_all")
-    client.send("tk", codec.tcp_request(Call("tk", ("hello",))))
+    client.send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
     client.ask("conf_tm", 4)
     client.ask("create_robot", 2, 1)
     client.ask("vm", 20, 100, 0)

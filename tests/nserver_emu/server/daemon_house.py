@@ -31,7 +31,7 @@ class Client:
     async def ask(self, name: str, *args: int) -> Reply:
         call = Call(name, args)
         codec.update_from_request(call, self.wire_state)
-        self.writer.write(codec.tcp_request(call))
+        self.writer.write(codec.encode_tcp_request(call))
         return await self.reply(name)
 
     async def reply(self, name: str) -> Reply:
@@ -39,7 +39,7 @@ class Client:
             data = await self.reader.read(65536)
             assert data, "the daemon closed the connection"
             self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
-        return codec.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.wire_state)
+        return codec.decode_tcp_reply(BY_NAME[name], self._frames.pop(0), self.wire_state)
 
 
 class House:

@@ -97,7 +97,7 @@ MASK, TURN, GS = Call("ct", EVERYTHING.smask), Call("vm", (0, 100, 0)), Call("gs
 )
 def test_what_the_first_message_tells_of_its_words(call: Call, narrow: bool | None, wide: bool | None) -> None:
     for width, told in ((False, narrow), (True, wide)):
-        message = codec.tcp_request(call, wide=width)
+        message = codec.encode_tcp_request(call, wide=width)
         size = next(size for size in range(1, len(message) + 1) if session.enough(message[:size]))
         assert session.width(message[:size]) is told
         assert session.width(message) is told

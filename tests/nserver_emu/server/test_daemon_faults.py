@@ -31,7 +31,7 @@ class Client:
         self._frames: list[TcpFrame] = []
 
     def send(self, *calls: Call) -> None:
-        self._writer.write(b"".join(codec.tcp_request(call, wide=self._wide) for call in calls))
+        self._writer.write(b"".join(codec.encode_tcp_request(call, wide=self._wide) for call in calls))
 
     async def types(self, count: int) -> list[int]:
         while len(self._frames) < count:

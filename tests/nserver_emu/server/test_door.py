@@ -7,7 +7,7 @@ import ipaddress
 
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nserver_emu import cli
 from tests.nserver_emu.server.daemon_house import House, with_daemon
 
@@ -17,7 +17,7 @@ def test_who_is_not_let_in_is_closed_at_once(monkeypatch: pytest.MonkeyPatch) ->
         inside = await house.call()
         with monkeypatch.context() as patched:
             patched.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
-            house.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
+            house.daemon.door.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             outsider = await house.knock(of="127.0.0.2")
             assert await outsider.reader.read() == b""
             assert (await (await house.call()).ask("gs")).kind == "state"  # from the address that he calls

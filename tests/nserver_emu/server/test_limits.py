@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
@@ -27,7 +27,7 @@ from tests.nserver_emu.server.daemon_house import Client, House, with_daemon
 from tests.nserver_emu.server.wire_client import simulation
 
 ROOT = Path(__file__).parents[3]
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
 
 
@@ -111,9 +111,9 @@ def test_from_another_address_there_is_room() -> None:
 
 
 def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    door = Door(access=Access(()))
+    door = Door(access=Allowlist(()))
     assert not door.refusal("10.0.0.1", [])
-    fenced = Door(access=Access((ip_network("10.9.9.0/24"),)))
+    fenced = Door(access=Allowlist((ip_network("10.9.9.0/24"),)))
     assert "--allow" in fenced.refusal("10.0.0.1", [], "10.0.0.2")
     assert not fenced.refusal("10.0.0.1", [], "10.0.0.1")
     door.turn_away("10.0.0.1", "because")
@@ -160,7 +160,7 @@ def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest
     async def visit(house: House) -> None:
         silent, talker, waiting = await house.call(), await house.call(), await house.call()
         await waiting.ask("vm", 10, 0, 0)
-        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
+        waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
         while not any(one.session.waiting for one in house.daemon.connections):
             await asyncio.sleep(0.01)
         closed = asyncio.create_task(is_closed(silent))
@@ -179,7 +179,7 @@ def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
         stalled, other = await house.call(), await house.call()
         await stalled.ask("vm", 100, 0, 0)
         closed = asyncio.create_task(is_closed(stalled))
-        for byte in codec.tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
+        for byte in codec.encode_tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
             if closed.done():
                 break
             stalled.writer.write(bytes([byte]))
@@ -212,7 +212,7 @@ def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCa
         loop = asyncio.get_running_loop()
         await loop.sock_connect(deaf, ("127.0.0.1", house.port))
         async def ask_on() -> None:
-            await loop.sock_sendall(deaf, codec.tcp_request(Call("connect_robot", (1, 1))))
+            await loop.sock_sendall(deaf, codec.encode_tcp_request(Call("connect_robot", (1, 1))))
             while True:
                 await loop.sock_sendall(deaf, GS * 1000)
 

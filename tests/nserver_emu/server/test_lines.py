@@ -47,7 +47,7 @@ class Host:
         self._frames: list[SerialFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
-        self.send(codec.line_request(Call(name, args), self.wire_state))
+        self.send(codec.encode_serial_request(Call(name, args), self.wire_state))
         return await self.reply()
 
     async def reply(self) -> Reply:
@@ -55,7 +55,7 @@ class Host:
             data = await self.some()
             assert data, "the line is dead"
             self._frames += self._framer.receive(data)
-        return codec.read_line_reply(self._frames.pop(0), self.wire_state)
+        return codec.decode_serial_reply(self._frames.pop(0), self.wire_state)
 
 
 class House:
@@ -279,12 +279,12 @@ def test_what_a_host_on_one_line_asked_for_the_hello_of_another_tells(path: Path
     async def visit(house: House) -> None:
         serial, leave = house.at_link()
         few = Mask((0,) * 34 + (1,) * 10)
-        serial.wire_state.note_mask(few)
+        serial.wire_state.set_mask(few)
         await serial.ask("ct", *few.smask)
         leave()
         host, writer = await house.at_port()
         assert read_handshake(await host.some()) == (few, 51)
-        host.wire_state.note_mask(few)
+        host.wire_state.set_mask(few)
         assert 17 not in (await host.ask("gs")).slots
         writer.close()
         await writer.wait_closed()
@@ -313,7 +313,7 @@ def test_a_host_that_does_not_read_is_obeyed_and_keeps_nobody(path: Path) -> Non
                 deaf.send(GS * 20)
             assert (await other.ask("gs")).kind == "state"
         await house.until(lambda: not house.line.session.ready)
-        deaf.send(codec.line_request(Call("vm", (0, 100, 0)), deaf.wire_state))
+        deaf.send(codec.encode_serial_request(Call("vm", (0, 100, 0)), deaf.wire_state))
         await house.until(lambda: house.moving)
         heard = 0
         while heard < 1000:

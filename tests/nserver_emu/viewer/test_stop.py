@@ -24,9 +24,9 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
-        writer.write(codec.tcp_request(Call("connect_robot", (robot_id, 1))))
+        writer.write(codec.encode_tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
-            writer.write(codec.tcp_request(Call("vm", (40, 0, 0))))
+            writer.write(codec.encode_tcp_request(Call("vm", (40, 0, 0))))
             await asyncio.sleep(0.02)
 
     driving, reading = asyncio.create_task(drive()), asyncio.create_task(reader.read())

@@ -9,7 +9,7 @@ import socket
 import aiohttp
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -364,7 +364,7 @@ def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPa
 
     async def scenario() -> None:
         async with served(an_emulator()) as here, elsewhere() as outsider:
-            here.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
+            here.daemon.door.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             for path in ("/", "/ws", "/page/main.js", "/health"):
                 async with outsider.get(f"{here.origin}{path}", params={"token": here.viewing.token}) as answer:
                     assert (answer.status, await answer.text()) == (403, "this address is not let in\n")
