@@ -114,7 +114,7 @@ def _row(
         "line_request": Fields(*[a.name / a.line for a in arguments]),
         "line_models": ALL,
         "line_timeout_s": 1.0,
-        "beside": None,
+        "extra_arguments": None,
         "packet_type": None,
         "has_tcp_reply": True,
         "any_length": False,
