@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import pytest
 
 from nclient import Robot, connect
-from nclient.address import parsed
 from nclient.state import Pose, RobotState
+from nclient.url import split_address
 
 SPEED_IN_S, TURN_DEG_S, TIMEOUT_S = 5, 30, 2
 LIMITS = {"max_speed_in_s": SPEED_IN_S, "max_turn_deg_s": TURN_DEG_S, "tm_s": TIMEOUT_S, "bumper_stop": 1, "feed": 1}
@@ -81,6 +81,6 @@ class Walk:
 
 def limited(address: str) -> str:
     """Return the address with the limits, which replace its own options."""
-    text = parsed(address).without(LIMITS)
+    text = split_address(address).without(LIMITS)
     limits = "&".join(f"{name}={value}" for name, value in LIMITS.items())
     return f"{text}{'&' if '?' in text else '?'}{limits}"

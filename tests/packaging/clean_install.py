@@ -35,7 +35,7 @@ _TIMEOUT_S = 300
 class Check(NamedTuple):
     """A command, a pattern of its output, and the extra that it needs; without it, an error names the extra.
 
-    `says`: whether it does say so; else it is not tried without the extra.
+    `is_hinted` is False for commands whose error does not name the extra; they are not checked without it.
     """
 
     words: tuple[str, ...]

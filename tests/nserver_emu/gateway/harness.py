@@ -1,8 +1,9 @@
-"""Real robots for the tests of the gateway, in this process: one that says what it is told to, and emulated ones.
+"""Stand-ins for real robots in the gateway's tests, in this process.
 
-    ScriptedRobot     a backend that answers each call as told, falls silent, hangs up
-    EmulatedLine      the own line of an emulated robot: every exchange goes through the bytes of the direct language
-    House             a gateway over a backend, without a thread: `house.ask` works until there is an answer
+    ScriptedRobot      a backend with scripted answers, errors and disconnections
+    EmulatedLine       the serial line of an emulated robot: each exchange is encoded and decoded
+    GatewayHarness     a gateway with one real robot, without a thread
+    GatewayClient      a client session on it: `ask` runs the gateway until there is a reply
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
 from nclient.protocol.types import N150, Model, model_named
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
-from nserver_emu.gateway.gateway import Gateway, RealSide
+from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
 from nserver_emu.server.context import Pace
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import LineSession
@@ -26,10 +27,10 @@ from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import ORIGIN, WireClient
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
-Said = Reply | Exception
+ScriptedAnswer = Reply | Exception
 LINE_STATE = Reply(
     "state",
     {**dict.fromkeys(range(17, 33), 40), 33: 0xF00000, 34: 100, 35: -50, 36: 900, 37: 1800,
@@ -37,13 +38,15 @@ LINE_STATE = Reply(
     clock=5000,
     volts=(200, 210),
 )  # fmt: skip
-"""What an N150 that stands says on its own line."""
+"""State packet of a standing N150 on its own line."""
 
 
 class ScriptedRobot:
-    """Answers by name, else with `state`; `trouble` is raised instead while there is any. `first` runs before."""
+    """Answer by command name, else with `state`; raise `trouble` first. `first` runs before each call."""
 
-    def __init__(self, model: Model = N150, *, line: bool = True, answers: Mapping[str, Said] | None = None) -> None:
+    def __init__(
+        self, model: Model = N150, *, line: bool = True, answers: Mapping[str, ScriptedAnswer] | None = None
+    ) -> None:
         self.wire_state: WireState = serial_wire_state(model) if line else tcp_wire_state(model)
         self.greeting: Reply | None = None
         self.port = 1
@@ -62,23 +65,23 @@ class ScriptedRobot:
         self.calls.append(call)
         if self.trouble:
             raise self.trouble.pop(0)
-        said = self.answers.get(call.name, self.state)
-        if isinstance(said, Exception):
-            raise said
-        return said
+        answer = self.answers.get(call.name, self.state)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
     def close(self) -> None:
         self.closed = True
 
     def names(self) -> list[str]:
-        """The calls since the last look, by name."""
+        """Return the names of the calls since the last time, and clear them."""
         names = [call.name for call in self.calls]
         self.calls.clear()
         return names
 
 
 class EmulatedLine:
-    """A backend over the bytes of a robot's own line; `step_s` of simulated time pass with each exchange."""
+    """A backend over the bytes of a robot's own line; each exchange advances simulated time by `step_s`."""
 
     def __init__(self, emulator: Emulator, model: Model, step_s: float = 0.1) -> None:
         self.wire_state = serial_wire_state(model)
@@ -113,19 +116,19 @@ class EmulatedLine:
 def emulated(
     model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: Pace | None = None
 ) -> Emulator:
-    """An emulator with one robot of a model, number 1."""
+    """Return an emulator with one robot of a model, number 1."""
     made = Simulation(load_world("thesis_room"), seed=3)
     made.add_robot(1, start, MODELS[model], setup)
     return Emulator(made, pace=pace)
 
 
 def line_of(emulator: Emulator) -> EmulatedLine:
-    """The own line of its robot 1."""
+    """Return the line of its robot 1."""
     return EmulatedLine(emulator, model_named(emulator.simulation.robots[1].model.family))
 
 
-class House:
-    """A gateway to one robot. `now_s` is its clock; `guest` brings a connected client."""
+class GatewayHarness:
+    """A gateway to one robot. `now_s` is its clock; `client` returns a connected client."""
 
     def __init__(
         self,
@@ -134,34 +137,34 @@ class House:
         emulator: Emulator | None = None,
         shadow: bool = False,
         read_only: bool = False,
-        around: Callable[[Backend], Backend] = lambda backend: backend,
+        wrap: Callable[[Backend], Backend] = lambda backend: backend,
     ) -> None:
         self.now_s = 0.0
-        self.side = RealSide(lambda: around(opens()), lambda: self.now_s, read_only=read_only)
-        self.emulator = emulator or emulated(self.side.robot.link.model.name)
-        self.gateway = Gateway(self.emulator, {1: self.side}, shadow=shadow, around=around)
+        self.proxy = RealRobotProxy(lambda: wrap(opens()), lambda: self.now_s, read_only=read_only)
+        self.emulator = emulator or emulated(self.proxy.robot.link.model.name)
+        self.gateway = Gateway(self.emulator, {1: self.proxy}, shadow=shadow, wrap=wrap)
 
-    def guest(self) -> Guest:
-        return Guest(self)
+    def client(self) -> GatewayClient:
+        return GatewayClient(self)
 
-    def work(self) -> None:
-        """Let the robot say all that it is to say now."""
-        while self.side.robot.work() == 0.0:
+    def run_pending(self) -> None:
+        """Run all queued jobs."""
+        while self.proxy.robot.run_next() == 0.0:
             pass
 
 
-class Guest:
+class GatewayClient:
     """A client of the gateway, and its session."""
 
-    def __init__(self, house: House) -> None:
-        self.house = house
-        self.session = Session(house.gateway.answer)
-        self.client = WireClient(self._exchange)
+    def __init__(self, harness: GatewayHarness) -> None:
+        self.harness = harness
+        self.session = Session(harness.gateway.answer)
+        self.wire = WireClient(self._exchange)
         self.ask("connect_robot", 1, 4711)
 
     def ask(self, name: str, *args: int) -> Reply:
-        """One call, one reply."""
-        reply: Reply = self.client.ask(name, *args)
+        """Make one call and return its reply."""
+        reply: Reply = self.wire.ask(name, *args)
         return reply
 
     def _exchange(self, data: bytes) -> bytes:
@@ -170,11 +173,11 @@ class Guest:
         for _ in range(1000):
             if answer:
                 break
-            self.house.work()
-            self.house.now_s += 0.1
+            self.harness.run_pending()
+            self.harness.now_s += 0.1
             answer = self.session.tick()
         return answer
 
     def leave(self) -> None:
-        """Hang up."""
-        self.house.gateway.leave(self.session.visit)
+        """Close the connection."""
+        self.harness.gateway.leave(self.session.visit)
