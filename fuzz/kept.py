@@ -28,8 +28,8 @@ from nclient.recording.replayer import LOOSE, Player, script_of, state_before
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
-from nserver_emu.server.config import Setting
-from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.config import SimulationConfig
+from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.session import Session
 
@@ -80,9 +80,9 @@ def _snapshot(data: bytes) -> None:
 def _emulator() -> Any:
     """An emulator, as far as a snapshot changes it."""
     emulator = open_address("sim:thesis_room?robot=scout").emulator
-    drivers = SimpleNamespace(orphan=lambda _: None)
+    drivers = SimpleNamespace(release_all=lambda _: None)
     parts = {part: getattr(emulator, part) for part in snapshot.KEPT}
-    return SimpleNamespace(**parts, drivers=drivers, look_anew=lambda: None)
+    return SimpleNamespace(**parts, drivers=drivers, invalidate_state_cache=lambda: None)
 
 
 # seeds
@@ -111,11 +111,11 @@ def _written(wire: str, model: str) -> bytes:
 
 def _daemon_seeds() -> list[bytes]:
     """What a daemon writes of one client, in real time and in lockstep."""
-    return [_evening(Pace(), [[0.1, 3], [0.25, 1]]), _evening(Pace(lockstep_s=0.5), [])]
+    return [_evening(SimulationClock(), [[0.1, 3], [0.25, 1]]), _evening(SimulationClock(lockstep_s=0.5), [])]
 
 
-def _evening(pace: Pace, steps: list[list[float]]) -> bytes:
-    beginning = Beginning(Setting(noisy=True), pace, Allowed(control=True))
+def _evening(pace: SimulationClock, steps: list[list[float]]) -> bytes:
+    beginning = Beginning(SimulationConfig(noisy=True), pace, Allowed(control=True))
     emulator = beginning.emulator()
     emulator.port = 7019
     session = Session(emulator.answer, "127.0.0.1:1")
@@ -127,7 +127,7 @@ def _evening(pace: Pace, steps: list[list[float]]) -> bytes:
             for _ in range(int(count)):
                 emulator.pass_time(dt_s)
         session.receive(asked)
-        entries.append(Entry(float(number), IN, session.name, session.answers(MOST_STEPS)))
+        entries.append(Entry(float(number), IN, session.name, session.process_requests(MOST_STEPS)))
     entries.append(Entry(4.0, "close", session.name))
     top = {"format": FORMAT, "version": VERSION} | header(beginning, "", port=7019, requests_a_turn=5, real_robots=0)
     return "\n".join(json.dumps(whole) for whole in (top, *map(as_object, entries))).encode() + b"\n"

@@ -55,7 +55,7 @@ from nserver_emu.gateway.translate import (
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.handlers.world import done
 from nserver_emu.server.ownership import MOTIONS, moves
-from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
 
 _CHANGES: Final = MOTIONS | {
@@ -76,23 +76,23 @@ class Ownership:
 
     def __init__(self, *, read_only: bool = False) -> None:
         self.read_only = read_only
-        self.owner: Visit | None = None
+        self.owner: ConnectionContext | None = None
 
-    def allows(self, call: Call, visit: Visit) -> bool:
+    def allows(self, call: Call, context: ConnectionContext) -> bool:
         """Whether this connection may say that now; a motion that may makes it the owner, lp makes nobody it."""
         if not changes(call):
             return True
-        if self.read_only or not self.is_free_for(visit):
+        if self.read_only or not self.is_free_for(context):
             return False
         if call.name == "lp":
             self.owner = None
         elif moves(call):
-            self.owner = visit
+            self.owner = context
         return True
 
-    def is_free_for(self, visit: Visit) -> bool:
+    def is_free_for(self, context: ConnectionContext) -> bool:
         """Whether nobody else owns the robot."""
-        return self.owner is None or self.owner is visit
+        return self.owner is None or self.owner is context
 
 
 log = logging.getLogger(__name__)
@@ -129,41 +129,41 @@ class RealSide:
         self._feed_s = feed_s
         self._said_s = self._heard_s = clock()
         self._stopped_for_silence = False
-        self._wishes: dict[Visit, int] = {}
+        self._wishes: dict[ConnectionContext, int] = {}
         self._position = 0
-        self._timeout: tuple[Visit, int] | None = None
+        self._timeout: tuple[ConnectionContext, int] | None = None
         self.robot = RealRobot(opens, self.opening)
 
-    def answer(self, call: Call, visit: Visit) -> Reply | Later:
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """What a connection gets for a call."""
-        self._hear(visit)
-        found = plan(call, visit, self.robot.link)
+        self._hear(context)
+        found = plan(call, context, self.robot.link)
         if isinstance(found, int):
             return error_reply(found)
-        if not self.ownership.allows(call, visit):
+        if not self.ownership.allows(call, context):
             return error_reply(REFUSED)
         match call.name:
             case "ws":
-                return self._wait(call.args, visit)
+                return self._wait(call.args, context)
             case "ct":
-                found = Plan(self._agree(visit) or found.calls, found.shape)
+                found = Plan(self._agree(context) or found.calls, found.shape)
             case "conf_tm":
-                self._timeout = (visit, found.calls[0].args[0]) if call.args[0] > 0 else None
+                self._timeout = (context, found.calls[0].args[0]) if call.args[0] > 0 else None
                 found = Plan((self._timeout_call(),), found.shape)
             case _:
                 pass
         if found.calls != (REFRESH,):
-            return self._promise(self._submit(found.calls, call), found.shape, visit)
+            return self._promise(self._submit(found.calls, call), found.shape, context)
         if self.robot.saying in SLOW and self.last is not None:  # what there is: its clock tells how old it is
-            return found.shape(visit, self.last, self.robot.link)
-        return self._promise(self.refresh(), found.shape, visit)
+            return found.shape(context, self.last, self.robot.link)
+        return self._promise(self.refresh(), found.shape, context)
 
-    def leave(self, visit: Visit) -> None:
+    def on_disconnect(self, context: ConnectionContext) -> None:
         """A connection is gone: a robot that it owned stops, a time-out that it set is not in force any more."""
-        self._wishes.pop(visit, None)
-        if self.ownership.owner is visit:
+        self._wishes.pop(context, None)
+        if self.ownership.owner is context:
             self.let_go()
-        if self._timeout is not None and self._timeout[0] is visit:
+        if self._timeout is not None and self._timeout[0] is context:
             self._timeout = None
             self._submit((self._timeout_call(),))
 
@@ -223,9 +223,9 @@ class RealSide:
         self.robot.close(*self.last_words)
         self.catch_up()
 
-    def _hear(self, visit: Visit) -> None:
+    def _hear(self, context: ConnectionContext) -> None:
         """The owner lives; who is about to become it has spoken just now as well."""
-        if self.ownership.is_free_for(visit):
+        if self.ownership.is_free_for(context):
             self._heard_s = self._clock()
             self._stopped_for_silence = False
 
@@ -245,20 +245,20 @@ class RealSide:
         if self.follower is not None and self.active:
             self.follower.follow(calls, state)
 
-    def _promise(self, ticket: Ticket, shape: Shaping, visit: Visit) -> Later:
+    def _promise(self, ticket: Ticket, shape: Shaping, context: ConnectionContext) -> DeferredReply:
         def later() -> Reply | None:
-            self._hear(visit)
+            self._hear(context)
             self.catch_up()
-            return None if ticket.outcome is None else self._shaped(ticket.outcome, shape, visit)
+            return None if ticket.outcome is None else self._shaped(ticket.outcome, shape, context)
 
         return later
 
-    def _shaped(self, outcome: Outcome, shape: Shaping, visit: Visit) -> Reply:
+    def _shaped(self, outcome: Outcome, shape: Shaping, context: ConnectionContext) -> Reply:
         if outcome.code is not None:
             return error_reply(outcome.code)
-        return shape(visit, outcome.replies[-1], self.robot.link)
+        return shape(context, outcome.replies[-1], self.robot.link)
 
-    def _wait(self, args: tuple[int, ...], visit: Visit) -> Later:
+    def _wait(self, args: tuple[int, ...], context: ConnectionContext) -> DeferredReply:
         """ws: on the robot's own clock, which is the simulated one's where the robot is a simulation."""
         axes = sum(bool(flag) << axis for axis, flag in enumerate(args[:3]))
         longest_ms = 1000 * max(0, args[3])
@@ -268,7 +268,7 @@ class RealSide:
 
         def later() -> Reply | None:
             nonlocal begun_ms, ticket, asked_s
-            self._hear(visit)
+            self._hear(context)
             if ticket is None:
                 if begun_ms is None or self._clock() - asked_s >= POLL_S:
                     ticket, asked_s = self.refresh(), self._clock()
@@ -283,13 +283,13 @@ class RealSide:
                 begun_ms = now_ms if begun_ms is None else begun_ms
                 if moving_axes(state) & axes and (now_ms - begun_ms) % _CLOCK < longest_ms:
                     return None
-            return self._shaped(outcome, state_for, visit)
+            return self._shaped(outcome, state_for, context)
 
         return later
 
-    def _agree(self, visit: Visit) -> tuple[Call, ...]:
+    def _agree(self, context: ConnectionContext) -> tuple[Call, ...]:
         """A connection's mask: the robot sends everything, with the stamps that any connection wants."""
-        self._wishes[visit] = visit.terms.mask.position
+        self._wishes[context] = context.terms.mask.position
         position = 0
         for wish in self._wishes.values():
             position |= wish
@@ -330,17 +330,17 @@ class Gateway:
                 side.follower = Follower(following, simulated, link)
                 side.refresh()
 
-    def answer(self, call: Call, visit: Visit) -> Reply | Later:
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """The reply to a call, or a promise of it: from the real robot, where the connection's robot is one."""
-        side = None if visit.robot_id is None else self.sides.get(visit.robot_id)
+        side = None if context.robot_id is None else self.sides.get(context.robot_id)
         if side is None:
-            return self._emulator.answer(call, visit)
+            return self._emulator.answer(call, context)
         if call.name in (REAL, SIMULATED):
-            return self._switch(side, visit, to_real=call.name == REAL)
+            return self._switch(side, context, to_real=call.name == REAL)
         if not side.active or stays_here(call.name):
-            return self._emulator.answer(call, visit)
-        meant = self._emulator.holds.meant(call, visit.robot_id)
-        return error_reply(REFUSED) if meant is None else side.answer(meant, visit)
+            return self._emulator.answer(call, context)
+        meant = self._emulator.estop.effective_call(call, context.robot_id)
+        return error_reply(REFUSED) if meant is None else side.answer(meant, context)
 
     def hold(self, robot_id: int, by: str) -> None:
         """Stop a robot, the real one too where it is driven, and let nobody move it until it is released."""
@@ -349,26 +349,26 @@ class Gateway:
         if side is not None and side.active:
             side.stop()
 
-    def leave(self, visit: Visit) -> None:
+    def on_disconnect(self, context: ConnectionContext) -> None:
         """A connection is gone: what it drove stops, on either side."""
-        self._emulator.leave(visit)
+        self._emulator.on_disconnect(context)
         for side in self.sides.values():
-            side.leave(visit)
+            side.on_disconnect(context)
 
     def tick(self) -> None:
         """Time has passed."""
         for side in self.sides.values():
             side.tick()
 
-    def _switch(self, side: RealSide, visit: Visit, *, to_real: bool) -> Reply:
-        assert visit.robot_id is not None
-        if not side.ownership.is_free_for(visit):
+    def _switch(self, side: RealSide, context: ConnectionContext, *, to_real: bool) -> Reply:
+        assert context.robot_id is not None
+        if not side.ownership.is_free_for(context):
             return error_reply(REFUSED)
         if side.active != to_real:
-            log.warning("robot %d is the %s one from now on", visit.robot_id, "real" if to_real else "simulated")
+            log.warning("robot %d is the %s one from now on", context.robot_id, "real" if to_real else "simulated")
             if to_real:
-                self._simulated(visit.robot_id).stop()
-                self._emulator.look_anew()
+                self._simulated(context.robot_id).stop()
+                self._emulator.invalidate_state_cache()
             else:
                 side.let_go()
             side.active = to_real

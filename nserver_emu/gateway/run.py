@@ -30,7 +30,7 @@ from nclient.schemes import opening_of
 from nserver_emu.gateway import shadow
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealSide
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.link import NOTHING, FaultDesk
+from nserver_emu.server.link import NOTHING, FaultController
 
 log = logging.getLogger(__name__)
 
@@ -126,7 +126,7 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 
 @contextlib.contextmanager
-def reached(options: argparse.Namespace, faults: FaultDesk | None = None) -> Iterator[dict[int, RealSide]]:
+def reached(options: argparse.Namespace, faults: FaultController | None = None) -> Iterator[dict[int, RealSide]]:
     """The real sides by number: the robot of --real, if there is one; in the end stopped, let go, and reported on.
 
     `faults`: what may act on the line to it, where its address names no plan of its own.
@@ -162,7 +162,7 @@ def places(options: argparse.Namespace) -> dict[str, str]:
     return {} if options.real is None else {LINE: options.real}
 
 
-def _side(options: argparse.Namespace, faults: FaultDesk | None) -> RealSide:
+def _side(options: argparse.Namespace, faults: FaultController | None) -> RealSide:
     """The way to the robot is the same one each time; caps in its address count as well, the lower of two.
 
     Faults are those of the address, or where it names none those that the daemon has for this line.

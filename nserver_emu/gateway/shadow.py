@@ -37,7 +37,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, Model, rad_from_tenths
 from nclient.protocol.wire_state import tcp_terms
 from nserver_emu.gateway.translate import Link, whole_state
-from nserver_emu.server.session import Answer, Visit
+from nserver_emu.server.session import Answer, ConnectionContext
 from nserver_emu.server.state_encoder import state_slots
 from nserver_emu.simulation.robot import SimulatedRobot
 
@@ -188,7 +188,7 @@ class Simulated:
     def __init__(self, simulate: Answer, robot_id: int, model: Model) -> None:
         self.terms = tcp_terms(model)
         self._simulate = simulate
-        self._visit = Visit(self.terms, robot_id)
+        self._visit = ConnectionContext(self.terms, robot_id)
 
     def execute(self, call: Call) -> Reply:
         """What the simulation answers. Raises RobotRefused."""

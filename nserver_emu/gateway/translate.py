@@ -43,7 +43,7 @@ from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
 from nserver_emu.server.handlers.world import done
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
 from nserver_emu.server.state_encoder import INFRARED_NOTHING, as_sent
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
 from worlds.bodies import BODIES, Body
@@ -111,18 +111,18 @@ def whole_state(reply: Reply, link: Link) -> list[int]:
     return list(slots.values())
 
 
-def state_for(visit: Visit, reply: Reply, link: Link) -> Reply:
+def state_for(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """The state reply that this connection gets; it counts as sent."""
     slots, laser = whole_state(reply, link), None
     if link.model.has_laser:
-        slots[LASER_SLOT] = visit.terms.laser_mode
-        laser = shaped(reply.laser, visit.terms.laser_width, link) if visit.terms.mask.has(LASER_SLOT) else None
-    return replace(reply, slots=dict(enumerate(as_sent(visit, slots))), laser=laser)
+        slots[LASER_SLOT] = context.terms.laser_mode
+        laser = shaped(reply.laser, context.terms.laser_width, link) if context.terms.mask.has(LASER_SLOT) else None
+    return replace(reply, slots=dict(enumerate(as_sent(context, slots))), laser=laser)
 
 
-def laser_for(visit: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:
+def laser_for(context: ConnectionContext, reply: Reply, link: Link, *, segments: bool) -> Reply:
     """The answer to get_ls or, where `segments`, to get_sg."""
-    return replace(reply, laser=shaped(reply.laser, LINES if segments else visit.terms.get_laser_width, link))
+    return replace(reply, laser=shaped(reply.laser, LINES if segments else context.terms.get_laser_width, link))
 
 
 def shaped(laser: tuple[int, ...] | None, width: int, link: Link) -> tuple[int, ...] | None:
@@ -135,7 +135,7 @@ def moving_axes(reply: Reply) -> int:
     return reply.slots.get(MOTOR_SLOT, 0) & _AXES
 
 
-Shaping = Callable[[Visit, Reply, Link], Reply]
+Shaping = Callable[[ConnectionContext, Reply, Link], Reply]
 REFRESH: Final = Call("gs")
 HIGHEST_TIMEOUT_S: Final = 255
 _POSE: Final = range(34, 38)
@@ -155,54 +155,54 @@ def stays_here(name: str) -> bool:
     return name not in _ROWS and name not in LACKING
 
 
-def plan(call: Call, visit: Visit, link: Link) -> Plan | int:
+def plan(call: Call, context: ConnectionContext, link: Link) -> Plan | int:
     """What to say to the robot for a call of this connection; the code of an ERROR where it has no such thing."""
     if call.name not in _ROWS:
         return NOT_AVAILABLE
     if call.name == "mv" and any(not 0 <= mode <= _MV_HIGHEST for mode in call.args[::2]):
         return BAD_VALUES
-    if call.name == "ct" and visit.terms.mask.position and not link.masks:
+    if call.name == "ct" and context.terms.mask.position and not link.masks:
         return NOT_AVAILABLE
-    calls, shape = _ROWS[call.name](call, visit, link)
+    calls, shape = _ROWS[call.name](call, context, link)
     if link.own_line and not all(on_line(BY_NAME[said.name], link.model) for said in calls):
         return NOT_AVAILABLE
     return Plan(tuple(map(within_line, calls)) if link.own_line else calls, shape)
 
 
-Row = Callable[[Call, Visit, Link], Plan]
+Row = Callable[[Call, ConnectionContext, Link], Plan]
 
 
-def _state(visit: Visit, reply: Reply, link: Link) -> Reply:
-    return state_for(visit, reply, link)
+def _state(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+    return state_for(context, reply, link)
 
 
-def _as_it_is(_visit: Visit, reply: Reply, _link: Link) -> Reply:
+def _as_it_is(_visit: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     return reply
 
 
-def _done(_visit: Visit, _reply: Reply, _link: Link) -> Reply:
+def _done(_visit: ConnectionContext, _reply: Reply, _link: Link) -> Reply:
     return done()
 
 
-def _numbers(visit: Visit, reply: Reply, link: Link) -> Reply:
+def _numbers(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """A question that puts State's own numbers."""
     clean = replace(reply, slots=link.clean(reply.slots))
-    visit.keep(clean.slots)
+    context.keep(clean.slots)
     return clean
 
 
-def _accelerations(_visit: Visit, reply: Reply, _link: Link) -> Reply:
+def _accelerations(_visit: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     """They stand in the places of the velocities, and are none."""
     return reply if reply.slots else error_reply(NOT_AVAILABLE)
 
 
-def _compass(visit: Visit, reply: Reply, link: Link) -> Reply:
+def _compass(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """The compass out of a whole state."""
     compass = {COMPASS_SLOT: reply.slots[COMPASS_SLOT]}
-    return _numbers(visit, Reply("compass", compass, clock=reply.clock), link)
+    return _numbers(context, Reply("compass", compass, clock=reply.clock), link)
 
 
-def _pose(_visit: Visit, reply: Reply, _link: Link) -> Reply:
+def _pose(_visit: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     return Reply("configuration", values=tuple(reply.slots[slot] for slot in _POSE))
 
 
@@ -210,38 +210,38 @@ def _itself(shape: Shaping) -> Row:
     return lambda call, _visit, _link: Plan((call,), shape)
 
 
-def _refresh(_call: Call, _visit: Visit, _link: Link) -> Plan:
+def _refresh(_call: Call, _visit: ConnectionContext, _link: Link) -> Plan:
     return Plan((REFRESH,), _state)
 
 
-def _get_cp(call: Call, _visit: Visit, link: Link) -> Plan:
+def _get_cp(call: Call, _visit: ConnectionContext, link: Link) -> Plan:
     return Plan((call,), _numbers) if link.masks else Plan((REFRESH,), _compass)
 
 
-def _conf_cp(call: Call, visit: Visit, _link: Link) -> Plan:
-    return Plan((call,), _as_it_is) if visit.terms.line else Plan((call, REFRESH), _state)
+def _conf_cp(call: Call, context: ConnectionContext, _link: Link) -> Plan:
+    return Plan((call,), _as_it_is) if context.terms.line else Plan((call, REFRESH), _state)
 
 
-def _tk(call: Call, visit: Visit, _link: Link) -> Plan:
-    return Plan((call, REFRESH), _state) if visit.terms.line else Plan((call,), _done)
+def _tk(call: Call, context: ConnectionContext, _link: Link) -> Plan:
+    return Plan((call, REFRESH), _state) if context.terms.line else Plan((call,), _done)
 
 
-def _place(call: Call, _visit: Visit, _link: Link) -> Plan:
+def _place(call: Call, _visit: ConnectionContext, _link: Link) -> Plan:
     x, y, steering, turret = call.args
     return Plan((Call("dp", (x, y)), Call("da", (steering, turret))), _done)
 
 
-def _get_robot_conf(_call: Call, _visit: Visit, _link: Link) -> Plan:
+def _get_robot_conf(_call: Call, _visit: ConnectionContext, _link: Link) -> Plan:
     return Plan((Call("get_rc"),), _pose)
 
 
-def _conf_tm(call: Call, _visit: Visit, _link: Link) -> Plan:
+def _conf_tm(call: Call, _visit: ConnectionContext, _link: Link) -> Plan:
     return Plan((Call("conf_tm", (min(max(call.args[0], 0), HIGHEST_TIMEOUT_S),)),), _state)
 
 
 def _laser(*, segments: bool) -> Row:
-    def shape(visit: Visit, reply: Reply, link: Link) -> Reply:
-        return laser_for(visit, reply, link, segments=segments)
+    def shape(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+        return laser_for(context, reply, link, segments=segments)
 
     return _itself(shape)
 

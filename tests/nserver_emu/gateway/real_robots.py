@@ -18,9 +18,9 @@ from nclient.protocol.serial_framing import SerialFramer
 from nclient.protocol.types import N150, Model, model_named
 from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
 from nserver_emu.gateway.gateway import Gateway, RealSide
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_session import LineSession
+from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
@@ -49,7 +49,7 @@ class ScriptedRobot:
         self.port = 1
         self.link: LinkStatistics | None = None
         self.closed = False
-        self.answers = dict(answers or {})
+        self.process_requests = dict(answers or {})
         self.state = LINE_STATE
         self.trouble: list[Exception] = []
         self.calls: list[Call] = []
@@ -62,7 +62,7 @@ class ScriptedRobot:
         self.calls.append(call)
         if self.trouble:
             raise self.trouble.pop(0)
-        said = self.answers.get(call.name, self.state)
+        said = self.process_requests.get(call.name, self.state)
         if isinstance(said, Exception):
             raise said
         return said
@@ -89,14 +89,14 @@ class EmulatedLine:
         self.emulator = emulator
         self._step_s = step_s
         self._framer = SerialFramer()
-        self._session = LineSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
+        self._session = SerialSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
 
     def execute(self, call: Call) -> Reply:
         request = codec.line_request(call, self.terms)
         codec.note(call, self.terms)
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
-        answer = self._session.answers(most=1)
+        answer = self._session.process_requests(most=1)
         while not answer:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
@@ -111,12 +111,12 @@ class EmulatedLine:
 
 
 def emulated(
-    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: Pace | None = None
+    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: SimulationClock | None = None
 ) -> Emulator:
     """An emulator with one robot of a model, number 1."""
     made = Simulation(load_world("thesis_room"), seed=3)
     made.add_robot(1, start, MODELS[model], setup)
-    return Emulator(made, pace=pace)
+    return Emulator(made, clock=pace)
 
 
 def line_of(emulator: Emulator) -> EmulatedLine:
@@ -166,7 +166,7 @@ class Guest:
 
     def _exchange(self, data: bytes) -> bytes:
         self.session.receive(data)
-        answer = self.session.answers(most=100)
+        answer = self.session.process_requests(most=100)
         for _ in range(1000):
             if answer:
                 break
@@ -177,4 +177,4 @@ class Guest:
 
     def leave(self) -> None:
         """Hang up."""
-        self.house.gateway.leave(self.session.visit)
+        self.house.gateway.on_disconnect(self.session.context)

@@ -16,7 +16,7 @@ from nclient.protocol.commands import COMMANDS, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N200
 from nserver_emu.gateway.gateway import TIMEOUT_S
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.simulation.noise import NOISY
 from tests.nserver_emu.gateway.real_robots import LINE_STATE, EmulatedLine, House, ScriptedRobot, emulated, line_of
 from worlds.world import StartPose
@@ -234,7 +234,7 @@ def test_ws_is_asked_for_again_and_again_and_a_stop_comes_between() -> None:
     robot.state = moving
     waiter, other = house.guest(), house.guest()
     waiter.session.receive(codec.tcp_request(Call("ws", (1, 0, 0, 1))))
-    assert waiter.session.answers(1) == b""
+    assert waiter.session.process_requests(1) == b""
     assert waiter.session.tick() == b""
     house.work()
     assert waiter.session.tick() == b""
@@ -269,7 +269,7 @@ def test_who_asks_for_the_state_during_zr_gets_the_last_one() -> None:
     robot.names()
     house.side.robot.saying = "zr"
     watcher.session.receive(codec.tcp_request(Call("gs")))
-    (state,) = watcher.client.read("gs", watcher.session.answers(1))
+    (state,) = watcher.client.read("gs", watcher.session.process_requests(1))
     assert (state.slots[34], state.clock) == (100, 5000)
     assert robot.names() == []
 
@@ -340,7 +340,7 @@ def test_an_owner_gone_dumb_has_its_robot_stopped_however_much_others_ask(caplog
         house.gateway.tick()
     robot.state = Reply("state", {**LINE_STATE.slots, 41: 1}, clock=0)
     owner.session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
-    owner.session.answers(1)
+    owner.session.process_requests(1)
     for _ in range(50):
         house.now_s += 0.1
         house.work()
@@ -420,7 +420,7 @@ def test_a_robot_that_cannot_be_reached_is_an_error_at_the_start() -> None:
 
 def test_a_shadow_does_the_same_and_differs_by_nothing() -> None:
     line = line_of(emulated())
-    house = House(lambda: line, emulator=emulated(pace=Pace(lockstep_s=0.1)), shadow=True)
+    house = House(lambda: line, emulator=emulated(pace=SimulationClock(lockstep_s=0.1)), shadow=True)
     house.work()
     house.gateway.tick()
     guest = house.guest()
@@ -485,7 +485,7 @@ def test_a_shadow_begins_with_the_robot_what_takes_long_and_is_not_waited_for() 
         return shadow.zeroing
 
     guest.session.receive(codec.tcp_request(Call("zr")))
-    assert guest.session.answers(1) == b""
+    assert guest.session.process_requests(1) == b""
     assert is_zeroing()
     house.emulator.simulation.step(60.0)
     assert not is_zeroing()
@@ -509,8 +509,8 @@ def test_a_hold_stops_the_real_robot_and_lets_nobody_move_it() -> None:
         assert guest.ask(name, *args).slots[38] == 0
         assert real.still((0, 1, 2))
     assert refusal(guest.ask("arm_mv", 2, 10, 2, 10)) == (5,)
-    assert house.emulator.holds.told() == {"1": {"by": "viewer 1", "ignored": 5}}
-    house.emulator.holds.release(1)
+    assert house.emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 5}}
+    house.emulator.estop.release(1)
     assert guest.ask("vm", 100, 0, 0).slots[38] == 100
 
 

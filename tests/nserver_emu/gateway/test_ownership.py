@@ -7,7 +7,7 @@ import pytest
 from nclient.protocol.commands import COMMANDS, Call
 from nserver_emu.gateway.gateway import Ownership, changes
 from nserver_emu.server.ownership import moves
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 
 VM = Call("vm", (100, 0, 0))
 
@@ -22,7 +22,7 @@ def test_an_mv_is_what_its_modes_are(modes: tuple[int, int, int], moving: bool, 
 
 
 def test_whoever_moves_it_first_owns_it_and_the_others_watch_and_stop() -> None:
-    owner, other, ownership = Visit(), Visit(), Ownership()
+    owner, other, ownership = ConnectionContext(), ConnectionContext(), Ownership()
     assert ownership.allows(Call("sp", (1, 1, 1)), other)
     assert ownership.is_free_for(owner)
     assert ownership.allows(VM, owner)
@@ -38,7 +38,7 @@ def test_whoever_moves_it_first_owns_it_and_the_others_watch_and_stop() -> None:
 
 
 def test_the_owner_lets_it_go_with_lp() -> None:
-    owner, other, ownership = Visit(), Visit(), Ownership()
+    owner, other, ownership = ConnectionContext(), ConnectionContext(), Ownership()
     assert ownership.allows(VM, owner)
     assert ownership.allows(Call("lp"), owner)
     assert ownership.allows(VM, other)
@@ -46,7 +46,7 @@ def test_the_owner_lets_it_go_with_lp() -> None:
 
 
 def test_read_only_is_for_everybody_and_st_is_not_refused() -> None:
-    visit, ownership = Visit(), Ownership(read_only=True)
+    visit, ownership = ConnectionContext(), Ownership(read_only=True)
     refused = {row.name for row in COMMANDS if not ownership.allows(Call(row.name, (1, 1, 1, 1, 1, 1)), visit)}
     assert ownership.owner is None
     assert refused == {

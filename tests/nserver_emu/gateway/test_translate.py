@@ -11,7 +11,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS, line_terms, tcp_terms
 from nserver_emu.gateway.translate import Link, Plan, in_shape, moving_axes, plan, state_for, stays_here, whole_state
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
 from tests.nserver_emu.gateway.real_robots import LINE_STATE
 from worlds.bodies import N200 as N200_BODY
@@ -20,21 +20,21 @@ LINE, SERVER = Link(N150, own_line=True), Link(N150, own_line=False)
 N200_LINE = Link(N200, own_line=True)
 
 
-def visit(mask: Mask = EVERYTHING, laser_mode: int = 51) -> Visit:
-    made = Visit(tcp_terms(N150), robot_id=1)
+def context(mask: Mask = EVERYTHING, laser_mode: int = 51) -> ConnectionContext:
+    made = ConnectionContext(tcp_terms(N150), robot_id=1)
     made.terms.note_mask(mask)
     made.terms.note_laser_mode(laser_mode)
     return made
 
 
-def planned(name: str, *args: int, link: Link = LINE, of: Visit | None = None) -> Plan:
-    found = plan(Call(name, args), of or visit(), link)
+def planned(name: str, *args: int, link: Link = LINE, of: ConnectionContext | None = None) -> Plan:
+    found = plan(Call(name, args), of or context(), link)
     assert isinstance(found, Plan), found
     return found
 
 
-def shaped(name: str, reply: Reply, *args: int, link: Link = LINE, of: Visit | None = None) -> Reply:
-    asking = of or visit()
+def shaped(name: str, reply: Reply, *args: int, link: Link = LINE, of: ConnectionContext | None = None) -> Reply:
+    asking = of or context()
     return planned(name, *args, link=link, of=asking).shape(asking, reply, link)
 
 
@@ -52,7 +52,7 @@ def test_every_command_goes_to_the_robot_or_stays_or_is_lacking() -> None:
 def test_what_is_said_to_a_robot_exists_there_and_the_rest_is_error_4(model: Model, own_line: bool) -> None:
     lacking = set()
     for row in COMMANDS:
-        found = plan(Call(row.name, examples(row)), visit(), Link(model, own_line))
+        found = plan(Call(row.name, examples(row)), context(), Link(model, own_line))
         if isinstance(found, int):
             assert found == 4
             lacking |= set() if stays_here(row.name) else {row.name}
@@ -68,7 +68,7 @@ def test_what_is_said_to_a_robot_exists_there_and_the_rest_is_error_4(model: Mod
 def test_a_robot_is_not_put_but_told_where_it_is() -> None:
     found = planned("place_robot", 10, -20, 900, 1800)
     assert found.calls == (Call("dp", (10, -20)), Call("da", (900, 1800)))
-    assert found.shape(visit(), LINE_STATE, LINE) == Reply("simple", values=(0,))
+    assert found.shape(context(), LINE_STATE, LINE) == Reply("simple", values=(0,))
 
 
 def test_the_compass_is_in_the_state_where_the_line_has_no_question_for_it() -> None:
@@ -84,7 +84,7 @@ def test_where_encoders_and_accelerations_are_told_and_where_not() -> None:
     assert shaped("get_robot_conf", pose).values == (1, 2, 3, 4)
     assert shaped("get_ra", Reply("velocity")) == Reply("error", values=(4,))
     told = Reply("velocity", {38: 1, 39: 2, 40: 3})
-    asking = visit()
+    asking = context()
     assert shaped("get_ra", told, of=asking) == told
     assert asking.kept[38] == 0
     assert shaped("get_rv", told, of=asking) == told
@@ -96,7 +96,7 @@ def test_what_an_nserver_says_after_a_compass_or_a_speech_setting() -> None:
     assert planned("conf_cp", 1, link=N200_LINE).calls == (Call("conf_cp", (1,)), Call("gs"))
     assert shaped("conf_cp", LINE_STATE, 1, link=N200_LINE).kind == "state"
     assert shaped("tk", LINE_STATE, link=N200_LINE) == Reply("simple", values=(0,))
-    host = Visit(line_terms(N200), robot_id=1)
+    host = ConnectionContext(line_terms(N200), robot_id=1)
     assert shaped("conf_cp", scores, 1, link=N200_LINE, of=host) == scores
     assert shaped("tk", LINE_STATE, link=N200_LINE, of=host).kind == "state"
 
@@ -126,12 +126,12 @@ def test_another_nserver_gets_speeds_as_they_are() -> None:
 
 
 def test_modes_of_mv_that_clients_refuse_are_refused() -> None:
-    assert plan(Call("mv", (6, 0, 0, 0, 0, 0)), visit(), LINE) == 2
+    assert plan(Call("mv", (6, 0, 0, 0, 0, 0)), context(), LINE) == 2
     assert planned("mv", 5, 1, 0, 0, 0, 0).calls == (Call("mv", (5, 1, 0, 0, 0, 0)),)
 
 
 def test_stamps_are_error_4_on_a_line_that_has_none() -> None:
-    asking = visit(EVERYTHING.with_position(2))
+    asking = context(EVERYTHING.with_position(2))
     assert plan(Call("ct", asking.terms.mask.smask), asking, LINE) == 4
     assert isinstance(plan(Call("ct", asking.terms.mask.smask), asking, SERVER), Plan)
 
@@ -147,7 +147,7 @@ def test_a_lines_packet_makes_a_whole_clean_state() -> None:
 
 
 def test_a_connection_keeps_what_its_mask_leaves_out() -> None:
-    asking = visit()
+    asking = context()
     assert state_for(asking, LINE_STATE, LINE).slots[20] == 40
     asking.terms.note_mask(Mask((0, *[0] * 33, *[1] * 10)))
     nearer = Reply("state", {**LINE_STATE.slots, 20: 7, 34: 101}, clock=5001, volts=(1, 2))
@@ -160,7 +160,7 @@ def test_a_connection_keeps_what_its_mask_leaves_out() -> None:
 
 def test_stamps_come_through_and_axes_that_move_are_seen() -> None:
     stamp = Stamp(1, 2, 3, 4, 5, 6, 7, 8, 9)
-    reply = state_for(visit(), Reply("state", LINE_STATE.slots, stamps={"sonar_0": stamp}), N200_LINE)
+    reply = state_for(context(), Reply("state", LINE_STATE.slots, stamps={"sonar_0": stamp}), N200_LINE)
     assert reply.stamps == {"sonar_0": stamp}
     assert moving_axes(Reply("state", {41: 0b0101_1010})) == 0b010
     assert moving_axes(Reply("state")) == 0
@@ -198,12 +198,12 @@ def test_points_become_lines_and_what_cannot_be_made_is_nothing() -> None:
 def test_the_laser_comes_in_the_shape_that_the_connection_reads() -> None:
     rows = pixels(wall_ahead(60.0))
     reply = Reply("state", LINE_STATE.slots, laser=(len(rows), *rows))
-    asking = visit(laser_mode=51)
+    asking = context(laser_mode=51)
     seen = state_for(asking, reply, N200_LINE)
     assert seen.laser is not None
     assert (len(seen.laser), seen.slots[42]) == (1 + 2 * 482, 51)
-    assert state_for(visit(laser_mode=3), reply, N200_LINE).laser == reply.laser
-    assert state_for(visit(Mask((0,) + (1,) * 41 + (0, 1))), reply, N200_LINE).laser is None
+    assert state_for(context(laser_mode=3), reply, N200_LINE).laser == reply.laser
+    assert state_for(context(Mask((0,) + (1,) * 41 + (0, 1))), reply, N200_LINE).laser is None
     assert state_for(asking, reply, LINE).laser is None
     segment = Reply("laser", laser=(1, 1, 2, 3, 4))
     assert shaped("get_sg", segment, link=N200_LINE) == segment
