@@ -21,7 +21,7 @@ from nclient.backends.direct import DirectBackend
 from nclient.errors import ReplyTimeout, RobotRefused
 from nclient.faults.frames import Injector, LineLanguage, total
 from nclient.faults.inject import FaultyLine, FaultyStream
-from nclient.faults.plan import BOTH, Corrupt, Direction, DropByte, Fault, Noise, Plan, Rule, Stray, When
+from nclient.faults.plan import BOTH, Corrupt, Direction, DropByte, Fault, InsertBytes, Noise, Plan, Rule, When
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
@@ -40,7 +40,7 @@ INSTANT_S = 1e-9
 """Less is no time at all: the simulation counts in whole picoseconds."""
 PACKET = struct.Struct("<16s3s8HBIBB")
 """An N150's state packet: sonars, bumpers, pose and velocities and compass, motors, clock, voltages."""
-ONE_BYTE: tuple[Fault, ...] = (Corrupt(), DropByte(), Stray())
+ONE_BYTE: tuple[Fault, ...] = (Corrupt(), DropByte(), InsertBytes())
 NOISE: tuple[Fault, ...] = (Noise(corrupt_percent=1.0, drop_percent=1.0),)
 TARGET_WRONG = 30
 

@@ -30,12 +30,12 @@ from nclient.connect import Wanted, open_backend
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
 BAUD, BITS_A_BYTE = 38400, 10
 GS = Call("gs")
-REQUEST = codec.line_request(GS, line_terms(N150))
+REQUEST = codec.line_request(GS, serial_wire_state(N150))
 REPLY_SIZE = 48
 """An N150's state packet in its frame."""
 PACED_CALLS = 100

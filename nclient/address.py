@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote_plus, urlsplit
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 
 Reader = Callable[[str], Any]
@@ -56,7 +56,7 @@ class Address(NamedTuple):
             if name in readers:
                 values[name] = self._value(name, given, readers[name])
             elif not others:
-                raise AddressError(f"{self.text!r}: no option {name!r}{did_you_mean(name, readers)} "
+                raise AddressError(f"{self.text!r}: no option {name!r}{suggest(name, readers)} "
                                    f"There are {', '.join(readers)}.")
         return values
 

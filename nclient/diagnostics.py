@@ -217,7 +217,7 @@ _TROUBLES: Final = (ConnectionLost, ReplyTimeout, RobotRefused, WireError)
 
 
 @dataclass(slots=True)
-class Chart:
+class DiagnosticData:
     """What was found out.
 
     states      after each gs that was answered
@@ -243,7 +243,7 @@ class Chart:
         return len(self.states) + len(self.losses)
 
 
-class Examination:
+class Diagnostics:
     """One robot. `opens`: a new conversation with it. Raises ConnectionLost where nobody is there from the start."""
 
     def __init__(
@@ -254,9 +254,9 @@ class Examination:
         self._backend = opens()
         self._robot = Robot(self._backend)
 
-    def run(self, exchanges: int = EXCHANGES, interval_s: float = INTERVAL_S) -> Chart:
+    def run(self, exchanges: int = EXCHANGES, interval_s: float = INTERVAL_S) -> DiagnosticData:
         """Ask all there is to ask."""
-        chart = Chart(self._robot.model.name, self._backend.terms.line)
+        chart = DiagnosticData(self._robot.model.name, self._backend.wire_state.line)
         try:
             self._measure(chart, exchanges, interval_s)
             if chart.states:
@@ -266,7 +266,7 @@ class Examination:
             self._robot.disconnect()
         return chart
 
-    def _measure(self, chart: Chart, exchanges: int, interval_s: float) -> None:
+    def _measure(self, chart: DiagnosticData, exchanges: int, interval_s: float) -> None:
         start_s, missing = self._clock(), 0
         for _ in range(exchanges):
             asked_s = self._clock()
@@ -286,7 +286,7 @@ class Examination:
             if chart.on_line or state.raw[0]:
                 self._sleep(max(0.0, interval_s - (now_s - asked_s)))
 
-    def _question(self, chart: Chart) -> None:
+    def _question(self, chart: DiagnosticData) -> None:
         for row in _QUESTIONS:
             if row.name not in _NOT_THE_ROBOTS and self._has(row, chart.on_line):
                 chart.answers[row.name] = self._answer(row)
@@ -317,7 +317,7 @@ class Examination:
             self._robot = Robot(self._backend)
         return self._robot
 
-    def _count(self, chart: Chart) -> None:
+    def _count(self, chart: DiagnosticData) -> None:
         link = getattr(self._backend, "link", None)
         if link is not None:
             chart.link = link.counts()
@@ -329,7 +329,7 @@ SLOW_S: Final = 0.2
 _FAULTS: Final = ("skipped_bytes", "checksum_errors", "misfits", "implausible", "strays", "naks")
 
 
-def report(chart: Chart) -> list[Finding]:
+def report(chart: DiagnosticData) -> list[Finding]:
     """All findings, in the order one would look."""
     findings = [_link(chart)]
     if not chart.states:
@@ -348,7 +348,7 @@ def percentile_s(latencies: Sequence[float], share: float) -> float:
     return ranked[max(0, math.ceil(share * len(ranked)) - 1)]
 
 
-def _link(chart: Chart) -> Finding:
+def _link(chart: DiagnosticData) -> Finding:
     lost = len(chart.losses)
     if not chart.states:
         return fail("link", f"no answer to {lost} questions: {chart.losses[-1]}",
@@ -364,14 +364,14 @@ def _link(chart: Chart) -> Finding:
     return ok("link", seen)
 
 
-def _line_faults(chart: Chart) -> list[Finding]:
+def _line_faults(chart: DiagnosticData) -> list[Finding]:
     faults = [f"{chart.link[name]} {name.replace('_', ' ')}" for name in _FAULTS if chart.link.get(name)]
     if faults:
         return [warn("line", ", ".join(faults), "the line is not clean: look after plugs, length, and ground")]
     return [ok("line", "no stray byte, no bad checksum")] if chart.link else []
 
 
-def _firmware(chart: Chart) -> Finding:
+def _firmware(chart: DiagnosticData) -> Finding:
     bad = {name: told for name, told in chart.answers.items() if told}
     if bad:
         return fail("firmware", "no good answer to " + "; ".join(f"{name} ({told})" for name, told in bad.items()),

@@ -16,8 +16,8 @@ from nclient.errors import AddressError
 from nclient.opening import Opening, Wanted
 from nclient.protocol.types import N150, Model
 from nclient.recording.format import read_recording
-from nclient.recording.recorder import HELLO_FIRST, TCP
-from nclient.recording.replayer import STRICT, PlayedPeer, Player, script_of
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
+from nclient.recording.replayer import STRICT, Player, ReplayPeer, load_exchanges
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream
 from nclient.transports.serial import DEFAULT_BAUD, SerialStream
@@ -106,7 +106,7 @@ def robotd_stream(opening: Opening) -> ByteStream:
 
 def line_talk(stream: ByteStream, opening: Opening) -> Backend:
     """A robot on its own line."""
-    return _direct(stream, opening, hello=opening.scheme.line == HELLO_FIRST)
+    return _direct(stream, opening, hello=opening.scheme.line == HANDSHAKE_FIRST)
 
 
 def line_talk_without_hello(stream: ByteStream, opening: Opening) -> Backend:
@@ -149,15 +149,15 @@ def replay_stream(opening: Opening) -> ByteStream:
     recording = opening.kept.setdefault("recording", None) or read_recording(Path(path))
     names, opened = recording.connections(), opening.kept.get("opened", 0)
     name = opening.values.get("connection") or (names[min(opened, len(names) - 1)] if names else "")
-    script = script_of(recording, name)
+    script = load_exchanges(recording, name)
     opening.kept |= {"recording": recording, "opened": opened + 1, "script": script}
     opening.values = {"model": script.model, **opening.values}
-    return MemoryStream(PlayedPeer(Player(script, opening.values.get("order", STRICT))))
+    return MemoryStream(ReplayPeer(Player(script, opening.values.get("order", STRICT))))
 
 
 def replay_talk(stream: ByteStream, opening: Opening) -> Backend:
     """In the language that was recorded."""
     script = opening.kept["script"]
     if script.line != TCP:
-        return _direct(stream, opening, hello=script.line == HELLO_FIRST)
+        return _direct(stream, opening, hello=script.line == HANDSHAKE_FIRST)
     return open_nserver(stream, Wanted(opening.timeout_s, script.robot_id), script.model)

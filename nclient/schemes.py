@@ -28,13 +28,13 @@ from nclient.backends import (
 from nclient.backends import (
     wrappers as retrying,
 )
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import AddressError
 from nclient.faults.plan import load_plan
 from nclient.openers import open_nserver, open_tcp
 from nclient.opening import Opening, Option, Scheme, Wanted
 from nclient.protocol.types import N150, model_named
-from nclient.recording.recorder import HELLO_FIRST, SERIAL
+from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL
 from nclient.recording.replayer import ORDERS
 from nclient.transports import memory
 
@@ -50,7 +50,7 @@ SCHEMES: dict[str, Scheme] = {
     "serial": Scheme("serial:///dev/ttyUSB0?model=n150&baud=38400", openers.serial_stream, openers.line_talk, _LINE,
                      line=SERIAL),
     "robotd": Scheme("robotd://host[:port]?model=n200", openers.robotd_stream, openers.line_talk, _LINE,
-                     line=HELLO_FIRST),
+                     line=HANDSHAKE_FIRST),
     "replay": Scheme("replay:FILE", openers.replay_stream, openers.replay_talk, in_process=True),
 }
 """Schemes that this package serves by itself; others are entry points of what answers in this process."""
@@ -106,6 +106,6 @@ def _scheme_named(address: Address) -> Scheme:
         return _IN_PROCESS_LINE if address.options.get("line") == "1" else _IN_PROCESS
     known = known_schemes()
     named = address.scheme or address.text.partition("/")[0].lower()
-    hint = did_you_mean(named, known, before="", after=":? ")
+    hint = suggest(named, known, before="", after=":? ")
     names = ", ".join(f"{name}:" for name in known)
     raise AddressError(f"{address.text!r} is no address: {hint}There are {names} {EXAMPLES}")

@@ -18,7 +18,7 @@ from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
 from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import Plan, require_rules_for
 from nclient.opening import Opening
-from nclient.recording.recorder import HELLO_FIRST, TCP, ProgramsRecording, Recorded
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ProgramsRecording, Recorded
 from nclient.transports.stream import ByteStream
 
 _FASTEST_FED = 1000
@@ -63,8 +63,8 @@ def faulty(stream: ByteStream, plan: Plan, opening: Opening) -> ByteStream:
         injector = Injector(plan, opening.address.scheme, time.monotonic())
         kept["faults"] = lambda: injector
     line = _line_of(opening)
-    greets = line == HELLO_FIRST and opening.model.sends_mask
-    language = TcpLanguage(wide=False) if line == TCP else LineLanguage(greets)
+    has_handshake = line == HANDSHAKE_FIRST and opening.model.sends_mask
+    language = TcpLanguage(wide=False) if line == TCP else LineLanguage(has_handshake)
     return FaultyStream(stream, FaultyLine(language, kept["faults"]), time.monotonic, time.sleep)
 
 

@@ -33,8 +33,8 @@ from nserver_emu.control import cli
 from nserver_emu.control.options import controlled, may_have_faults
 from nserver_emu.garbage import seldom_sought
 from nserver_emu.gateway import run as real_options
-from nserver_emu.gateway.gateway import Gateway, RealSide
-from nserver_emu.gateway.run import kept, model_of, reached
+from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
+from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.legacy_setup import OldSetup, read_setups
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
 from nserver_emu.persistence.autosave import SaveFile, autosaved
@@ -65,14 +65,14 @@ HELP = "help"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
-    process.fill_in()
+    process.ensure_std_streams()
     words = _asked_for_help(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
     try:
         code = run(words)
         sys.stdout.flush()
     except OSError as error:
-        return process.ended_by(error, "nserver")
+        return process.handle_broken_pipe(error, "nserver")
     return code
 
 
@@ -109,24 +109,24 @@ async def _serve(options: argparse.Namespace) -> int:
     for key in setups.unused:
         log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
     faults = FaultController(time.monotonic)
-    with reached(options, faults if may_have_faults(options) else None) as sides:
-        return await _serve_with(sides, setups, options, faults)
+    with connected(options, faults if may_have_faults(options) else None) as proxies:
+        return await _serve_with(proxies, setups, options, faults)
 
 
 async def _serve_with(
-    sides: Mapping[int, RealSide], setups: OldSetup, options: argparse.Namespace, faults: FaultController
+    proxies: Mapping[int, RealRobotProxy], setups: OldSetup, options: argparse.Namespace, faults: FaultController
 ) -> int:
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
-    beginning = _beginning(options, setups.robot or model_of(sides) or MODEL_NAMES[0])
+    beginning = _beginning(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
     emulator = beginning.emulator()
     load_compiled(len(emulator.simulation.robots))
     if emulator.clock.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
-    gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
-    daemon = Daemon(emulator, emulator.clock.factor, gateway, faults)
+    gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
+    daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
     daemon.admission = AdmissionControl(limits := limits_of(options), access_of(options))
     make_room(limits.connections + (limits.page_connections if options.viewer else 0))
-    daemon.places |= real_options.places(options)
+    daemon.places |= real_options.line_addresses(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
     file = _saved_on_signal(emulator, options.save)
@@ -135,7 +135,7 @@ async def _serve_with(
         if open_to := warning(options.bind, daemon.admission.access):
             log.warning("--bind: %s", open_to)
         if options.record:
-            numbers = {"port": port, "requests_a_turn": MAX_REQUESTS_PER_TURN, "real_robots": len(sides)}
+            numbers = {"port": port, "requests_a_turn": MAX_REQUESTS_PER_TURN, "real_robots": len(proxies)}
             daemon.record(options.record, header(beginning, _now(), **numbers))
         await _run(daemon, gateway, options, stop, file)
     finally:
@@ -152,7 +152,7 @@ async def _run(
     async with (
         controlled(daemon, options) as control,
         viewed(daemon, options) as page,
-        kept(gateway, daemon, options.shadow_every),
+        run_gateway(gateway, daemon, options.shadow_every),
         autosaved(file, options.autosave),
     ):
         for line in (f"listening nserver {at_port(options.bind, daemon.emulator.port)}", *lines, *control, *page):

@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from nclient.common import allowlist
 from nclient.common.arguments import Parser
-from nclient.common.hints import did_you_mean, version
+from nclient.common.hints import suggest, version
 from nserver_emu import logs
 from nserver_emu.control import options as control_options
 from nserver_emu.gateway import run as real_options
@@ -129,7 +129,7 @@ def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Na
     """Wrong usage, where no file could know the model."""
     for name in options.robot or ():
         if options.model_file is None and name.lower() not in MODEL_NAMES:
-            hint = did_you_mean(name.lower(), MODEL_NAMES)
+            hint = suggest(name.lower(), MODEL_NAMES)
             parser.error(f"argument --robot: no model {name!r}; there are {', '.join(MODEL_NAMES)}{hint}")
 
 
@@ -196,7 +196,7 @@ def _setup(text: str) -> str:
     if text not in SETUPS and not text.endswith(SUFFIX):
         raise argparse.ArgumentTypeError(
             f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
-            f"{did_you_mean(text, SETUPS)}"
+            f"{suggest(text, SETUPS)}"
         )
     return text
 

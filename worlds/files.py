@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.outlines import require_outline
@@ -105,7 +105,7 @@ def _find(name: str) -> FilePath:
         return SHIPPED / path.name
     raise WorldFileError(
         f"{name or repr(name)}: no such file, and no world that is shipped; "
-        f"expected a path or one of {', '.join(names)}{did_you_mean(path.stem, names)}"
+        f"expected a path or one of {', '.join(names)}{suggest(path.stem, names)}"
     )
 
 

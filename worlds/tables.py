@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import isfinite, radians
 from typing import Any, Final, NoReturn
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
 
 INCHES: Final = {"in": 1.0, "cm": 1.0 / 2.54, "m": 100.0 / 2.54}
@@ -46,7 +46,7 @@ class Table:
         known = [*keys, *(key for name in lengths for key in _length_keys(name))]
         for key in self.values:
             if key not in known:
-                self.fail(key, f"unknown key; expected one of {', '.join(known)}{did_you_mean(key, known)}")
+                self.fail(key, f"unknown key; expected one of {', '.join(known)}{suggest(key, known)}")
 
     def text(self, key: str, default: str) -> str:
         """A text that is not empty."""

@@ -42,7 +42,7 @@ from localization.live.localizer import Fit
 from localization.navigation.recovery import Obstruction
 from nclient import Robot
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import OutputFileError
 from worlds.bodies import BODIES
 from worlds.calibration import Calibration, calibration_text
@@ -124,7 +124,7 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputFileError(unwritable(path, error)) from error
+        raise OutputFileError(describe_write_error(path, error)) from error
 
 
 def _drive(

@@ -35,7 +35,7 @@ from localization.navigation.speed import SteadyPose
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
 from nclient import NomadError, Robot, WorldFileError
 from nclient.common.exit_codes import ExitCode
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from worlds.bodies import BODIES
 from worlds.world import World
 
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
         options.body = body_of(options.body, robot.model.name, options.address)
         try:
             _drive(robot, world, done, options, simulated, publisher)
-        except (KeyboardInterrupt, Left):
+        except (KeyboardInterrupt, TerminatedBySignal):
             with contextlib.suppress(NomadError):
                 robot.stop()
             if done.moments:

@@ -22,7 +22,7 @@ from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import ESTIMATE, GOAL, blank, draw_walls, save
 from localization.mapping.observability import Weakness, weakness
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import WorldFileError
 from worlds.bodies import BODIES
 from worlds.checking import Finding, Limits, Space, findings, space
@@ -125,7 +125,7 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
     try:
         options.out.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise WorldFileError(unwritable(options.out, error)) from error
+        raise WorldFileError(describe_write_error(options.out, error)) from error
     told = {"walls_before": len(world.walls), "walls": len(simpler.walls), "apart_in": far_in}
     print(json.dumps(told) if options.json else f"{told['walls_before']} walls became {told['walls']}, {far_in:.3g} in "
           f"apart at most: {options.out}")

@@ -21,7 +21,7 @@ from localization.missions.runner import run_mission
 from localization.missions.settings import Settings
 from localization.missions.steps import load_mission
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import MissionFileError
 from worlds.files import load_world
 
@@ -79,4 +79,4 @@ def _write(report: Report, options: argparse.Namespace) -> None:
         try:
             options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
-            raise MissionFileError(unwritable(options.report, error, "the report")) from error
+            raise MissionFileError(describe_write_error(options.report, error, "the report")) from error

@@ -43,7 +43,7 @@ from localization.live.saved_estimate import Kept, Moved, resumed, site_of
 from localization.live.sensor_input import EncoderPose, with_wheels
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import EstimateFileError, OutputFileError
 from worlds.bodies import BODIES
 from worlds.calibration import FAULTLESS, Calibration, load_calibration
@@ -68,7 +68,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputFileError(unwritable(folder, error)) from error
+        raise OutputFileError(describe_write_error(folder, error)) from error
 
 
 def check_writable(*files: Path | None) -> None:

@@ -25,7 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import MissionFileError, WorldFileError
 from worlds.outlines import require_outline
 from worlds.tables import Point, Table, found
@@ -179,7 +179,7 @@ def settings_in(table: Table) -> dict[str, Any]:
 def _policy(table: Table) -> OnLost:
     word, words = table.values["on_lost"], [policy.value for policy in OnLost]
     if word not in words:
-        told = f"{word!r}{did_you_mean(word, words)}" if isinstance(word, str) else found(word)
+        told = f"{word!r}{suggest(word, words)}" if isinstance(word, str) else found(word)
         table.fail("on_lost", f"expected one of {', '.join(words)}, found {told}")
     return OnLost(word)
 

@@ -57,8 +57,8 @@ from localization.missions import settings as arguments
 from localization.missions.mission import Condition, Mission
 from localization.missions.settings import LEAST_S, LONGEST_S, Point, Settings, settings_in
 from nclient.common.files import read_text, toml_of
-from nclient.common.hints import did_you_mean
-from nclient.common.process import Left
+from nclient.common.hints import suggest
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, NomadError, WorldFileError
 from worlds.files import load_world
 from worlds.tables import FARTHEST_IN, Table
@@ -84,7 +84,7 @@ def step_of(table: Table) -> Act:
         table.fail("do", f"is wanted; there are {', '.join(VERBS)}")
     verb = table.text("do", "")
     if verb not in VERBS:
-        table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{did_you_mean(verb, VERBS)}")
+        table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{suggest(verb, VERBS)}")
     return VERBS[verb](table)
 
 
@@ -217,7 +217,7 @@ def parse_program(text: str, file: str) -> Orders:
         exec(compile(text, file, "exec"), names)
     except SyntaxError as error:
         raise MissionFileError(f"{file}: line {error.lineno}: is no Python: {error.msg}") from error
-    except Left:
+    except TerminatedBySignal:
         raise
     except (Exception, SystemExit) as error:
         raise MissionFileError(_told(error, file)) from error
@@ -233,7 +233,7 @@ def parse_program(text: str, file: str) -> Orders:
             _require_no_promise(act(robot), file)
         except MissionFileError as error:
             raise MissionFileError(_told(error, file)) from error
-        except (NomadError, Left):
+        except (NomadError, TerminatedBySignal):
             raise
         except (Exception, SystemExit) as error:
             raise MissionFileError(_told(error, file)) from error

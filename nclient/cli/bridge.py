@@ -23,12 +23,12 @@ from urllib.parse import quote
 
 from nclient.cli.serving import LOOK_S, Turn, add_door, open_door, tell, visitors
 from nclient.common.exit_codes import ExitCode
-from nclient.common.idle import Overheard
+from nclient.common.idle import IdleMonitor
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model
 from nclient.recording.format import IN, OUT, Entry
 from nclient.recording.readable import lines_of
-from nclient.recording.recorder import Follower, RecordingStream
+from nclient.recording.recorder import FrameDecoder, RecordingStream
 from nclient.schemes import Opening, Wanted, opening_of
 from nclient.transports import memory
 from nclient.transports.stream import ByteStream, Deadline
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
             tell(str(error))
             return
         try:
-            pass_on(near, far, turn, Overheard(turn.silence, opening.scheme.line, opening.model))
+            pass_on(near, far, turn, IdleMonitor(turn.silence, opening.scheme.line, opening.model))
         finally:
             far.close()
 
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def pass_on(near: ByteStream, far: ByteStream, turn: Turn, overheard: Overheard) -> None:
+def pass_on(near: ByteStream, far: ByteStream, turn: Turn, overheard: IdleMonitor) -> None:
     """Bytes from each to the other, until one of the two or the near one's turn is over; the near one then is."""
     over = threading.Event()
     back = threading.Thread(
@@ -126,7 +126,7 @@ class _Shown:
     """A tape that shows what it hears."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self._follower = Follower(line, model)
+        self._follower = FrameDecoder(line, model)
         self._start_s = time.monotonic()
 
     def to_robot(self, data: bytes) -> None:

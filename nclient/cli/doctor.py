@@ -17,7 +17,7 @@ import time
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
 from nclient.connect import address_or_default
-from nclient.diagnostics import EXCHANGES, INTERVAL_S, Examination, Finding, Grade, report, worst
+from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
 from nclient.schemes import Wanted, opening_of
 
 
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     """Examine and tell; the exit code."""
     address = address_or_default(options.address)
     opening = opening_of(address, Wanted())
-    chart = Examination(opening.talk, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
+    chart = Diagnostics(opening.talk, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
     findings = report(chart)
     grade = worst(findings)
     if options.json:

@@ -21,11 +21,11 @@ from pathlib import Path
 from nclient.cli.serving import tell
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import RecordingError
-from nclient.protocol.codec import row_named
+from nclient.protocol.codec import find_command
 from nclient.protocol.types import MODELS, N150, model_named
 from nclient.recording.format import IN, OUT, Entry, Recording, read_recording
 from nclient.recording.readable import lines_of
-from nclient.recording.recorder import LINES, Follower
+from nclient.recording.recorder import LINES, FrameDecoder
 
 _PIECE = 4096
 
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show it; the exit code."""
     if options.filter:
-        row_named(options.filter)
+        find_command(options.filter)
     recording = _captured(options) if options.line else read_recording(options.file)
     if options.connection and options.connection not in recording.connections():
         there = ", ".join(recording.connections())
@@ -67,7 +67,7 @@ def _captured(options: argparse.Namespace) -> Recording:
         data = options.file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{options.file}: cannot be read ({error.strerror})") from error
-    follower = Follower(options.line, model_named(options.model))
+    follower = FrameDecoder(options.line, model_named(options.model))
     follow, kind = (follower.to_host, IN) if options.from_robot else (follower.to_robot, OUT)
     pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
     entries = tuple(Entry(0.0, kind, "", piece, tuple(follow(piece))) for piece in pieces)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import ShellError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
@@ -59,7 +59,7 @@ def check(parts: Iterable[str]) -> None:
     """Raises ShellError for a part that there is not."""
     for part in parts:
         if part not in PARTS:
-            raise ShellError(f"no part {part!r} of the state; there are {', '.join(PARTS)}{did_you_mean(part, PARTS)}")
+            raise ShellError(f"no part {part!r} of the state; there are {', '.join(PARTS)}{suggest(part, PARTS)}")
 
 
 def as_object(state: RobotState) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from nclient.connect import address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
 from nclient.openers import line_talk_without_hello
 from nclient.opening import Opening
-from nclient.protocol.decode import is_it_another
+from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.types import Model
 from nclient.recording.recorder import TCP
 from nclient.robot import Robot
@@ -93,7 +93,7 @@ class StopFirst:
 
     def remedy(self) -> str:
         """What is left to say where st was answered, and nothing after it could be read."""
-        hint = is_it_another(self._model, self.answers[-1])
+        hint = model_mismatch_hint(self._model, self.answers[-1])
         return f"st was answered, and nothing showed that it stands still{'; ' if hint else ''}{hint}"
 
     def _tell(self) -> None:

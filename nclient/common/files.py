@@ -88,7 +88,7 @@ _SIZE: Final = "raise the limit on the size of files (ulimit -f)"
 _REMEDIES: Final = {errno.ENOSPC: _ROOM, errno.EDQUOT: _ROOM, errno.EFBIG: _SIZE}
 
 
-def unwritable(path: Path, error: OSError, what: str = "") -> str:
+def describe_write_error(path: Path, error: OSError, what: str = "") -> str:
     """`FILE: cannot be written: No space left on device; make room ...`; `what` stands in the file's place after its
     name: `FILE: the report cannot be written: ...`."""
     return f"{path}: {what}{' ' if what else ''}cannot be written: {error.strerror}; {remedy(error)}"
@@ -116,7 +116,7 @@ def write_whole(path: Path, text: str, error: Failure, ending: str = "") -> None
         else:
             _write(real, real.with_name(f".{real.name}.{ending or os.getpid()}"), text)
     except OSError as failure:
-        raise error(unwritable(path, failure)) from failure
+        raise error(describe_write_error(path, failure)) from failure
     except ValueError as failure:  # a name with a zero byte in it
         raise error(f"{str(path)!r}: cannot be written: {failure}") from failure
 

@@ -24,7 +24,7 @@ NONE: Final = 0.0
 """The limit that lets everybody be silent for ever."""
 
 
-class Silence:
+class IdleTimer:
     """`limit_s`: how long is too long, or NONE; `clock`: seconds. Begins now."""
 
     def __init__(self, limit_s: float, clock: Callable[[], float]) -> None:
@@ -44,15 +44,15 @@ class Silence:
             self._until_s = self._clock() + self._limit_s
 
     @property
-    def too_long(self) -> bool:
+    def expired(self) -> bool:
         """Whether it was longer than the limit."""
         return self._limit_s != NONE and self._clock() >= self._until_s
 
 
-class Overheard:
+class IdleMonitor:
     """A conversation in one of recording.follower's LINES. What it hears goes into `silence`."""
 
-    def __init__(self, silence: Silence, line: str, model: Model) -> None:
+    def __init__(self, silence: IdleTimer, line: str, model: Model) -> None:
         self._silence = silence
         self._questions = Questions(line, model)
         self._one_at_a_time = threading.Lock()

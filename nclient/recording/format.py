@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from nclient.common.files import remedy, unwritable
+from nclient.common.files import describe_write_error, remedy
 from nclient.errors import RecordingError
 
 log = logging.getLogger(__name__)
@@ -94,7 +94,7 @@ class LogWriter:
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
-            raise RecordingError(unwritable(path, error)) from error
+            raise RecordingError(describe_write_error(path, error)) from error
         self._line({"format": FORMAT, "version": VERSION} | dict(header))
 
     def write(self, entry: Entry) -> None:

@@ -31,9 +31,9 @@ from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.replies import LINE_STATE, STATE
 from nclient.protocol.tcp_framing import request_bounds
 from nclient.protocol.types import N150, Model, model_named
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import IN, OPEN, OUT, Entry, Recording
-from nclient.recording.recorder import LINES, TCP, Ears, Frame, ears_for
+from nclient.recording.recorder import LINES, TCP, Frame, FrameTap, frame_tap_for
 
 _STATE_TYPE = REPLY_TYPES[STATE].to_bytes(2, "big")
 _TIMEOUT_TYPE = BY_NAME["conf_tm"].line_type or 0
@@ -71,7 +71,7 @@ class Exchange:
 
 
 @dataclass(slots=True)
-class Script:
+class RecordedConnection:
     """See the head of this file. `name`: the file's."""
 
     name: str
@@ -91,9 +91,9 @@ class Questions:
     """What a program asks, out of its bytes."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self.ears: Ears = ears_for(line, model)
+        self.ears: FrameTap = frame_tap_for(line, model)
         self._tcp = line == TCP
-        self._terms = line_terms(model)
+        self._wire_state = serial_wire_state(model)
 
     def receive(self, data: bytes) -> list[Asked]:
         """What these bytes make whole; on a robot's own line stray bytes are passed over."""
@@ -110,7 +110,7 @@ class Questions:
     def _call(self, data: bytes) -> Call:
         if self._tcp:
             return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.ears.wide))
-        return codec.line_call(serial_framing.only_frame(data), self._terms)
+        return codec.line_call(serial_framing.only_frame(data), self._wire_state)
 
 
 def asked(call: Call) -> Asked:
@@ -121,7 +121,7 @@ def asked(call: Call) -> Asked:
     return Asked(call.name, tuple(args))
 
 
-def script_of(recording: Recording, connection: str = "") -> Script:
+def load_exchanges(recording: Recording, connection: str = "") -> RecordedConnection:
     """The script of a connection by its name, of the first where none is given. Raises RecordingError for no such."""
     names = recording.connections()
     if not names:
@@ -130,7 +130,7 @@ def script_of(recording: Recording, connection: str = "") -> Script:
         raise RecordingError(f"{recording.name}: no connection {connection!r}; there are {', '.join(names)}")
     entries = [entry for entry in recording.entries if entry.connection == (connection or names[0])]
     line, model = _spoken(recording, entries)
-    return _Writer(Script(recording.name, line, model)).write(entries)
+    return _Writer(RecordedConnection(recording.name, line, model)).write(entries)
 
 
 def _spoken(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
@@ -144,7 +144,7 @@ def _spoken(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
         raise RecordingError(f"{recording.name}: {error}") from None
 
 
-def state_before(script: Script, at: int) -> bytes:
+def state_before(script: RecordedConnection, at: int) -> bytes:
     """The state that was told last before an exchange, else first after it, as conf_tm is answered; empty for none."""
     for exchange in (*reversed(script.exchanges[:at]), *script.exchanges[at:]):
         row = BY_NAME.get(exchange.asked.name)
@@ -164,12 +164,12 @@ def state_before(script: Script, at: int) -> bytes:
 class _Writer:
     """Fills a script from the entries of one connection."""
 
-    def __init__(self, script: Script) -> None:
+    def __init__(self, script: RecordedConnection) -> None:
         self._script = script
         self._questions = Questions(script.line, script.model)
         self._unanswered: deque[Exchange] = deque()
 
-    def write(self, entries: list[Entry]) -> Script:
+    def write(self, entries: list[Entry]) -> RecordedConnection:
         for entry in entries:
             if entry.kind == OUT:
                 self._ask(entry)
@@ -210,7 +210,7 @@ _TIMEOUT: Final = "conf_tm"
 class Player:
     """One connection, played once. `order`: one of ORDERS."""
 
-    def __init__(self, script: Script, order: str = STRICT) -> None:
+    def __init__(self, script: RecordedConnection, order: str = STRICT) -> None:
         self._script = script
         self._loose = order == LOOSE
         self._questions = Questions(script.line, script.model)
@@ -269,7 +269,7 @@ class Player:
         return next((each for each in left if each.asked.name not in _FEEDING), left[0] if left else None)
 
 
-class PlayedPeer:
+class ReplayPeer:
     """A player as what answers in this process, at once: MemoryStream's other end."""
 
     def __init__(self, player: Player) -> None:

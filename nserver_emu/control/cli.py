@@ -32,7 +32,7 @@ from typing import Any, Final
 
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import ConnectionLost, ControlError, NomadError
 from nclient.faults.plan import read_plan
 from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCommand
@@ -222,7 +222,7 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     length = 2 if words[0] in _GROUPS else 1
     name, arguments = " ".join(words[:length]), words[length:]
     if name not in BY_NAME:
-        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(name, BY_NAME)}")
+        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{suggest(name, BY_NAME)}")
     wanted = BY_NAME[name].argument
     if wanted == WORDS and arguments:
         arguments = [" ".join(arguments)]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from nclient.common.hints import did_you_mean, version
+from nclient.common.hints import suggest, version
 from nclient.errors import ControlError, NomadError
 from nclient.faults.frames import total
 from nclient.faults.plan import parse_plan, plan_text
@@ -112,7 +112,7 @@ def _done(served: Served, line: bytes) -> Said:
         raise ControlError('a request is a line such as {"command": "speed", "argument": "10"}') from None
     row = BY_NAME.get(name) if isinstance(name, str) else None
     if row is None:
-        raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(str(name), BY_NAME)}")
+        raise ControlError(f"no command {name!r}; there are {', '.join(BY_NAME)}{suggest(str(name), BY_NAME)}")
     if row.wants and argument is None:
         raise ControlError(f"{row.name} wants {row.argument}")
     return row.does(served, argument)

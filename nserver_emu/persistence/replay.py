@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 from nclient.errors import NomadError, RecordingError
 from nclient.protocol.types import model_named
 from nclient.recording.format import IN, OUT, Entry, Recording
-from nclient.recording.recorder import HELLO_FIRST, TCP
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence.recording import DAEMON, beginning_of
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.handlers.runtime_settings import change_obstacle, put_world, show_world, switch_noise
@@ -151,10 +151,10 @@ class _DaemonAgain:
             )
             return
         robot_id = entry.more["robot_id"]
-        terms = self._emulator.line_terms(robot_id)
-        line = SerialSession(answer, robot_id, model, lambda: self._line_clock_s, name, terms)
+        wire_state = self._emulator.serial_wire_state(robot_id)
+        line = SerialSession(answer, robot_id, model, lambda: self._line_clock_s, name, wire_state)
         self._sessions[name] = line
-        self._greetings[name] = line.greeting if wire == HELLO_FIRST else b""
+        self._greetings[name] = line.greeting if wire == HANDSHAKE_FIRST else b""
 
     def _session(self, entry: Entry) -> BaseSession[Any]:
         session = self._sessions.get(entry.connection)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import OFF, TCP, Tape
+from nclient.recording.recorder import OFF, TCP, ConnectionRecorder
 from nserver_emu.server.admission import ConnectionTimeouts, TokenBucket
 from nserver_emu.server.client_registry import CLOSED_RETENTION_S
 from nserver_emu.server.link import Arrival, FaultyChannel, SerialChannel
@@ -53,7 +53,7 @@ class ConnectionHandler(ABC):
         self._cable = cable
         self._faulty = False
         self._delivering = False
-        self._tape: Tape = OFF
+        self._tape: ConnectionRecorder = OFF
         self._allowance: TokenBucket | None = None
         """How fast it is answered; None: as fast as it asks."""
         self.here = True

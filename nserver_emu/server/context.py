@@ -33,7 +33,7 @@ from typing import Any, Final, NamedTuple
 
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import model_named
-from nclient.protocol.wire_state import Terms, line_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state
 from nserver_emu.server.graphics import Graphics, Traces
 from nserver_emu.server.layers import layers
 from nserver_emu.server.limits import Limits
@@ -253,7 +253,7 @@ class ServerState:
         self.estop = EStop()
         self.shown: dict[str, World] = {}
         """Worlds whose text was told to somebody, who may want to have them back (switches.py)."""
-        self._line_terms: dict[int, Terms] = {}
+        self._serial_wire_states: dict[int, WireState] = {}
         self.pose_requests = PoseRequests()
         self._looked: dict[int, tuple[float, StateSnapshot]] = {}
         self._promises = DeferredReplies()
@@ -316,12 +316,13 @@ class ServerState:
         self.axis_ownership.take(context, context.robot_id, axes)
         return self.robot_of(context)
 
-    def line_terms(self, robot_id: int) -> Terms:
+    def serial_wire_state(self, robot_id: int) -> WireState:
         """Mask and laser mode in force on a robot's own lines: the robot's, whoever asks by which of them, and after
         he has left. As at power-on in a simulation that is restored."""
-        if robot_id not in self._line_terms:
-            self._line_terms[robot_id] = line_terms(model_named(self.simulation.robots[robot_id].model.family))
-        return self._line_terms[robot_id]
+        if robot_id not in self._serial_wire_states:
+            family = self.simulation.robots[robot_id].model.family
+            self._serial_wire_states[robot_id] = serial_wire_state(model_named(family))
+        return self._serial_wire_states[robot_id]
 
     def arm_of(self, context: ConnectionContext) -> Arm:
         """The arm of the connection's robot, as it is now."""
@@ -355,9 +356,9 @@ class ServerState:
         if look is None or looked_s != now_s:
             look = StateSnapshot(robot, self.clock.speed_tenths)
             self._looked[context.robot_id] = (now_s, look)
-        if not context.terms.line:
+        if not context.wire_state.line:
             return state_reply(robot, context, now_s, look)
-        told, mask, mode = context.told, context.terms.mask, context.terms.laser_mode
+        told, mask, mode = context.told, context.wire_state.mask, context.wire_state.laser_mode
         if told is None or told.look is not look or told.mask is not mask or told.laser_mode != mode:
             told = context.told = CachedStateReply(look, mask, mode, state_reply(robot, context, now_s, look))
         return told.reply

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import AddressError
 from nclient.protocol.types import model_named
 from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements
@@ -75,9 +75,10 @@ class InProcessLine(InProcess):
 
     def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
         model = model_named(emulator.simulation.robots[FIRST_ROBOT].model.family)
-        terms = emulator.line_terms(FIRST_ROBOT)
+        wire_state = emulator.serial_wire_state(FIRST_ROBOT)
         session = SerialSession(
-            emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line", terms
+            emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line",
+            wire_state,
         )
         super().__init__(emulator, step_s, session)
 
@@ -111,7 +112,7 @@ def open_address(address: str) -> InProcess:
     given = parse_qs(query, keep_blank_values=True)
     for name, values in given.items():
         if name not in OPTIONS:
-            hint = did_you_mean(name, OPTIONS)
+            hint = suggest(name, OPTIONS)
             raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(OPTIONS)}.")
         if len(values) > 1 and name not in _FOR_EACH:
             raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")

@@ -30,7 +30,7 @@ from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Language, LineLanguage
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
 from nclient.protocol.types import Model, model_named
-from nclient.recording.recorder import HELLO_FIRST, OFF, SERIAL
+from nclient.recording.recorder import HANDSHAKE_FIRST, OFF, SERIAL
 from nserver_emu.server.connection import READ_SIZE, Connection, ConnectionHandler
 from nserver_emu.server.link import RateLimitedChannel, SerialChannel
 from nserver_emu.server.serial_session import SerialSession
@@ -125,8 +125,8 @@ class PtyConnection(ConnectionHandler):
     def _begin(self) -> None:
         """A conversation for the next host."""
         emulator, name = self._daemon.emulator, f"serial {self.terminal.path}"
-        terms = emulator.line_terms(self.own.robot_id)
-        self.session = SerialSession(emulator.answer, *self.own, self._loop.time, name, terms)
+        wire_state = emulator.serial_wire_state(self.own.robot_id)
+        self.session = SerialSession(emulator.answer, *self.own, self._loop.time, name, wire_state)
         self._cable = None if self._new_cable is None else self._new_cable()
         self._faulty = False
 
@@ -248,13 +248,13 @@ class RobotdConnection(Connection):
         self._greeted = True
 
     def _language(self) -> Language:
-        return LineLanguage(greets=not self._greeted and bool(self.greeting))
+        return LineLanguage(has_handshake=not self._greeted and bool(self.greeting))
 
     def _meet(self, name: str) -> None:
-        terms = self._daemon.emulator.line_terms(self.own.robot_id)
-        session = SerialSession(self._behind.answer, *self.own, self._loop.time, name, terms)
+        wire_state = self._daemon.emulator.serial_wire_state(self.own.robot_id)
+        session = SerialSession(self._behind.answer, *self.own, self._loop.time, name, wire_state)
         self.session, self.greeting = session, session.greeting
-        wire = HELLO_FIRST if self.greeting else SERIAL
+        wire = HANDSHAKE_FIRST if self.greeting else SERIAL
         self._tape = self._daemon.recorder.open(name, wire, self.own.model, self.own.robot_id)
 
 

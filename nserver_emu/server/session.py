@@ -36,9 +36,9 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import Refused, TcpFrame, TcpFramer, request_bounds, shorter
+from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, request_bounds, shorter
 from nclient.protocol.types import N150, Mask
-from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits
 
 _HEADER_BYTES: Final = 4
@@ -109,7 +109,7 @@ class ConnectionContext:
                      fewest points of a laser line, in the order of conf_sg; None: as at power-on
     """
 
-    terms: Terms = field(default_factory=lambda: tcp_terms(N150))
+    wire_state: WireState = field(default_factory=lambda: tcp_wire_state(N150))
     robot_id: int | None = None
     kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
     told: CachedStateReply | None = None
@@ -248,7 +248,7 @@ class BaseSession(ABC, Generic[Request]):
     def _encode(self, name: str, reply: Reply) -> bytes: ...
 
 
-class Session(BaseSession[TcpFrame | Refused]):
+class Session(BaseSession[TcpFrame | InvalidFrame]):
     """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before, of
     the word width that the first bytes show (None: they do not); a request has `most_words` at most."""
 
@@ -273,7 +273,7 @@ class Session(BaseSession[TcpFrame | Refused]):
     def identity(self) -> ClientIdentity | None:
         """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
         robot_id = self.context.robot_id
-        return None if robot_id is None else ClientIdentity(robot_id, self.context.terms.wide, self._silent)
+        return None if robot_id is None else ClientIdentity(robot_id, self.context.wire_state.wide, self._silent)
 
     def receive(self, data: bytes) -> None:
         if self.closing:
@@ -293,10 +293,10 @@ class Session(BaseSession[TcpFrame | Refused]):
             self.context.robot_id = known.robot_id
             self._framer.wide = known.wide
 
-    def _answer_one(self, request: TcpFrame | Refused) -> bytes:
-        if isinstance(request, Refused):
-            self.closing = request.hopeless
-            if request.hopeless:
+    def _answer_one(self, request: TcpFrame | InvalidFrame) -> bytes:
+        if isinstance(request, InvalidFrame):
+            self.closing = request.fatal
+            if request.fatal:
                 log.warning("%s: closed: %s", self.name, request.reason)
             return self._refuse(request.code, request.reason)
         try:
@@ -306,8 +306,8 @@ class Session(BaseSession[TcpFrame | Refused]):
         row = BY_NAME[call.name]
         if self.context.robot_id is None and call.name not in _CONNECTS_SESSION:
             return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
-        self.context.terms.wide = bool(self._framer.wide)
-        codec.note(call, self.context.terms)
+        self.context.wire_state.wide = bool(self._framer.wide)
+        codec.update_from_request(call, self.context.wire_state)
         answer = self._answer(call, self.context)
         self._silent = call.name in _CONNECTS_SESSION
         self.closing = not row.has_tcp_reply
@@ -318,9 +318,9 @@ class Session(BaseSession[TcpFrame | Refused]):
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
             self._count_refusal(f"{name}: error {reply.values[0]}")
-        return codec.tcp_reply(BY_NAME[name], reply, self.context.terms)
+        return codec.tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
     def _refuse(self, code: int, reason: str) -> bytes:
         self._count_refusal(reason)
-        self.context.terms.wide = bool(self._framer.wide)
-        return codec.tcp_reply(BY_NAME["gs"], error_reply(code), self.context.terms)
+        self.context.wire_state.wide = bool(self._framer.wide)
+        return codec.tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

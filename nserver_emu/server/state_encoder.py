@@ -179,7 +179,7 @@ def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
 
 def state_reply(robot: SimulatedRobot, context: ConnectionContext, time_s: float, look: StateSnapshot) -> Reply:
     """The whole state of a robot, `look` as of now, on the terms of this connection."""
-    mask = context.terms.mask
+    mask = context.wire_state.mask
     slots, laser = with_laser(robot, context, look.slots(mask), wanted=mask.has(LASER_SLOT))
     slots = as_sent(context, slots)
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
@@ -188,11 +188,9 @@ def state_reply(robot: SimulatedRobot, context: ConnectionContext, time_s: float
 
 def as_sent(context: ConnectionContext, slots: list[int]) -> list[int]:
     """State[0..44] as this connection gets it; from now on that is what it was sent last."""
-    mask, kept = context.terms.mask, context.kept
-    if not mask.whole and not context.terms.line:
-        slots = [
-            value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)
-        ]
+    mask, kept = context.wire_state.mask, context.kept
+    if not mask.whole and not context.wire_state.line:
+        slots = [value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)]
     context.kept = slots
     return slots
 
@@ -203,9 +201,11 @@ def with_laser(
     """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
     if not robot.model.sees:
         return slots, None
-    terms = context.terms
-    told = [*slots[:LASER_SLOT], terms.laser_mode, *slots[LASER_SLOT + 1 :]]
-    return told, laser_vector(robot, context, terms.laser_width) if wanted and is_on(terms.laser_mode) else None
+    wire_state = context.wire_state
+    told = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
+    return told, laser_vector(robot, context, wire_state.laser_width) if wanted and is_on(
+        wire_state.laser_mode
+    ) else None
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:

@@ -28,7 +28,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nserver_emu.simulation.axis import AxisLimits
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, Drive, SynchroDrive
 from worlds.bodies import N150 as N150_BODY
@@ -163,7 +163,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
         key = "like" if "like" in table.values else "name"
         table.fail(
             key, f"expected a model to be made from, `like` one of {', '.join(models)}, found {like!r}"
-            f"{did_you_mean(like, models)}"
+            f"{suggest(like, models)}"
         )  # fmt: skip
     base = models[like]
     axes = SYNCHRO_AXES if base.track_in is None else WHEELS

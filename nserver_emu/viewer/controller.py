@@ -26,7 +26,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import answer_line
 from nserver_emu.server.connection import ConnectionHandler
@@ -59,7 +59,7 @@ class Hand(ConnectionHandler):
         self._behind = daemon.host
         self.session = Session(daemon.host.answer, name)
         self._tape = daemon.recorder.open(name, TCP, N150)
-        self._terms = tcp_terms(N150)
+        self._wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._waiting: deque[tuple[str, Then]] = deque()
         daemon.connections.add(self)
@@ -101,7 +101,7 @@ class Hand(ConnectionHandler):
                 self.close()
                 return
             name, then = self._waiting.popleft()
-            then(_answer(name, codec.read_tcp_reply(BY_NAME[name], frame, self._terms)))
+            then(_answer(name, codec.read_tcp_reply(BY_NAME[name], frame, self._wire_state)))
 
     def _install_faults(self) -> None:
         """None here, whatever plan is in force."""
@@ -313,12 +313,12 @@ class Desk:
         if rows:
             self.hub.tell(to_page("traffic", rows=rows, missed=missed), traffic=True)
 
-    def _terms_of(self, name: str) -> Terms | None:
+    def _terms_of(self, name: str) -> WireState | None:
         """What a connection has agreed, between two of its requests."""
         for talker in self.daemon.connections:
             session = talker.session
             if session.name == name:
-                return None if session.unfinished or session.ready or session.waiting else session.context.terms
+                return None if session.unfinished or session.ready or session.waiting else session.context.wire_state
         return None
 
     def _open_clicks(self) -> None:

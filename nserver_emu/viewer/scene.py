@@ -69,7 +69,7 @@ def laser_modes(talkers: Iterable[ConnectionHandler], robots: Collection[int]) -
     for talker in talkers:
         context = talker.session.context
         if talker.here and talker.line != VIEWER and context.robot_id in found:
-            found[context.robot_id].append((talker.session.name, context.terms.laser_mode))
+            found[context.robot_id].append((talker.session.name, context.wire_state.laser_mode))
     return {number: sorted(clients, key=_on_first)[:MOST_NAMED] for number, clients in found.items()}
 
 

@@ -17,9 +17,17 @@ from typing import Any, Final
 
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
-from nclient.protocol.wire_state import Terms
+from nclient.protocol.wire_state import WireState
 from nclient.recording.readable import told
-from nclient.recording.recorder import HELLO_FIRST, SERIAL, TCP, AnyRecorder, Decoded, Follower, Tape
+from nclient.recording.recorder import (
+    HANDSHAKE_FIRST,
+    SERIAL,
+    TCP,
+    AnyRecorder,
+    ConnectionRecorder,
+    Decoded,
+    FrameDecoder,
+)
 
 MOST_ROWS: Final = 40
 MOST_ASKED: Final = 64
@@ -28,7 +36,7 @@ GREETING: Final = "hello"
 """The reply that nobody asked for, when a robot's own line begins."""
 MOST_HEX: Final = 512
 """Bytes of a row that are shown."""
-TermsOf = Callable[[str], Terms | None]
+TermsOf = Callable[[str], WireState | None]
 """The terms of the connection of that name; None: it is in the middle of a request, or unknown."""
 Row = dict[str, Any]
 
@@ -36,11 +44,11 @@ Row = dict[str, Any]
 class Listening:
     """See the head of this file. `watched`: whether anybody looks; `time_s`: simulated time."""
 
-    def __init__(self, inner: AnyRecorder, terms_of: TermsOf, time_s: Callable[[], float]) -> None:
+    def __init__(self, inner: AnyRecorder, wire_state_of: TermsOf, time_s: Callable[[], float]) -> None:
         self.inner = inner
         self.watched = False
         self.missed = 0
-        self.terms_of = terms_of
+        self.wire_state_of = wire_state_of
         self._time_s = time_s
         self._rows: list[Row] = []
 
@@ -49,7 +57,7 @@ class Listening:
         rows, self._rows = self._rows, []
         return rows
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """A tape that listens, before the real one's."""
         return _Ear(self, name, line, model, self.inner.open(name, line, model, robot_id))
 
@@ -113,10 +121,10 @@ def parts(frame: Decoded, line: str) -> list[list[Any]]:
 class _Ear:
     """The tape of one connection."""
 
-    def __init__(self, listening: Listening, name: str, line: str, model: Model, inner: Tape) -> None:
+    def __init__(self, listening: Listening, name: str, line: str, model: Model, inner: ConnectionRecorder) -> None:
         self._listening, self._inner = listening, inner
         self._name, self._line, self._model = name, line, model
-        self._follower: Follower | None = Follower(line, model)
+        self._follower: FrameDecoder | None = FrameDecoder(line, model)
         self._asked: deque[str] = deque(maxlen=MOST_ASKED)
 
     def to_robot(self, data: bytes) -> None:
@@ -145,8 +153,8 @@ class _Ear:
         return False
 
     def _take_up(self) -> None:
-        terms = self._listening.terms_of(self._name)
-        if terms is None:
+        wire_state = self._listening.wire_state_of(self._name)
+        if wire_state is None:
             return
-        self._follower = Follower(SERIAL if self._line == HELLO_FIRST else self._line, self._model)
-        self._follower.take_up(terms)
+        self._follower = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
+        self._follower.take_up(wire_state)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from faulty_exchanges import ONE_BYTE, PACKET, Outcome, exchange, missed, noise, one_byte, read_packet
 
-from nclient.faults.plan import Corrupt, Direction, DropByte, Fault, Noise, Plan, Rule, Stray
+from nclient.faults.plan import Corrupt, Direction, DropByte, Fault, InsertBytes, Noise, Plan, Rule
 from nclient.protocol.serial_framing import build_frame
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "faulty_exchanges.py"
@@ -39,7 +39,7 @@ def test_one_faulty_byte_in_every_tenth_exchange(direction: Direction) -> None:
     assert outcome.struck["corrupt"] + outcome.struck["drop_byte"] <= len(outcome.lost) <= len(TENTHS)
 
 
-@pytest.mark.parametrize("fault", [Corrupt(), Corrupt(change="bit"), DropByte(), Stray(place=20)])
+@pytest.mark.parametrize("fault", [Corrupt(), Corrupt(change="bit"), DropByte(), InsertBytes(place=20)])
 def test_each_kind_alone_costs_the_answers_that_it_struck(fault: Fault) -> None:
     outcome = exchange(one_byte((fault,), Direction.REPLY, seed=1), 300)
     assert outcome.struck == {fault.kind: 30}
@@ -49,7 +49,7 @@ def test_each_kind_alone_costs_the_answers_that_it_struck(fault: Fault) -> None:
 
 @pytest.mark.parametrize("place", [0, 48])
 def test_a_stray_byte_beside_an_answer_costs_nothing(place: int) -> None:
-    outcome = exchange(one_byte((Stray(place=place),), Direction.REPLY, seed=1), 300)
+    outcome = exchange(one_byte((InsertBytes(place=place),), Direction.REPLY, seed=1), 300)
     assert outcome.struck == {"stray": 30}
     assert (outcome.right, outcome.lost) == (300, [])
     assert outcome.link["skipped_bytes"] == 30

@@ -22,7 +22,7 @@ TESTS_OF_PAGES = {
     "c-programs.md": "docs/test_pages.py",
     "faults.md": "docs/test_pages.py",
     "from-c.md": "docs/test_from_c_page.py",
-    "fuzzing.md": "fuzz/test_fuzzing_page.py",
+    "fuzzing.md": "fuzz/test_documentation.py",
     "localization.md": "docs/test_pages.py",
     "maps.md": "localization/test_docs.py",
     "missions.md": "integration/test_missions_page.py",

@@ -17,7 +17,7 @@ from nclient.errors import ConnectionLost
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import Refused, TcpFrame
+from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame
 from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, Connection
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
@@ -121,7 +121,7 @@ def test_a_flood_is_looked_at_and_answered_little_by_little_between_the_others_t
         heard[turn] += len(data)
         receive(session, data)
 
-    def answering(session: Session, request: TcpFrame | Refused) -> bytes:
+    def answering(session: Session, request: TcpFrame | InvalidFrame) -> bytes:
         answered[turn] += 1
         return answer(session, request)
 

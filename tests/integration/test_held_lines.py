@@ -16,7 +16,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nclient.transports.stream import Deadline
 from tests.programs import forked
 from tests.programs.forked import Forked
@@ -125,7 +125,7 @@ def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
         with pytest.raises(TimeoutError):
             waiting.recv(1)
         waiting.settimeout(10)
-        answer = codec.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_terms(N150))
+        answer = codec.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_wire_state(N150))
         end.sendall(answer)
         assert received(waiting, len(answer)) == answer
         assert is_closed(waiting)

@@ -24,15 +24,15 @@ from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import read_recording
 from nserver_emu import cli as nserver_cli
 from tests.programs import forked
 from tests.programs.forked import Forked
 
 NSERVER = ("nserver", "--port", "0", "--lockstep", "0.1")
-GS = codec.line_request(Call("gs"), line_terms(N150))
-STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), line_terms(N150))
+GS = codec.line_request(Call("gs"), serial_wire_state(N150))
+STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
 
 
 class Program:

@@ -8,7 +8,7 @@ import pytest
 
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
-from nclient.diagnostics import Chart, Examination, percentile_s, report
+from nclient.diagnostics import DiagnosticData, Diagnostics, percentile_s, report
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
@@ -69,12 +69,12 @@ class Patient:
     def close(self) -> None: ...
 
 
-def examined(patient: Patient, exchanges: int = 40, time: Time | None = None) -> Chart:
+def examined(patient: Patient, exchanges: int = 40, time: Time | None = None) -> DiagnosticData:
     time = time or Time()
-    return Examination(patient.opens, time.clock, time.sleep).run(exchanges)
+    return Diagnostics(patient.opens, time.clock, time.sleep).run(exchanges)
 
 
-def told(chart: Chart) -> dict[str, tuple[str, str]]:
+def told(chart: DiagnosticData) -> dict[str, tuple[str, str]]:
     return {finding.what: (finding.grade.name, finding.seen) for finding in report(chart)}
 
 
@@ -159,7 +159,7 @@ def test_percentiles_by_nearest_rank() -> None:
 @pytest.mark.parametrize("what", ["sim:thesis_room", "sim:thesis_room?noisy=1", "sim:centre_vertex?robot=scout"])
 def test_simulated_robots_are_well(what: str) -> None:
     time = Time()
-    chart = Examination(opening_of(what, Wanted()).talk, time.clock, time.sleep).run()
+    chart = Diagnostics(opening_of(what, Wanted()).talk, time.clock, time.sleep).run()
     assert {finding.grade.name for finding in report(chart)} == {"OK"}
     assert len({state.pose for state in chart.states}) == 1
 
@@ -172,5 +172,5 @@ def test_a_dead_sonar_of_a_simulated_robot() -> None:
     def opens() -> Backend:
         return NserverBackend(MemoryStream(InProcess(Emulator(simulation))))
 
-    found = told(Examination(opens, time.clock, time.sleep).run())
+    found = told(Diagnostics(opens, time.clock, time.sleep).run())
     assert {what: grade for what, (grade, _) in found.items() if grade != "OK"} == {"sonar 5": "FAIL"}

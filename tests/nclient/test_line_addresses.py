@@ -11,7 +11,7 @@ import pytest
 
 from nclient import AddressError, BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
 from nclient.connect import is_listening
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports.memory import MemoryStream
@@ -64,8 +64,8 @@ def test_a_serial_port(bench: Bench) -> None:
 def test_a_robot_on_its_own_line_over_tcp(bench: Bench) -> None:
     bench.connect("robotd://lab?model=n150")
     bench.robot = ScriptedLine(model=N200)
-    bench.robot.terms.note_mask(EVERYTHING.with_position(2))
-    bench.robot.out += build_hello(Hello(EVERYTHING.with_position(2), 51))
+    bench.robot.wire_state.note_mask(EVERYTHING.with_position(2))
+    bench.robot.out += build_handshake(Handshake(EVERYTHING.with_position(2), 51))
     robot = bench.connect("robotd://[::1]:7000?model=n200")
     assert [where[:2] for where in bench.opened] == [("lab", 65001), ("::1", 7000)]
     assert bench.robot.names() == ["conf_tm"]

@@ -83,7 +83,7 @@ _FAILED, _SUCCEEDED = 0, 1
 def tk(server: ServerState, context: ConnectionContext, args: tuple[str, ...]) -> Reply:
     """Say a text: it is kept in the transcript. On the robot's own line the answer is the state."""
     server.transcript.add(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
-    return server.state(context) if context.terms.line else done()
+    return server.state(context) if context.wire_state.line else done()
 
 
 def special_request(_stage: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:

@@ -29,7 +29,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, Final
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import ControlError, StartError
 from nserver_emu.server.context import ServerState
 from nserver_emu.server.handlers.world import sound, stands_in_a_robot
@@ -204,7 +204,7 @@ def _setup(robot: SimulatedRobot, wanted: Mapping[str, Any]) -> Any:
             continue
         choices, name = part_choices(part, robot.model, robot.began_as), wanted[part]
         if not isinstance(name, str) or name not in choices:
-            near = did_you_mean(str(name), choices)
+            near = suggest(str(name), choices)
             raise ControlError(f"noise: {part} is one of {', '.join(choices)}, not {name}{near}")
         setup = with_part(setup, part, choices[name])
     return setup

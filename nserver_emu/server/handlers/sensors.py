@@ -55,7 +55,7 @@ def get_ir(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     robot = server.robot_of(context)
     if robot.infrared is None:
         return error_reply(NOT_AVAILABLE)
-    stamps = infrared_stamps(robot) if context.terms.mask.position & Position.INFRARED else {}
+    stamps = infrared_stamps(robot) if context.wire_state.mask.position & Position.INFRARED else {}
     slots = dict(enumerate(robot.infrared.readings, start=1))
     return Reply("infrared", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
 
@@ -72,7 +72,7 @@ def conf_cp(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     if args[0] not in list(CompassMode):
         return error_reply(BAD_VALUES)
     robot.configure_compass(args[0])
-    if context.terms.line:
+    if context.wire_state.line:
         return Reply("compass", values=CALIBRATED if robot.compass.calibrated else NOT_CALIBRATED)
     return server.state(context)
 
@@ -82,7 +82,7 @@ def get_cp(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     robot, now_s = server.robot_of(context), server.simulation.time_s
     if robot.compass is None:
         return error_reply(NOT_AVAILABLE)
-    stamps = compass_stamps(robot, now_s) if context.terms.mask.position & Position.COMPASS else {}
+    stamps = compass_stamps(robot, now_s) if context.wire_state.mask.position & Position.COMPASS else {}
     slots = {COMPASS_SLOT: heading_tenths(robot.compass.direction_rad)}
     return Reply("compass", slots, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
@@ -101,7 +101,7 @@ def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ..
 
 def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """What the laser sees, in the shape of its mode."""
-    return _laser(server, context, context.terms.get_laser_width)
+    return _laser(server, context, context.wire_state.get_laser_width)
 
 
 def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
@@ -124,8 +124,8 @@ def _laser(server: ServerState, context: ConnectionContext, width: int) -> Reply
     robot, now_s = server.robot_of(context), server.simulation.time_s
     if not robot.model.sees:
         return error_reply(NOT_AVAILABLE)
-    seen = laser_vector(robot, context, width) if is_on(context.terms.laser_mode) else (0,)
-    stamps = {"laser": stamp_now(robot, now_s)} if context.terms.mask.position & Position.LASER else {}
+    seen = laser_vector(robot, context, width) if is_on(context.wire_state.laser_mode) else (0,)
+    stamps = {"laser": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.LASER else {}
     return Reply("laser", laser=seen, stamps=stamps, clock=robot_clock_ms(robot, now_s))
 
 
@@ -158,7 +158,7 @@ def get_sn(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
     """All sixteen sonars, mask or not."""
     robot = server.robot_of(context)
     slots = dict(enumerate(robot.sonar.readings_in, start=17))
-    stamps = sonar_stamps(robot) if context.terms.mask.position & Position.SONAR else {}
+    stamps = sonar_stamps(robot) if context.wire_state.mask.position & Position.SONAR else {}
     return Reply("sonar", slots, stamps=stamps, clock=robot_clock_ms(robot, server.simulation.time_s))
 
 
@@ -181,7 +181,7 @@ def get_ra(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
 def get_bp(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """The bumpers."""
     robot = server.robot_of(context)
-    asked = context.terms.mask.position & Position.BUMPER
+    asked = context.wire_state.mask.position & Position.BUMPER
     now_s = server.simulation.time_s
     stamps = {"bumper": stamp_now(robot, now_s)} if asked else {}
     return Reply("bumper", {BUMPER_SLOT: robot.bumpers}, stamps=stamps, clock=robot_clock_ms(robot, now_s))

@@ -12,7 +12,7 @@ from localization.cli import localize as localization_cli
 from localization.live.run import Run
 from nclient import ReplyTimeout, Robot
 from nclient.cli import main
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from worlds.calibration import Calibration, Spread, calibration_text
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
@@ -252,7 +252,7 @@ def test_options_that_cannot_be_read_say_what_is_wanted(
     assert told in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: Left("SIGTERM")])
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: TerminatedBySignal("SIGTERM")])
 def test_an_interrupted_run_is_saved_and_told(
     ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,

@@ -20,7 +20,7 @@ from localization.missions.report import Report, Step, StepFailed
 from localization.missions.runner import run_mission
 from localization.navigation.waypoints import standing_after
 from nclient.cli.main import main
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import ConnectionLost, MissionFileError
 from worlds.calibration import Calibration, calibration_text
 
@@ -74,8 +74,8 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
     assert capsys.readouterr().out.splitlines()[0] == "T"
     written = json.loads(report.read_text())
     assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
-    unwritable = report / "r.json"
-    assert main(["mission", str(file), SIM, "--report", str(unwritable)]) == 1
+    describe_write_error = report / "r.json"
+    assert main(["mission", str(file), SIM, "--report", str(describe_write_error)]) == 1
     told = capsys.readouterr()
     assert f"nomad: {report}: cannot be written: File exists" in told.err
     assert told.out == "", "before the drive"
@@ -219,7 +219,7 @@ def fail(error: BaseException) -> Any:
     [
         (StepFailed("blocked", "no way"), "blocked", "no way"),
         (KeyboardInterrupt(), "interrupted", "Ctrl-C (KeyboardInterrupt)"),
-        (Left("SIGHUP"), "interrupted", "SIGHUP (Left)"),
+        (TerminatedBySignal("SIGHUP"), "interrupted", "SIGHUP (TerminatedBySignal)"),
         (MissionFileError("line 3"), "error", "line 3 (MissionFileError)"),
         (SystemExit(), "error", "SystemExit (SystemExit)"),
     ],

@@ -16,7 +16,7 @@ from localization.missions.report import MissionOver, StepFailed
 from localization.missions.runner import run_mission
 from localization.missions.settings import Settings
 from localization.navigation.path import turn_between
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import ConnectionLost, NomadError
 
 pytestmark = pytest.mark.long
@@ -281,11 +281,11 @@ def test_a_signal_ends_a_step_by_its_name(helm_at: MakeHelm) -> None:
     helm = helm_at("thesis_room")
 
     def leave(_: object) -> None:
-        raise Left("SIGTERM")
+        raise TerminatedBySignal("SIGTERM")
 
     helm.watchers.append(leave)
     mission = Mission(helm)
-    with pytest.raises(Left):
+    with pytest.raises(TerminatedBySignal):
         run_mission(mission, lambda robot: robot.patrol([(20, 0)]))
     (step,) = mission.report.steps
     assert (step.ending, step.reason) == ("interrupted", "SIGTERM")

@@ -14,7 +14,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N150
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import Entry, LogWriter
 from nclient.recording.readable import lines_of, told
 
@@ -92,12 +92,12 @@ def test_a_cut_recording_is_shown_and_told(dump: Dump, path: Path) -> None:
 
 def test_bare_bytes(dump: Dump, tmp_path: Path) -> None:
     capture = tmp_path / "capture.bin"
-    vm = codec.line_request(Call("vm", (100, -50, 0)), line_terms(N150))
+    vm = codec.line_request(Call("vm", (100, -50, 0)), serial_wire_state(N150))
     capture.write_bytes(b"\xee" + vm)
     assert dump(str(capture), "--line", "serial")[1] == [
         "     0.000  > ! 1 bytes that are no frame", "     0.000  > vm 100 -50 0"
     ]
-    state = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 15, 43: 900}, clock=5), line_terms(N150))
+    state = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 15, 43: 900}, clock=5), serial_wire_state(N150))
     capture.write_bytes(state)
     (line,) = dump(str(capture), "--line", "serial", "--from-robot", "--model", "n150")[1]
     assert line.startswith("     0.000  < state x 1.5 y 0 ")

@@ -14,7 +14,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 
 REQUEST, REPLY = Direction.REQUEST, Direction.REPLY
 
@@ -41,14 +41,14 @@ def drained(transit: InTransit, now_s: float) -> list[int]:
 
 
 def line_request(name: str, *args: int) -> bytes:
-    return codec.line_request(Call(name, args), line_terms(N150))
+    return codec.line_request(Call(name, args), serial_wire_state(N150))
 
 
 def tcp_reply(kind: str = "simple", wide: bool = False) -> bytes:
-    terms = tcp_terms(N150)
-    terms.wide = wide
+    wire_state = tcp_wire_state(N150)
+    wire_state.wide = wide
     row = BY_NAME["place_robot" if kind == "simple" else "gs"]
-    return codec.tcp_reply(row, Reply(kind, values=(0,)), terms)
+    return codec.tcp_reply(row, Reply(kind, values=(0,)), wire_state)
 
 
 def test_on_the_line_a_request_and_a_reply_name_their_command() -> None:
@@ -70,7 +70,7 @@ def test_on_the_line_a_nak_answers_what_was_asked_last() -> None:
 
 
 def test_a_greeting_has_a_name_of_its_own() -> None:
-    line = faulty(Drop(), "hello", LineLanguage(greets=True))
+    line = faulty(Drop(), "hello", LineLanguage(has_handshake=True))
     frame = build_frame(7)
     assert told(line.reply(bytes(11) + frame, 0.0)) == frame
 

@@ -18,7 +18,7 @@ from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame
 from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import MODELS, N150, N200, Mask, Model
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 quick = settings(max_examples=8)
@@ -41,10 +41,10 @@ def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataOb
 @given(data=st.data())
 def test_calls_on_the_line_come_back_from_their_bytes(row: Command, model: Model, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=True))
-    terms = line_terms(model)
-    built = codec.line_request(call, terms)
+    wire_state = serial_wire_state(model)
+    built = codec.line_request(call, wire_state)
     assert len(built) <= HOST_LIMIT
-    assert codec.line_call(serial_framing.only_frame(built), terms) == call
+    assert codec.line_call(serial_framing.only_frame(built), wire_state) == call
 
 
 @settings(max_examples=120)
@@ -54,7 +54,7 @@ def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> No
         call = codec.tcp_call(TcpFrame(kind, struct.pack(f">{len(words)}i", *words)))
     except WireError:
         return
-    codec.note(call, tcp_terms(N150))
+    codec.update_from_request(call, tcp_wire_state(N150))
     again = codec.tcp_request(call)
     assert codec.tcp_call(TcpFrame(kind, again[4:])) == call
 
@@ -62,13 +62,13 @@ def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> No
 @settings(max_examples=120)
 @given(st.integers(0, 255), st.binary(max_size=40), st.sampled_from(sorted(MODELS)))
 def test_any_bytes_on_the_line_are_a_call_or_a_wire_error(kind: int, data: bytes, model: str) -> None:
-    terms = line_terms(MODELS[model])
+    wire_state = serial_wire_state(MODELS[model])
     try:
-        call = codec.line_call(SerialFrame(kind, data), terms)
+        call = codec.line_call(SerialFrame(kind, data), wire_state)
     except WireError:
         return
-    again = codec.line_request(call, terms)
-    assert codec.line_call(SerialFrame(kind, again[4:-2]), terms) == call
+    again = codec.line_request(call, wire_state)
+    assert codec.line_call(SerialFrame(kind, again[4:-2]), wire_state) == call
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0" * 3, b"\0" * 12])
@@ -85,25 +85,25 @@ def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
 @pytest.mark.parametrize("kind", [0, 4, 8, 99, 255])
 def test_types_that_an_n150_does_not_have(kind: int) -> None:
     with pytest.raises(WireError, match=f"type {kind} does not exist on the line of a n150"):
-        codec.line_call(SerialFrame(kind, b""), line_terms(N150))
+        codec.line_call(SerialFrame(kind, b""), serial_wire_state(N150))
     if kind != 8:
         with pytest.raises(WireError, match=f"no answer of type {kind} comes from a n150"):
-            codec.read_line_reply(SerialFrame(kind, b""), line_terms(N150))
+            codec.read_line_reply(SerialFrame(kind, b""), serial_wire_state(N150))
 
 
 def test_a_mask_is_noted_by_both_ends_alike() -> None:
     call = Call("ct", (9, *[k % 2 for k in range(43)]))
-    sender, taker = tcp_terms(N150), tcp_terms(N150)
-    codec.note(call, sender)
-    codec.note(codec.tcp_call(TcpFrame(16, codec.tcp_request(call)[4:])), taker)
+    sender, taker = tcp_wire_state(N150), tcp_wire_state(N150)
+    codec.update_from_request(call, sender)
+    codec.update_from_request(codec.tcp_call(TcpFrame(16, codec.tcp_request(call)[4:])), taker)
     assert sender.mask == taker.mask == Mask(call.args)
 
 
 def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
-    row = codec.row_named("get_rv")
+    row = codec.find_command("get_rv")
     frame = TcpFrame(90, struct.pack(">3i", 1, -2, 3))
-    assert codec.read_tcp_reply(row, frame, tcp_terms(N150)).slots == {38: 1, 39: -2, 40: 3}
-    error = codec.read_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_terms(N150))
+    assert codec.read_tcp_reply(row, frame, tcp_wire_state(N150)).slots == {38: 1, 39: -2, 40: 3}
+    error = codec.read_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_wire_state(N150))
     assert (error.kind, error.values) == ("error", (4,))
 
 
@@ -122,5 +122,5 @@ def test_what_cannot_be_sent_is_told_in_words_of_ours(call: Call, told: str) -> 
 
 def test_what_cannot_be_sent_on_the_line_names_the_number() -> None:
     with pytest.raises(WireError) as refused:
-        codec.line_request(Call("ws", (1, 1, 1, 300)), line_terms(N200))
+        codec.line_request(Call("ws", (1, 1, 1, 300)), serial_wire_state(N200))
     assert str(refused.value).startswith("ws(1, 1, 1, 300): timeout_s: ")

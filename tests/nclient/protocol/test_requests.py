@@ -16,7 +16,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import SerialFrame
 from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import N150, N200, SCOUT
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 
 
 def tcp(name: str, *args: Any) -> bytes:
@@ -24,7 +24,7 @@ def tcp(name: str, *args: Any) -> bytes:
 
 
 def line(name: str, *args: Any) -> bytes:
-    return codec.line_request(Call(name, args), line_terms(N200))
+    return codec.line_request(Call(name, args), serial_wire_state(N200))
 
 
 def words(built: bytes) -> tuple[int, ...]:
@@ -47,7 +47,7 @@ def test_what_follows_the_nul_of_a_text_is_rubbish() -> None:
 def test_a_text_on_the_line_ends_with_a_nul() -> None:
     assert line("tk", "hi")[4:-2] == b"hi\0"
     with pytest.raises(WireError, match="tk"):
-        codec.line_call(SerialFrame(11, b"no end"), line_terms(N200))
+        codec.line_call(SerialFrame(11, b"no end"), serial_wire_state(N200))
 
 
 @pytest.mark.parametrize(("build", "longest"), [(tcp, 255), (line, 248)])
@@ -119,7 +119,7 @@ def test_a_special_packet_counts_its_own_four_bytes() -> None:
 def test_a_special_packet_of_another_length_than_it_says(data: str) -> None:
     raw = bytes.fromhex(data)
     with pytest.raises(WireError, match="special_request"):
-        codec.line_call(SerialFrame(128, raw), line_terms(N150))
+        codec.line_call(SerialFrame(128, raw), serial_wire_state(N150))
     with pytest.raises(WireError, match="special_request"):
         codec.tcp_call(TcpFrame(300, struct.pack(f">{len(raw)}i", *raw)))
 
@@ -145,8 +145,8 @@ def test_the_arms_packets() -> None:
 
 def test_a_users_packet_with_a_number_of_the_arms_is_no_arm_packet() -> None:
     call = Call("special_request", (41, 1, 2, 3))
-    frame = codec.line_request(call, line_terms(N150))
-    assert codec.line_call(SerialFrame(128, frame[4:-2]), line_terms(N150)) == call
+    frame = codec.line_request(call, serial_wire_state(N150))
+    assert codec.line_call(SerialFrame(128, frame[4:-2]), serial_wire_state(N150)) == call
     built = codec.tcp_request(call)
     assert codec.tcp_call(TcpFrame(300, built[4:])) == call
 
@@ -154,7 +154,7 @@ def test_a_users_packet_with_a_number_of_the_arms_is_no_arm_packet() -> None:
 def test_flags_are_0_or_1() -> None:
     assert words(tcp("ws", 5, 0, -1, 20)) == (1, 0, 1, 20)
     assert line("ws", 5, 0, -1, 20)[4:-2].hex() == "01000114"
-    assert codec.line_call(SerialFrame(31, b"\x05\x00\xff\x14"), line_terms(N150)).args == (1, 0, 1, 20)
+    assert codec.line_call(SerialFrame(31, b"\x05\x00\xff\x14"), serial_wire_state(N150)).args == (1, 0, 1, 20)
 
 
 def test_a_history_of_more_than_10_is_sent_as_10_on_the_line() -> None:
@@ -164,7 +164,7 @@ def test_a_history_of_more_than_10_is_sent_as_10_on_the_line() -> None:
 
 def test_the_point_laser_is_35_on_the_line() -> None:
     assert line("conf_ls", 51, 20, 20, 20, 4)[4] == 35
-    call = codec.line_call(SerialFrame(17, bytes((35, 20, 20, 20, 0, 4))), line_terms(N200))
+    call = codec.line_call(SerialFrame(17, bytes((35, 20, 20, 20, 0, 4))), serial_wire_state(N200))
     assert call == Call("conf_ls", (51, 20, 20, 20, 4))
 
 
@@ -200,7 +200,7 @@ def test_masks_that_cannot_be_sent() -> None:
 def test_what_a_models_line_does_not_have(name: str, args: tuple[Any, ...], models: tuple[Any, ...]) -> None:
     for model in models:
         with pytest.raises(WireError, match=f"{name} does not exist on the line of a {model.name}"):
-            codec.line_request(Call(name, args), line_terms(model))
+            codec.line_request(Call(name, args), serial_wire_state(model))
 
 
 def test_what_tcp_does_not_have() -> None:

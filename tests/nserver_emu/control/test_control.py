@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from fuzz.page import House as QuietHouse
+from fuzz.messages import FakeServer
 from nclient.faults.plan import Direction, Drop, Plan, Rule, plan_text
 from nserver_emu.control.commands import BY_NAME, answer_line
 from nserver_emu.persistence import snapshot
@@ -23,7 +23,7 @@ from worlds.files import parse_world
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 
 
-class House(QuietHouse):
+class House(FakeServer):
     """A daemon without a socket, that remembers what it was told."""
 
     def __init__(self, pace: SimulationClock | None = None) -> None:

@@ -9,12 +9,12 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from nclient.protocol import codec
-from nclient.protocol.client_state import HELLO_SIZE, adopt, read_hello
+from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
 from nclient.protocol.types import N150, Model
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import Recording, read_recording
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
@@ -34,14 +34,14 @@ class Host:
     """Somebody at a robot's own line over TCP."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, model: Model) -> None:
-        self.reader, self.writer, self.terms = reader, writer, line_terms(model)
+        self.reader, self.writer, self.wire_state = reader, writer, serial_wire_state(model)
         self._framer = SerialFramer()
         self._frames: list[SerialFrame] = []
 
     def request(self, name: str, *args: int) -> bytes:
         call = Call(name, args)
-        data = codec.line_request(call, self.terms)
-        codec.note(call, self.terms)
+        data = codec.line_request(call, self.wire_state)
+        codec.update_from_request(call, self.wire_state)
         return data
 
     async def ask(self, name: str, *args: int) -> Reply:
@@ -53,7 +53,7 @@ class Host:
             data = await self.reader.read(65536)
             assert data, "the line is dead"
             self._frames += self._framer.receive(data)
-        return codec.read_line_reply(self._frames.pop(0), self.terms)
+        return codec.read_line_reply(self._frames.pop(0), self.wire_state)
 
 
 class House:
@@ -70,7 +70,7 @@ class House:
         self.guests.callback(writer.close)
         host = Host(reader, writer, own.model)
         if own.model.sends_mask:
-            adopt(read_hello(await reader.readexactly(HELLO_SIZE)), host.terms)
+            apply_handshake(read_handshake(await reader.readexactly(HANDSHAKE_SIZE)), host.wire_state)
         return host
 
 
@@ -144,7 +144,7 @@ def test_hosts_at_a_pseudo_terminal_one_after_the_other(tmp_path: Path) -> None:
         try:
             for _ in range(2):
                 fd = os.open(tmp_path / "robot", os.O_RDWR | os.O_NOCTTY)
-                request = codec.line_request(Call("vm", (100, 0, 0)), line_terms(N150))
+                request = codec.line_request(Call("vm", (100, 0, 0)), serial_wire_state(N150))
                 os.write(fd, request)
                 answered = await loop.run_in_executor(None, os.read, fd, 1)
                 assert answered == b"\x01"

@@ -12,7 +12,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import simulation
@@ -24,13 +24,13 @@ class Client:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
         self.transport = cast(asyncio.Transport, writer.transport)
-        self.terms = tcp_terms(N150)
+        self.wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._frames: list[TcpFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
         call = Call(name, args)
-        codec.note(call, self.terms)
+        codec.update_from_request(call, self.wire_state)
         self.writer.write(codec.tcp_request(call))
         return await self.reply(name)
 
@@ -39,7 +39,7 @@ class Client:
             data = await self.reader.read(65536)
             assert data, "the daemon closed the connection"
             self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
-        return codec.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
+        return codec.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.wire_state)
 
 
 class House:

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.protocol import codec
-from nclient.protocol.client_state import adopt, read_hello
+from nclient.protocol.client_state import apply_handshake, read_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_frame, only_frame
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, N150, N200, Mask, Position, volts
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.serial_session import EXPIRY_S, SerialSession
 from nserver_emu.server.session import ConnectionContext
@@ -163,7 +163,7 @@ def test_conf_ls_goes_by_another_number_for_points() -> None:
     host.ask("conf_ls", 33, 20, 20, 20, 4)
     session.receive(build_frame(17, bytes((35, 20, 20, 20, 0, 4))))
     session.process_requests(1)
-    assert session.context.terms.laser_mode == 51
+    assert session.context.wire_state.laser_mode == 51
 
 
 def test_conf_cp_is_answered_by_scores_that_a_turn_makes_better() -> None:
@@ -196,11 +196,11 @@ def test_the_arm_of_an_n200_answers_in_packets_when_it_is_done() -> None:
     emulator = emulated("n200")
     host, session = meet_on_line(emulator)
     assert bytes(host.ask("arm_mv", 2, 500, 0, 0).values) == bytes.fromhex("0800002a01000000")
-    waits = codec.line_request(Call("arm_ws", (1, 1, 9000)), host.terms)
+    waits = codec.line_request(Call("arm_ws", (1, 1, 9000)), host.wire_state)
     assert host.raw(waits) == []
     assert session.waiting
     emulator.simulation.step(3.0)
-    answer = codec.read_line_reply(only_frame(session.tick()), host.terms)
+    answer = codec.read_line_reply(only_frame(session.tick()), host.wire_state)
     assert answer.values[:8] == (12, 0, 0, 41, 1, 0, 0, 0)
     assert not session.waiting
 
@@ -209,7 +209,7 @@ def test_ws_and_zr_are_answered_when_they_are_over() -> None:
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("pr", 100, 0, 0)
-    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 20)), host.terms)) == []
+    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 20)), host.wire_state)) == []
     emulator.simulation.step(30.0)
     frame = only_frame(session.tick())
     assert frame.type == 31
@@ -217,7 +217,7 @@ def test_ws_and_zr_are_answered_when_they_are_over() -> None:
     assert session.tick() == b""
     host.ask("pr", 0, 900, 0)
     emulator.simulation.step(0.5)
-    assert host.raw(codec.line_request(Call("zr"), host.terms)) == []
+    assert host.raw(codec.line_request(Call("zr"), host.wire_state)) == []
     emulator.simulation.step(60.0)
     assert only_frame(session.tick()).type == 13
 
@@ -341,7 +341,7 @@ def test_one_that_asks_while_an_answer_is_outstanding_has_given_up_on_it() -> No
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("vm", 100, 0, 0)
-    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 200)), host.terms)) == []
+    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 200)), host.wire_state)) == []
     assert host.frame("st").type == ST
     assert not session.waiting
     emulator.simulation.step(1.0)
@@ -372,7 +372,7 @@ def test_a_closing_line_says_and_hears_nothing_more() -> None:
 def test_over_tcp_an_n200_says_first_which_mask_and_laser_mode_are_in_force() -> None:
     _, session = meet_on_line(emulated("n200"))
     assert session.greeting.hex() == "ffffffffff0101" + "33" + "000000"
-    assert read_hello(session.greeting) == (EVERYTHING, 51)
+    assert read_handshake(session.greeting) == (EVERYTHING, 51)
     assert meet_on_line(emulated())[1].greeting == b""
     assert session.identity is None
 
@@ -385,22 +385,22 @@ def test_mask_and_laser_mode_are_the_robots_and_outlive_a_host() -> None:
     host.ask("conf_ls", 1, 20, 20, 20, 4)
     emulator.on_disconnect(session.context)
     again, session = meet_on_line(emulator)
-    hello = read_hello(session.greeting)
+    hello = read_handshake(session.greeting)
     assert hello == (Mask((*few.smask[:41], 1, *few.smask[42:])), 1)
-    adopt(hello, again.terms)
+    apply_handshake(hello, again.wire_state)
     told = again.ask("gs").slots
     assert {34, 35, 36, 37} <= set(told)
     assert not set(range(1, 34)) & set(told)
     again.ask("ct", *EVERYTHING.smask)
     again.ask("conf_ls", 51, 20, 20, 20, 4)
-    assert read_hello(meet_on_line(emulator)[1].greeting) == (EVERYTHING, 51)
+    assert read_handshake(meet_on_line(emulator)[1].greeting) == (EVERYTHING, 51)
 
 
 def test_another_robot_has_a_mask_of_its_own() -> None:
     emulator = emulated("n200")
     emulator.simulation.add_robot(2, StartPose(60.0, 60.0, 0.0, 0.0), SIMULATED["n200"])
     meet_on_line(emulator)[0].ask("ct", *[0] * 44)
-    assert read_hello(meet_on_line(emulator, 2)[1].greeting) == (EVERYTHING, 51)
+    assert read_handshake(meet_on_line(emulator, 2)[1].greeting) == (EVERYTHING, 51)
 
 
 # The recorded robot
@@ -412,17 +412,17 @@ def test_replies_of_the_recorded_robot_go_out_byte_by_byte_as_it_sent_them(sessi
     model = model_of(session_name)
     said: list[Reply] = []
     session = SerialSession(lambda _call, _visit: said.pop(), 1, model, lambda: 0.0)
-    terms = line_terms(model)
+    wire_state = serial_wire_state(model)
     count = 0
     for exchange in exchanges(SERIAL[session_name], model):
-        codec.note(exchange.call, terms)
-        reply = codec.read_line_reply(only_frame(exchange.reply), terms)
+        codec.update_from_request(exchange.call, wire_state)
+        reply = codec.read_line_reply(only_frame(exchange.reply), wire_state)
         said.append(reply)
         session.receive(exchange.request)
         expected = exchange.reply
         if 33 in reply.slots:
             rested = replace(reply, slots={**reply.slots, 33: reply.slots[33] | model.bumper_rest})
-            expected = codec.line_reply(BY_NAME[exchange.call.name], rested, terms)
+            expected = codec.line_reply(BY_NAME[exchange.call.name], rested, wire_state)
         assert session.process_requests(1) == expected, exchange.call
         count += expected == exchange.reply
     assert count >= (20 if session_name == "scout" else 0)
@@ -436,7 +436,7 @@ def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_sh
     host, session = meet_on_line(emulator)
     for exchange in exchanges(SERIAL[session_name], model):
         recorded = only_frame(exchange.reply)
-        codec.note(exchange.call, host.terms)
+        codec.update_from_request(exchange.call, host.wire_state)
         frames = host.raw(exchange.request)
         while not frames:
             emulator.simulation.step(0.1)
@@ -446,7 +446,7 @@ def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_sh
         if lacking or recorded.type == 8:
             assert lacking == (frame.type == 8)
             continue
-        ours, theirs = (codec.read_line_reply(each, host.terms) for each in (frame, recorded))
+        ours, theirs = (codec.read_line_reply(each, host.wire_state) for each in (frame, recorded))
         assert (frame.type, ours.slots.keys(), ours.stamps.keys()) == (
             recorded.type, theirs.slots.keys(), theirs.stamps.keys())  # fmt: skip
         without_laser = [len(each.data) - _laser_octets(reply) for each, reply in ((frame, ours), (recorded, theirs))]
@@ -468,12 +468,12 @@ def test_the_host_of_these_tests_reads_only_whole_answers() -> None:
 def test_a_line_drives_its_own_robot_only() -> None:
     seen: list[ConnectionContext] = []
 
-    def answer(_call: Call, context: ConnectionContext) -> Reply:
-        seen.append(context)
+    def answer(_call: Call, scenario: ConnectionContext) -> Reply:
+        seen.append(scenario)
         return Reply("state")
 
     session = SerialSession(answer, 7, N150, lambda: 0.0)
     session.receive(GS_REQUEST)
     session.process_requests(1)
-    assert [context.robot_id for context in seen] == [7]
-    assert seen[0].terms.line
+    assert [scenario.robot_id for scenario in seen] == [7]
+    assert seen[0].wire_state.line

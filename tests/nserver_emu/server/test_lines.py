@@ -16,12 +16,12 @@ import pytest
 from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.plan import GREETING, Cut, HangUp, Plan, Rule, When
 from nclient.protocol import codec
-from nclient.protocol.client_state import read_hello
+from nclient.protocol.client_state import read_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
 from nclient.protocol.types import EVERYTHING, MODELS, Mask
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -41,13 +41,13 @@ class Host:
     """Somebody at a line: `send` and `some`, a coroutine that gives what has come."""
 
     def __init__(self, model: str, send: Callable[[bytes], object], some: Callable[[], Awaitable[bytes]]) -> None:
-        self.terms = line_terms(MODELS[model])
+        self.wire_state = serial_wire_state(MODELS[model])
         self.send, self.some = send, some
         self._framer = SerialFramer()
         self._frames: list[SerialFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
-        self.send(codec.line_request(Call(name, args), self.terms))
+        self.send(codec.line_request(Call(name, args), self.wire_state))
         return await self.reply()
 
     async def reply(self) -> Reply:
@@ -55,7 +55,7 @@ class Host:
             data = await self.some()
             assert data, "the line is dead"
             self._frames += self._framer.receive(data)
-        return codec.read_line_reply(self._frames.pop(0), self.terms)
+        return codec.read_line_reply(self._frames.pop(0), self.wire_state)
 
 
 class House:
@@ -267,7 +267,7 @@ def test_who_leaves_without_having_driven_stops_nobody(path: Path) -> None:
 def test_an_n200_says_hello_over_tcp_and_nothing_on_its_serial_line(path: Path) -> None:
     async def scenario(house: House) -> None:
         host, _ = await house.at_port()
-        assert read_hello(await host.some()) == (EVERYTHING, 51)
+        assert read_handshake(await host.some()) == (EVERYTHING, 51)
         assert (await host.ask("gs")).laser is not None
         serial, _ = house.at_link()
         assert (await serial.ask("get_rv")).slots == {38: 0, 39: 0, 40: 0}
@@ -279,12 +279,12 @@ def test_what_a_host_on_one_line_asked_for_the_hello_of_another_tells(path: Path
     async def scenario(house: House) -> None:
         serial, leave = house.at_link()
         few = Mask((0,) * 34 + (1,) * 10)
-        serial.terms.note_mask(few)
+        serial.wire_state.note_mask(few)
         await serial.ask("ct", *few.smask)
         leave()
         host, writer = await house.at_port()
-        assert read_hello(await host.some()) == (few, 51)
-        host.terms.note_mask(few)
+        assert read_handshake(await host.some()) == (few, 51)
+        host.wire_state.note_mask(few)
         assert 17 not in (await host.ask("gs")).slots
         writer.close()
         await writer.wait_closed()
@@ -313,7 +313,7 @@ def test_a_host_that_does_not_read_is_obeyed_and_keeps_nobody(path: Path) -> Non
                 deaf.send(GS * 20)
             assert (await other.ask("gs")).kind == "state"
         await house.until(lambda: not house.line.session.ready)
-        deaf.send(codec.line_request(Call("vm", (0, 100, 0)), deaf.terms))
+        deaf.send(codec.line_request(Call("vm", (0, 100, 0)), deaf.wire_state))
         await house.until(lambda: house.moving)
         heard = 0
         while heard < 1000:

@@ -87,8 +87,8 @@ def test_of_a_crowd_those_who_have_it_on_are_named_first() -> None:
         here, line = True, "nserver"
 
         def __init__(self, name: str, mode: int) -> None:
-            terms = type("Terms", (), {"laser_mode": mode})()
-            context = type("ConnectionContext", (), {"robot_id": 1, "terms": terms})()
+            wire_state = type("WireState", (), {"laser_mode": mode})()
+            context = type("ConnectionContext", (), {"robot_id": 1, "wire_state": wire_state})()
             self.session = type("Session", (), {"context": context, "name": name})()
 
     crowd: list[Any] = [Visitor(f"client {number:02}", OFF) for number in range(2 * MOST_NAMED)]
