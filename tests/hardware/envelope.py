@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import pytest
 
 from nclient import Robot, connect
-from nclient.address import parsed
 from nclient.state import Pose, RobotState
+from nclient.url import split_address
 
 SPEED_IN_S, TURN_DEG_S, TIMEOUT_S = 5, 30, 2
 LIMITS = {"max_speed_in_s": SPEED_IN_S, "max_turn_deg_s": TURN_DEG_S, "tm_s": TIMEOUT_S, "bumper_stop": 1, "feed": 1}
@@ -82,6 +82,6 @@ class Walk:
 
 def limited(address: str) -> str:
     """The address with the envelope; what it says itself of the same things is left out."""
-    text = parsed(address).without(LIMITS)
+    text = split_address(address).without(LIMITS)
     limits = "&".join(f"{name}={value}" for name, value in LIMITS.items())
     return f"{text}{'&' if '?' in text else '?'}{limits}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient.address import parsed
+from nclient.url import split_address
 from tests.hardware.envelope import LIMITS, limited
 from tests.programs.forked import Forked
 
@@ -48,6 +48,7 @@ def test_two_processes_do_not_share_a_robot() -> None:
 
 def test_the_limits_are_the_envelopes_whatever_the_address_says() -> None:
     given = "serial:///dev/ttyUSB0?model=scout&max_speed_in_s=50&feed=0&tm_s=60"
-    assert parsed(limited(given)).options == {"model": "scout"} | {name: str(value) for name, value in LIMITS.items()}
-    assert parsed(limited("robotd://nomad")).options == {name: str(value) for name, value in LIMITS.items()}
+    limits = {name: str(value) for name, value in LIMITS.items()}
+    assert split_address(limited(given)).options == {"model": "scout"} | limits
+    assert split_address(limited("robotd://nomad")).options == limits
     assert (LIMITS["max_speed_in_s"], LIMITS["bumper_stop"]) == (5, 1)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import main
-from worlds.calibration import load_calibration
+from worlds.robots import load_calibration
 
 pytestmark = pytest.mark.long
 

@@ -8,7 +8,7 @@ from localization.filters.belief import Belief
 from nclient import Pose, Robot, RobotState, connect, connect_async
 from nclient.capi import State, connect_robot, gs, st
 from nserver_emu.simulation.noise import SETUPS
-from worlds.files import load_world
+from worlds.io import load_world
 
 
 def nearest_in(robot: Robot) -> int:
