@@ -1,4 +1,4 @@
-"""docs/shell.md says what is so: its conversation, its script and what it has for a shell are done again."""
+"""Run the session, the script and the completion commands of docs/shell.md."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def block(kind: str) -> str:
     return found[1]
 
 
-def test_the_conversation(capsys: pytest.CaptureFixture[str]) -> None:
+def test_documented_session(capsys: pytest.CaptureFixture[str]) -> None:
     lines = block("").splitlines()[2:]
     typed = [line.removeprefix("n150> ") for line in lines if line.startswith("n150> ")]
     *good, wrong = typed
@@ -29,11 +29,11 @@ def test_the_conversation(capsys: pytest.CaptureFixture[str]) -> None:
     shown = [line for line in lines if not line.startswith(("n150> ", "nomad: "))]
     assert capsys.readouterr().out.splitlines() == shown
     assert main.main(["shell", "sim:thesis_room", "--command", wrong]) == 1
-    told = capsys.readouterr().err.removeprefix("nomad: --command:1: ").strip()
-    assert f"nomad: {told}" == lines[-1]
+    output = capsys.readouterr().err.removeprefix("nomad: --command:1: ").strip()
+    assert f"nomad: {output}" == lines[-1]
 
 
-def test_the_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_documented_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     script = tmp_path / "square.nomad"
     script.write_text(block("nomad"))
     assert main.main(["shell", "sim:thesis_room", "--script", str(script)]) == 0
@@ -41,7 +41,7 @@ def test_the_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert re.fullmatch(r"pose +x 0\.0 in  y -?0\.0 in  steering 270\.0 deg  turret 0\.0 deg", pose)
 
 
-def test_what_is_typed_into_a_shell_completes_both_commands() -> None:
+def test_documented_completion_commands() -> None:
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     typed = block("sh") + "complete -p nomad nserver"
     done = subprocess.run(["bash", "-c", typed], env=os.environ | {"PATH": path}, capture_output=True, text=True,
