@@ -29,7 +29,7 @@ from nclient.transports.stream import Deadline
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import LineSession
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 GS = Call("gs")

@@ -13,7 +13,7 @@ from typing import Any
 
 from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader
-from localization.live.publish import waypoints_in
+from localization.live.publish import parse_answer
 from nclient.errors import ControlError
 from nserver_emu.control.cli import said_in, shown
 from nserver_emu.control.commands import COMMANDS, answer_line
@@ -152,7 +152,7 @@ READERS = (
            _TREE),
     Reader("published", "messages from publishing localizers", _utf8_only(_published), (BadMessage,), _published_seeds,
            _TREE),
-    Reader("publish_answers", "answers to published messages", waypoints_in, (ValueError,),
+    Reader("publish_answers", "answers to published messages", parse_answer, (ValueError,),
            lambda: [b'{"waypoints": [[1, 2], [3.5, 4]], "set": 2}', b'{"waypoints": null, "set": 0}'], _TREE,
            max_size=1024),
     Reader("control_answers", "answers to nserver ctl", _answer, (ControlError,), _answer_seeds, _TREE,

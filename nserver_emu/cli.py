@@ -52,7 +52,7 @@ from nserver_emu.server.link import FaultDesk
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.viewer.options import viewed
-from worlds.files import load_world, world_names
+from worlds.io import load_world, world_names
 from worlds.raycast import load_compiled
 
 log = logging.getLogger(__name__)

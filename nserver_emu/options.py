@@ -28,7 +28,7 @@ from nserver_emu.server.context import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
 from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
-from worlds.files import DEFAULT_WORLD, world_names
+from worlds.io import DEFAULT_WORLD, world_names
 
 Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019

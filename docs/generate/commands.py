@@ -20,7 +20,7 @@ from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, Visit
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import load_world
+from worlds.io import load_world
 
 MODEL_NAMES: Final = ("n150", "n200", "scout")
 _TRIANGLE: Final = (3, 600, 600, 700, 600, 600, 700)

@@ -1,4 +1,4 @@
-"""What the wire knows of a robot's model: its number, its fixed mask, its bumper bytes. Geometry is worlds.bodies'.
+"""What the wire knows of a robot's model: its number, its fixed mask, its bumper bytes. Geometry is worlds.robots'.
 
     N150 and Scout never send a mask: their packets always hold the sonars, bumpers, pose, velocities and compass.
 

@@ -15,16 +15,17 @@ import logging
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from nclient.backends.base import Backend
 from nclient.backends.wrappers import POLL_S, Capped
-from nclient.opening import Wanted
-from nclient.schemes import opening_of
+from nclient.connect import Connector
+from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.link import NOTHING, FaultDesk
+from nserver_emu.server.link import FaultDesk
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +36,6 @@ ROBOT_ID: Final = 1
 LINE: Final = f"real:{ROBOT_ID}"
 """Name of the line to it in a plan of faults."""
 SUMMARY_S: Final = 60.0
-_HANDLED_HERE: Final = ("tm_s", "feed", "reconnect")
 _NEED_REAL: Final = ("real_read_only", "max_speed", "max_turn", "shadow")
 
 
@@ -177,15 +177,15 @@ def _connect(options: argparse.Namespace, faults: FaultDesk | None) -> RealRobot
     Speed limits of its address apply as well, the lower of two. Faults are those of the address or, where it names
     none, those that the daemon has for this line.
     """
-    opening = opening_of(options.real, Wanted())
-    opening.values = {**opening.values, **dict.fromkeys(_HANDLED_HERE)}
-    if faults is not None and "faults" not in opening.values:
-        opening.values = {**opening.values, "faults": NOTHING}
-        opening.kept["faults"] = lambda: faults.injector(LINE)
+    address = parse_address(options.real)
+    # The gateway sets the motion timeout, keeps it alive and reconnects by itself.
+    address = replace(address, options=replace(address.options, tm_s=None, feed=None, reconnect=None))
+    injector = None if faults is None else lambda: faults.injector(LINE)
+    connector = Connector(address, injector=injector)
     wrap = speed_limiter(options)
-    feed_s = POLL_S if opening.values.get("bumper_stop") else TIMEOUT_S / 3
+    feed_s = POLL_S if address.options.bumper_stop else TIMEOUT_S / 3
     return RealRobotProxy(
-        lambda: wrap(opening.backend()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
+        lambda: wrap(connector.open()), time.monotonic, read_only=options.real_read_only, feed_s=feed_s
     )
 
 

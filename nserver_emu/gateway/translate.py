@@ -31,8 +31,8 @@ from nserver_emu.server.handlers.world import done
 from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
 from nserver_emu.server.state_encoder import INFRARED_NOTHING, as_sent
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
-from worlds.bodies import BODIES, Body
 from worlds.geometry import FloatArray
+from worlds.robots import BODIES, Body
 
 NO_READINGS: Final = (0,)
 """A laser vector without readings."""

@@ -22,7 +22,7 @@ from nserver_emu.server.config import Setting
 from nserver_emu.server.context import Allowed, Pace
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.noise import SUFFIX
-from worlds.files import world_names
+from worlds.io import world_names
 from worlds.world import StartPose
 
 DAEMON: Final = "nserver"

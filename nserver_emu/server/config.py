@@ -17,8 +17,8 @@ from nclient.errors import AddressError, StartError
 from nserver_emu.simulation.models import MODELS, RobotModel, load_models
 from nserver_emu.simulation.noise import IDEAL, NOISY, setup_named
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import DEFAULT_WORLD, load_world
-from worlds.tables import FARTHEST_IN
+from worlds.io import DEFAULT_WORLD, load_world
+from worlds.schema import FARTHEST_IN
 from worlds.world import StartPose
 
 GAP_IN: Final = 1.0

@@ -24,7 +24,7 @@ from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.serial_session import LineSession
 from nserver_emu.server.session import REFUSED, Conversation, Session
-from worlds.files import DEFAULT_WORLD
+from worlds.io import DEFAULT_WORLD
 
 SCHEME = "sim"
 DEFAULT_STEP_S = 0.1

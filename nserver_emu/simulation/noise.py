@@ -69,10 +69,8 @@ from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import Stretch
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
-from worlds.bodies import SONARS
-from worlds.calibration import Calibration
-from worlds.tables import Table
-from worlds.texts import read_text, toml_of
+from worlds.robots import SONARS, Calibration
+from worlds.schema import Table, read_text, toml_of
 
 
 class Purpose(IntEnum):

@@ -51,7 +51,7 @@ from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 from worlds.world import Polygon, World
 
 if TYPE_CHECKING:

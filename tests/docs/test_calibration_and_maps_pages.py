@@ -9,7 +9,7 @@ import pytest
 
 from nclient.cli import main
 from tests.docs.pages import code_blocks, command_lines
-from worlds.calibration import load_calibration
+from worlds.robots import load_calibration
 
 pytestmark = pytest.mark.long
 

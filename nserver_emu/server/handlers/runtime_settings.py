@@ -35,9 +35,8 @@ from nserver_emu.server.context import Stage
 from nserver_emu.server.handlers.world import sound, stands_in_a_robot
 from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_part
 from nserver_emu.simulation.robot import SimulatedRobot
-from worlds.files import parse_world
+from worlds.io import format_world, parse_world
 from worlds.world import Point, Polygon, World
-from worlds.writing import world_text
 
 SAME_IN: Final = 0.002
 """Corners are shown rounded to a thousandth of an inch."""
@@ -183,7 +182,7 @@ def show_world(stage: Stage) -> str:
     """The world as the text of a file. Put back in time (put_world), that text is this very world again, to the bit,
     with what a file could not say: starts and paths on which something stands."""
     world = stage.simulation.world
-    text = world_text(world)
+    text = format_world(world)
     stage.shown.pop(text, None)
     stage.shown[text] = world
     while len(stage.shown) > MOST_SHOWN:

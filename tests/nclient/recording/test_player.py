@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, Robot, connect
+from nclient.connect import Connector
 from nclient.protocol import codec
 from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
@@ -15,7 +16,7 @@ from nclient.protocol.types import EVERYTHING, N150, N200
 from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from nclient.recording.format import Entry, Recording
 from nclient.recording.replayer import LOOSE, STRICT, Asked, Piece, Player, ReplayPeer, load_exchanges
-from nclient.schemes import Wanted, opening_of
+from nclient.url import parse_address
 from tests.nclient.protocol.recorded import LP64
 
 SIM = "sim:thesis_room?noisy=1&seed=8"
@@ -247,14 +248,14 @@ def test_recordings_that_cannot_be_played(broken: Recording, told: str) -> None:
 
 def test_each_time_it_is_opened_the_next_connection_is_played(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
-    taped = opening_of(f"{SIM}&record={path}", Wanted())
+    taped = Connector(parse_address(f"{SIM}&record={path}"))
     for turn in (1, 2):
-        backend = taped.backend()
+        backend = taped.open()
         backend.execute(Call("vm", (turn, 0, 0)))
         backend.close()
-    played = opening_of(f"replay:{path}", Wanted())
+    played = Connector(parse_address(f"replay:{path}"))
     for turn in (1, 2, 2):
-        backend = played.backend()
+        backend = played.open()
         backend.execute(Call("vm", (turn, 0, 0)))
         backend.close()
 

@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, connect
+from nclient.connect import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
 from nclient.recording.recorder import ProgramsRecording, Recorded
-from nclient.schemes import Wanted, opening_of
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
+from nclient.url import parse_address
 from tests.nclient.answering import ScriptedServer, by_script, on_socket
 
 
@@ -65,9 +66,9 @@ def test_a_disk_that_is_full_costs_the_recording_and_not_the_run(caplog: pytest.
 
 
 def test_a_connection_made_anew_goes_on_in_the_same_file(tmp_path: Path) -> None:
-    opening = opening_of(f"sim:thesis_room?record={tmp_path}/run.log", Wanted())
+    connector = Connector(parse_address(f"sim:thesis_room?record={tmp_path}/run.log"))
     for _ in range(2):
-        opening.backend().close()
+        connector.open().close()
     entries = read_recording(tmp_path / "run.log").entries
     assert [(entry.kind, entry.connection) for entry in entries if entry.kind in ("open", "close")] == [
         ("open", "1"), ("close", "1"), ("open", "2"), ("close", "2")

@@ -18,7 +18,7 @@ from nserver_emu.server.context import Pace
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultDesk
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
-from worlds.files import parse_world
+from worlds.io import parse_world
 
 PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 

@@ -27,7 +27,7 @@ from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import ORIGIN, WireClient
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 ScriptedAnswer = Reply | Exception

@@ -9,7 +9,7 @@ import pytest
 
 from docs.generate.commands import examples
 from nclient.backends.wrappers import Capped
-from nclient.connect import Wanted, open_backend
+from nclient.connect import open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call
@@ -386,7 +386,7 @@ def test_position_stamps_are_requested_once_for_all_clients() -> None:
 
 
 def test_stamps_of_another_nserver_are_passed_on() -> None:
-    harness = GatewayHarness(lambda: open_backend("sim:thesis_room", Wanted()))
+    harness = GatewayHarness(lambda: open_backend("sim:thesis_room"))
     client = harness.client()
     client.ask("ct", *EVERYTHING.with_position(2).smask)
     client.ask("dp", 500, 600)

@@ -23,7 +23,7 @@ from nserver_emu.gateway.translate import (
 from nserver_emu.server.session import Visit
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
 from tests.nserver_emu.gateway.harness import LINE_STATE
-from worlds.bodies import N200 as N200_BODY
+from worlds.robots import N200 as N200_BODY
 
 LINE, SERVER = Link(N150, own_line=True), Link(N150, own_line=False)
 N200_LINE = Link(N200, own_line=True)

@@ -31,8 +31,7 @@ from nserver_emu.server.handlers.server import LONGEST_STEP_MS
 from nserver_emu.server.inprocess import open_address
 from tests.nserver_emu.server.daemon_house import Client, House, Visit, with_daemon
 from tests.nserver_emu.server.lockstep_run import request
-from worlds.files import SHIPPED, load_world
-from worlds.writing import world_text
+from worlds.io import SHIPPED, format_world, load_world
 
 pytestmark = pytest.mark.long
 
@@ -134,7 +133,7 @@ def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path:
 def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> None:
     async def visit(house: House) -> None:
         client = await house.call()
-        other = world_text(load_world("several_walls"))
+        other = format_world(load_world("several_walls"))
         for command, argument in (
             ("noise", "sensors=measured motion=noisy robot=1"), ("world set", {"text": other, "file": "w.toml"}),
             ("noise", {"sensors": "noisy"}),

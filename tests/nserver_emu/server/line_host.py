@@ -16,7 +16,7 @@ from nserver_emu.server.serial_session import LineSession
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 ORIGIN = StartPose(0.0, 0.0, 0.0, 0.0)

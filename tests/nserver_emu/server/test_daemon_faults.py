@@ -17,7 +17,7 @@ from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.daemon_house import serving
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 
 REQUEST = frozenset({Direction.REQUEST})
 

@@ -15,7 +15,7 @@ from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import N150 as SIMULATED_N150
 from nserver_emu.simulation.noise import IDEAL, NOISY
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 ORIGIN = StartPose(0.0, 0.0, 0.0, 0.0)

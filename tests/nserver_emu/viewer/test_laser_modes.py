@@ -11,7 +11,7 @@ from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.scene import LASER_EVERY, MOST_NAMED, Album, is_shown, laser_modes
 from tests.nserver_emu.viewer.viewed_daemon import Page, served
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 OFF, LINES, POINTS = 50, 33, 51

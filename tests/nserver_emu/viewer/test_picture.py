@@ -19,7 +19,7 @@ from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.scene import LASER_EVERY, MOST_NEW, REMEMBERED, Album
 from tests.nserver_emu.server.wire_client import meet, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"

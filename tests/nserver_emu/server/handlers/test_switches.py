@@ -22,10 +22,9 @@ from nserver_emu.server.handlers.runtime_settings import (
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.noise import IDEAL, SETUPS
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
-from worlds.files import load_world
+from worlds.io import format_world, load_world
 from worlds.world import Path as WayPoints
 from worlds.world import Polygon, StartPose, World
-from worlds.writing import world_text
 
 
 def sonars(client: WireClient) -> tuple[int, ...]:
@@ -135,7 +134,7 @@ def test_another_world_takes_the_place_of_the_one_there() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     before = sonars(client)
-    put_world(emulator, world_text(load_world("several_walls")), "mine.toml")
+    put_world(emulator, format_world(load_world("several_walls")), "mine.toml")
     emulator.pass_time(1.0)
     assert emulator.simulation.world.name == "several_walls"
     assert sonars(client) != before
