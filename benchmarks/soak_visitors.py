@@ -61,7 +61,7 @@ class House:
     failed: dict[str, int] = field(default_factory=dict)
     now_s: float = 0.0
 
-    async def visit(self, kind: str, rng: random.Random) -> None:
+    async def context(self, kind: str, rng: random.Random) -> None:
         """One visit of that kind; a fault of a line ends it, and is counted."""
         self.visits[kind] = self.visits.get(kind, 0) + 1
         try:

@@ -27,8 +27,8 @@ from nclient.recording.replayer import LOOSE, Player, load_exchanges, state_befo
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
-from nserver_emu.server.config import Setting
-from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.config import SimulationConfig
+from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.session import Session
 
@@ -79,9 +79,9 @@ def _snapshot(data: bytes) -> None:
 def _emulator() -> Any:
     """Return the parts of an emulator that a snapshot changes."""
     emulator = open_address("sim:thesis_room?robot=scout").emulator
-    drivers = SimpleNamespace(orphan=lambda _: None)
+    axis_ownership = SimpleNamespace(release_all=lambda _: None)
     parts = {part: getattr(emulator, part) for part in snapshot.KEPT}
-    return SimpleNamespace(**parts, drivers=drivers, look_anew=lambda: None)
+    return SimpleNamespace(**parts, axis_ownership=axis_ownership, invalidate_state_cache=lambda: None)
 
 
 # Valid inputs
@@ -110,11 +110,14 @@ def _client_recording(wire: str, model: str) -> bytes:
 
 def _server_seeds() -> list[bytes]:
     """Return recordings of a server with one client, in real time and in lockstep."""
-    return [_server_recording(Pace(), [[0.1, 3], [0.25, 1]]), _server_recording(Pace(lockstep_s=0.5), [])]
+    return [
+        _server_recording(SimulationClock(), [[0.1, 3], [0.25, 1]]),
+        _server_recording(SimulationClock(lockstep_s=0.5), []),
+    ]
 
 
-def _server_recording(pace: Pace, steps: list[list[float]]) -> bytes:
-    beginning = Beginning(Setting(noisy=True), pace, Allowed(control=True))
+def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
+    beginning = Beginning(SimulationConfig(noisy=True), pace, Allowed(control=True))
     emulator = beginning.emulator()
     emulator.port = 7019
     session = Session(emulator.answer, "127.0.0.1:1")
@@ -126,7 +129,7 @@ def _server_recording(pace: Pace, steps: list[list[float]]) -> bytes:
             for _ in range(int(count)):
                 emulator.pass_time(dt_s)
         session.receive(request)
-        entries.append(Entry(float(number), IN, session.name, session.answers(MAX_STEPS)))
+        entries.append(Entry(float(number), IN, session.name, session.process_requests(MAX_STEPS)))
     entries.append(Entry(4.0, "close", session.name))
     top = {"format": FORMAT, "version": VERSION} | header(beginning, "", port=7019, requests_a_turn=5, real_robots=0)
     return "\n".join(json.dumps(value) for value in (top, *map(as_object, entries))).encode() + b"\n"

@@ -323,7 +323,7 @@ def _bounded(act: Callable[[], None], most_calls: int) -> None:
 
 
 FORMAT: Final = "nserver snapshot"
-KEPT: Final = ("simulation", "pace", "graphics", "traces", "transcript", "arms")
+KEPT: Final = ("simulation", "clock", "graphics", "traces", "transcript", "arms")
 """What of an emulator is kept: all but connections, port and permissions, which belong to a daemon's start."""
 
 _NONE: Final = "is no snapshot of an nserver"
@@ -383,7 +383,7 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         for part in KEPT:
             if type(parts[part]) is not type(getattr(emulator, part)):
                 raise SnapshotError(f"its {part} is none")
-        parts["pace"].check()
+        parts["clock"].check()
         try_out(tried["simulation"])
     except SnapshotError as error:
         raise SnapshotError(f"{name}: {error}") from None
@@ -391,5 +391,5 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         raise SnapshotError(f"{name}: is damaged: {type(error).__name__}: {error}") from error
     for part in KEPT:
         setattr(emulator, part, parts[part])
-    emulator.look_anew()
-    emulator.drivers.orphan(emulator.simulation.robots)
+    emulator.invalidate_state_cache()
+    emulator.axis_ownership.release_all(emulator.simulation.robots)

@@ -20,7 +20,7 @@ from nserver_emu.gateway.translate import (
     stays_here,
     whole_state,
 )
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
 from tests.nserver_emu.gateway.harness import LINE_STATE
 from worlds.robots import N200 as N200_BODY
@@ -29,20 +29,20 @@ LINE, SERVER = Link(N150, own_line=True), Link(N150, own_line=False)
 N200_LINE = Link(N200, own_line=True)
 
 
-def context(mask: Mask = EVERYTHING, laser_mode: int = 51) -> Visit:
-    made = Visit(tcp_wire_state(N150), robot_id=1)
+def context(mask: Mask = EVERYTHING, laser_mode: int = 51) -> ConnectionContext:
+    made = ConnectionContext(tcp_wire_state(N150), robot_id=1)
     made.wire_state.note_mask(mask)
     made.wire_state.note_laser_mode(laser_mode)
     return made
 
 
-def planned(name: str, *args: int, link: Link = LINE, of: Visit | None = None) -> TranslatedCall:
+def planned(name: str, *args: int, link: Link = LINE, of: ConnectionContext | None = None) -> TranslatedCall:
     found = plan(Call(name, args), of or context(), link)
     assert isinstance(found, TranslatedCall), found
     return found
 
 
-def shaped(name: str, reply: Reply, *args: int, link: Link = LINE, of: Visit | None = None) -> Reply:
+def shaped(name: str, reply: Reply, *args: int, link: Link = LINE, of: ConnectionContext | None = None) -> Reply:
     asking = of or context()
     return planned(name, *args, link=link, of=asking).build_reply(asking, reply, link)
 
@@ -105,7 +105,7 @@ def test_replies_after_conf_cp_and_tk() -> None:
     assert planned("conf_cp", 1, link=N200_LINE).calls == (Call("conf_cp", (1,)), Call("gs"))
     assert shaped("conf_cp", LINE_STATE, 1, link=N200_LINE).kind == "state"
     assert shaped("tk", LINE_STATE, link=N200_LINE) == Reply("simple", values=(0,))
-    host = Visit(serial_wire_state(N200), robot_id=1)
+    host = ConnectionContext(serial_wire_state(N200), robot_id=1)
     assert shaped("conf_cp", scores, 1, link=N200_LINE, of=host) == scores
     assert shaped("tk", LINE_STATE, link=N200_LINE, of=host).kind == "state"
 

@@ -23,32 +23,33 @@ from nserver_emu.control.commands import answer_line
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import Beginning, beginning_of, header
 from nserver_emu.persistence.replay import LONGEST_STEP_S, replay
-from nserver_emu.server.config import Setting, pose_from_text
-from nserver_emu.server.connection import REQUESTS_A_TURN
-from nserver_emu.server.context import FASTEST, Allowed, Pace
+from nserver_emu.server.config import SimulationConfig, pose_from_text
+from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
+from nserver_emu.server.context import FASTEST, Allowed, SimulationClock
 from nserver_emu.server.daemon import LONGEST_CATCH_UP_S
 from nserver_emu.server.handlers.server import LONGEST_STEP_MS
 from nserver_emu.server.inprocess import open_address
-from tests.nserver_emu.server.daemon_house import Client, House, Visit, with_daemon
+from tests.nserver_emu.server.daemon_house import Client, House, Scenario, with_daemon
 from tests.nserver_emu.server.lockstep_run import request
 from worlds.io import SHIPPED, format_world, load_world
 
 pytestmark = pytest.mark.long
 
-LOCKSTEP = Beginning(Setting(noisy=True, seed=5), Pace(lockstep_s=0.1), Allowed())
-THREE = Setting(
+LOCKSTEP = Beginning(SimulationConfig(noisy=True, seed=5), SimulationClock(lockstep_s=0.1), Allowed())
+THREE = SimulationConfig(
     world="several_walls", start=pose_from_text("5,5,0,0"), seed=3, setup="measured",
     others=(("n200", None), ("scout", pose_from_text("80,5,90,0"))),
 )  # fmt: skip
 
 
-def recorded(path: Path, beginning: Beginning, visit: Visit, speed: float | None = 1.0) -> Recording:
+def recorded(path: Path, beginning: Beginning, scenario: Scenario, speed: float | None = 1.0) -> Recording:
     """The recording of a daemon that was visited."""
+
     def record(house: House) -> None:
-        numbers = {"port": house.port, "requests_a_turn": REQUESTS_A_TURN}
+        numbers = {"port": house.port, "requests_a_turn": MAX_REQUESTS_PER_TURN}
         house.daemon.record(path, header(beginning, "2026-01-01T00:00:00", **numbers))
 
-    with_daemon(visit, speed, beginning.emulator(), record)
+    with_daemon(scenario, speed, beginning.emulator(), record)
     return read_recording(path)
 
 
@@ -70,19 +71,25 @@ async def three_at_once(house: House) -> None:
 
 
 def test_a_lockstep_daemon_says_every_byte_again(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         await converse(await house.call(), 0, 120)
 
-    recording = recorded(tmp_path / "run.log", LOCKSTEP, visit)
+    recording = recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (121, "")
     assert outcome.size == sum(len(entry.data) for entry in recording.entries if entry.kind == "in")
 
 
-@pytest.mark.parametrize(("pace", "speed"), [
-    (Pace(), 1.0), (Pace(factor=20.0), 20.0), (Pace(factor=None), None), (Pace(lockstep_s=0.05), 1.0),
-])
-def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Pace, speed: float | None) -> None:
+@pytest.mark.parametrize(
+    ("pace", "speed"),
+    [
+        (SimulationClock(), 1.0),
+        (SimulationClock(factor=20.0), 20.0),
+        (SimulationClock(factor=None), None),
+        (SimulationClock(lockstep_s=0.05), 1.0),
+    ],
+)
+def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: SimulationClock, speed: float | None) -> None:
     recording = recorded(tmp_path / "run.log", Beginning(THREE, pace, Allowed()), three_at_once, speed)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (3 * 27, "")
@@ -91,7 +98,8 @@ def test_three_noisy_robots_and_as_many_clients(tmp_path: Path, pace: Pace, spee
 
 def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) -> None:
     """One motion stops as its client vanishes, another's many requests wait their turn, a third knows the robot."""
-    async def visit(house: House) -> None:
+
+    async def scenario(house: House) -> None:
         driver, watcher = await house.call(), await house.call()
         await driver.ask("vm", 100, 0, 0)
         watcher.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2))) + codec.tcp_request(Call("gs")) * 1500)
@@ -105,14 +113,16 @@ def test_who_vanishes_pipelines_or_goes_on_without_connecting(tmp_path: Path) ->
         await other.ask("gs")
 
     for lockstep_s in (None, 0.1):
-        beginning = Beginning(Setting(noisy=True), Pace(factor=50.0, lockstep_s=lockstep_s), Allowed())
-        outcome = replay(recorded(tmp_path / "run.log", beginning, visit, 50.0))
+        beginning = Beginning(
+            SimulationConfig(noisy=True), SimulationClock(factor=50.0, lockstep_s=lockstep_s), Allowed()
+        )
+        outcome = replay(recorded(tmp_path / "run.log", beginning, scenario, 50.0))
         assert outcome.answers > 5
         assert outcome.difference == ""
 
 
 def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         client, shown = await house.call(), []
         await client.ask("vm", 100, 0, 0)
         for command, argument in (("speed", 20), ("pause", None), ("step", 0.5), ("resume", None), ("speed", "max")):
@@ -125,13 +135,15 @@ def test_what_the_owner_did_meanwhile_is_done_again_and_faults_are_not(tmp_path:
         assert (await client.ask("vm", 0, 0, 0)).kind == "error"
         assert (await client.ask("gs")).slots[38] == 100
 
-    recording = recorded(tmp_path / "run.log", Beginning(Setting(noisy=True), Pace(), Allowed()), visit)
+    recording = recorded(
+        tmp_path / "run.log", Beginning(SimulationConfig(noisy=True), SimulationClock(), Allowed()), scenario
+    )
     assert not any(entry.kind == "in" and entry.data[1:2] == b"\x5b" for entry in recording.entries)
     assert (replay(recording).answers, replay(recording).difference) == (8, "")
 
 
 def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         client = await house.call()
         other = format_world(load_world("several_walls"))
         for command, argument in (
@@ -144,7 +156,7 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
             house.daemon.step(1.5)
             await client.ask("gs")
 
-    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    recording = recorded(tmp_path / "run.log", Beginning(SimulationConfig(), SimulationClock(), Allowed()), scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (7, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "noise" not in e.more))
@@ -152,7 +164,7 @@ def test_noise_and_world_are_changed_again_where_they_were(tmp_path: Path) -> No
 
 
 def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         def told(command: str, argument: object = None) -> dict[str, Any]:
             line = json.dumps({"command": command, "argument": argument}).encode()
             answer = json.loads(answer_line(house.daemon, line))
@@ -174,14 +186,14 @@ def test_worlds_shown_and_put_back_and_obstacles_moved_are_so_again(tmp_path: Pa
         house.daemon.step(1.5)
         await client.ask("gs")
 
-    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    recording = recorded(tmp_path / "run.log", Beginning(SimulationConfig(), SimulationClock(), Allowed()), scenario)
     assert (replay(recording).answers, replay(recording).difference) == (6, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "obstacle" not in e.more))
     assert replay(tape).difference
 
 
 def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         client = await house.call()
         await client.ask("vm", 100, 0, 0)
         house.daemon.step(0.5)
@@ -192,7 +204,7 @@ def test_a_hold_holds_again_where_it_did(tmp_path: Path) -> None:
         house.daemon.release([1])
         assert (await client.ask("vm", 100, 0, 0)).slots[38] == 100
 
-    recording = recorded(tmp_path / "run.log", Beginning(Setting(), Pace(), Allowed()), visit)
+    recording = recorded(tmp_path / "run.log", Beginning(SimulationConfig(), SimulationClock(), Allowed()), scenario)
     outcome = replay(recording)
     assert (outcome.answers, outcome.difference) == (6, "")
     tape = dataclasses.replace(recording, entries=tuple(e for e in recording.entries if "hold" not in e.more))
@@ -205,13 +217,13 @@ def test_a_run_that_went_on_from_a_snapshot(tmp_path: Path) -> None:
     emulator.simulation.step(1.0)
     snapshot.save(emulator, tmp_path / "saved.json")
 
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         client = await house.call()
         assert (await client.ask("gs")).slots[34] > 50
         await converse(client, 0, 20)
 
     beginning = dataclasses.replace(LOCKSTEP, restored=tmp_path / "saved.json")
-    recording = recorded(tmp_path / "run.log", beginning, visit)
+    recording = recorded(tmp_path / "run.log", beginning, scenario)
     (tmp_path / "saved.json").write_text("what the daemon saved in the end")
     assert replay(recording).difference == ""
 
@@ -224,12 +236,12 @@ def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> N
     model = '[[model]]\nname = "mine"\nlike = "n150"\n'
     mine.write_text({"world": room, "setup": 'base = "noisy"'}.get(field, model))
     path: Any = mine if field == "model_file" else str(mine)
-    beginning = dataclasses.replace(LOCKSTEP, setting=Setting(**{field: path}))
+    beginning = dataclasses.replace(LOCKSTEP, setting=SimulationConfig(**{field: path}))
 
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         await converse(await house.call(), 0, 2)
 
-    recording = recorded(tmp_path / "run.log", beginning, visit)
+    recording = recorded(tmp_path / "run.log", beginning, scenario)
     assert replay(recording).difference == ""
     mine.write_text(mine.read_text() + "\n")
     with pytest.raises(RecordingError, match=f"run.log: began with {mine}, which has changed since"):
@@ -237,11 +249,11 @@ def test_a_file_that_has_changed_since_is_named(field: str, tmp_path: Path) -> N
 
 
 def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         await converse(await house.call(), 0, 60)
 
     path = tmp_path / "run.log"
-    recorded(path, LOCKSTEP, visit)
+    recorded(path, LOCKSTEP, scenario)
     path.write_text(path.read_text().replace('"seed":5', '"seed":6', 1))
     outcome = replay(read_recording(path))
     assert 0 < outcome.answers < 61
@@ -250,15 +262,15 @@ def test_another_seed_says_other_bytes_and_the_place_is_named(tmp_path: Path) ->
 
 
 def test_what_is_missing_in_the_end_is_a_difference_too(tmp_path: Path) -> None:
-    async def visit(house: House) -> None:
+    async def scenario(house: House) -> None:
         await house.call()
 
-    recording = recorded(tmp_path / "run.log", LOCKSTEP, visit)
+    recording = recorded(tmp_path / "run.log", LOCKSTEP, scenario)
     (answer,) = (entry for entry in recording.entries if entry.kind == "in")
     longer = dataclasses.replace(answer, data=answer.data + b"\x07")
-    changed = dataclasses.replace(recording, entries=tuple(
-        longer if entry is answer else entry for entry in recording.entries
-    ))
+    changed = dataclasses.replace(
+        recording, entries=tuple(longer if entry is answer else entry for entry in recording.entries)
+    )
     assert "from byte 8 on nothing instead of 07 (8 and 9 bytes)" in replay(changed).difference
 
 
@@ -364,7 +376,9 @@ def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
     saved.write_text("all of it")
     models.touch()
     setting = dataclasses.replace(THREE, model_file=models)
-    beginning = Beginning(setting, Pace(None, True, 0.25), Allowed(quit=True), saved, snapshot_text="all of it")
+    beginning = Beginning(
+        setting, SimulationClock(None, True, 0.25), Allowed(quit=True), saved, snapshot_text="all of it"
+    )
     LogWriter(tmp_path / "run.log", header(beginning, "", port=1, requests_a_turn=2)).close()
     assert beginning_of(read_recording(tmp_path / "run.log").header, "run.log") == beginning
 
@@ -372,5 +386,5 @@ def test_a_beginning_comes_back_whole(tmp_path: Path) -> None:
 def test_a_world_file_is_found_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text("")
-    head = header(dataclasses.replace(LOCKSTEP, setting=Setting("mine.toml")), "", port=1, requests_a_turn=2)
+    head = header(dataclasses.replace(LOCKSTEP, setting=SimulationConfig("mine.toml")), "", port=1, requests_a_turn=2)
     assert head["setting"]["world"] == str(tmp_path / "mine.toml")

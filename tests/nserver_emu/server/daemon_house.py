@@ -1,4 +1,4 @@
-"""A daemon on real sockets in the test's own loop, and plain clients that visit it."""
+"""A daemon on real sockets in the test's own loop, and plain clients for it."""
 
 from __future__ import annotations
 
@@ -79,21 +79,21 @@ async def serving(daemon: Daemon, within_s: float = 30.0) -> AsyncIterator[None]
         await served
 
 
-Visit = Callable[[House], Awaitable[None]]
+Scenario = Callable[[House], Awaitable[None]]
 
 
 def with_daemon(
-    visit: Visit, speed: float | None = 1.0, emulator: Emulator | None = None,
+    scenario: Scenario, speed: float | None = 1.0, emulator: Emulator | None = None,
     before: Callable[[House], None] = lambda _: None,
 ) -> None:
-    """A visit to a daemon of its own; `before`: what is to be done to that before time passes."""
+    """A scenario to a daemon of its own; `before`: what is to be done to that before time passes."""
     async def evening() -> None:
         daemon = Daemon(emulator or Emulator(simulation()), speed)
         house = House(daemon, await daemon.listen("127.0.0.1", 0))
         before(house)
         try:
             async with serving(daemon, 120):  # no verdict on speed: a busy machine may take its time
-                await visit(house)
+                await scenario(house)
         finally:
             await house.see_out()
         assert not daemon.connections

@@ -88,8 +88,8 @@ def test_of_a_crowd_those_who_have_it_on_are_named_first() -> None:
 
         def __init__(self, name: str, mode: int) -> None:
             wire_state = type("WireState", (), {"laser_mode": mode})()
-            visit = type("Visit", (), {"robot_id": 1, "wire_state": wire_state})()
-            self.session = type("Session", (), {"visit": visit, "name": name})()
+            context = type("ConnectionContext", (), {"robot_id": 1, "wire_state": wire_state})()
+            self.session = type("Session", (), {"context": context, "name": name})()
 
     crowd: list[Any] = [Visitor(f"client {number:02}", OFF) for number in range(2 * MOST_NAMED)]
     crowd.append(Visitor("z", POINTS))

@@ -147,7 +147,7 @@ def test_who_only_looks_neither_stops_nor_releases() -> None:
             for number, word in enumerate(("stop", "release")):
                 await page.say(do=word, id=number)
                 assert (await page.answer(number))["error"] == "this link only looks"
-            assert here.daemon.emulator.holds.told() == {"1": {"by": "viewer 9", "ignored": 0}}
+            assert here.daemon.emulator.estop.told() == {"1": {"by": "viewer 9", "ignored": 0}}
 
     asyncio.run(scenario())
 

@@ -51,13 +51,13 @@ def listened(wide: bool = False) -> tuple[Listening, WireClient, Session]:
     """A client whose connection is listened to."""
     emulator = Emulator(simulation())
     session = Session(emulator.answer, "client")
-    listening = Listening(OFF, lambda _: session.visit.wire_state, lambda: emulator.simulation.time_s)
+    listening = Listening(OFF, lambda _: session.context.wire_state, lambda: emulator.simulation.time_s)
     tape = listening.open("client", TCP, N150)
 
     def exchange(data: bytes) -> bytes:
         tape.to_robot(data)
         session.receive(data)
-        answered = session.answers(most=100)
+        answered = session.process_requests(most=100)
         tape.to_host(answered)
         return answered
 
