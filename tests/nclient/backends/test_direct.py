@@ -545,7 +545,7 @@ def test_a_laser_mode_that_was_said_is_the_mode() -> None:
 
 
 @pytest.mark.parametrize(("real", "said", "remedy"), [
-    (N200, N150, "it looks like a n200's: write model=n200"), (N200, SCOUT, "it looks like a n200's: say model=n200"),
+    (N200, N150, "it looks like a n200's: write model=n200"), (N200, SCOUT, "it looks like a n200's: write model=n200"),
     (SCOUT, N150, "is it a n150. Else write model=n200 or model=scout"),
     (N150, SCOUT, "is it a scout. Else write model=n150 or model=n200"),
 ])
