@@ -86,7 +86,7 @@ def outset(robot: Robot, simulated: bool, world: World, options: argparse.Namesp
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     sonar = WIRE_SONAR if sonars.rays else ConeSonar()
-    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
+    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, calibration=errs)
     return Outset(belief, known, sonars)
 
 
