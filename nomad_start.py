@@ -24,7 +24,7 @@ def nomad() -> int:
     """The command `nomad`; its exit code."""
 
     def imported() -> Callable[[], int]:
-        from nclient.cli import main
+        from nclient.cli.main import main
 
         return main
 

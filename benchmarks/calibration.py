@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient import cli
+from nclient.cli import main as cli
 from worlds.bodies import SONARS
 from worlds.calibration import Calibration, calibration_text
 

@@ -21,9 +21,8 @@ from typing import Final, NamedTuple, TypedDict
 import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
-from localization.experiments.pool import drive
-from localization.experiments.settings import FIGURES, Course, course_of
-from localization.experiments.trial import run
+from localization.experiments.execution import drive
+from localization.experiments.trial import FIGURES, Course, course_of, run
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import correct

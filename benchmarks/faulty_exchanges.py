@@ -19,18 +19,15 @@ from dataclasses import asdict, dataclass, field
 
 from nclient.backends.direct import DirectBackend
 from nclient.errors import ReplyTimeout, RobotRefused
-from nclient.faults.faulty_line import FaultyLine
-from nclient.faults.injector import Injector, total
-from nclient.faults.kinds import Corrupt, DropByte, Fault, Noise, Stray
-from nclient.faults.language import LineLanguage
-from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
-from nclient.faults.stream import FaultyStream
+from nclient.faults.frames import Injector, LineLanguage, total
+from nclient.faults.inject import FaultyLine, FaultyStream
+from nclient.faults.plan import BOTH, Corrupt, Direction, DropByte, Fault, Noise, Plan, Rule, Stray, When
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
-from nclient.transports.byte_stream import Deadline
-from nserver_emu.server.conversation.line_session import LineSession
-from nserver_emu.server.handling.handlers import Emulator
+from nclient.protocol.types import N150
+from nclient.transports.stream import Deadline
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.serial_session import LineSession
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
 from worlds.world import StartPose

@@ -25,17 +25,17 @@ from pathlib import Path
 
 from echo import Pace, compare, parsed_options, started
 
-from nclient.backends.backend import Backend
+from nclient.backends.base import Backend
 from nclient.connect import Wanted, open_backend
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150
-from nclient.protocol.terms import line_terms
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import line_terms
 
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
 BAUD, BITS_A_BYTE = 38400, 10
 GS = Call("gs")
-REQUEST = language.line_request(GS, line_terms(N150))
+REQUEST = codec.line_request(GS, line_terms(N150))
 REPLY_SIZE = 48
 """An N150's state packet in its frame."""
 PACED_CALLS = 100

@@ -21,11 +21,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from localization.command_line.outset import START_STD
-from localization.driving.navigation import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
+from localization.cli.options import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
-from localization.runs.run import Run, RunMoment, Sighting
+from localization.live.run import Run, RunMoment, Sighting
+from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from nclient import Robot, connect
 from worlds.bodies import BODIES
 from worlds.files import load_world

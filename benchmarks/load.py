@@ -35,7 +35,7 @@ from typing import Final
 
 from echo import started
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
 
 FACTOR: Final = 2.0
@@ -43,8 +43,8 @@ EXTRA_MS: Final = 2.0
 RATE_HZ: Final = 10.0
 HOST: Final = "127.0.0.1"
 HOSTILE: Final = ("flood", "stall", "deaf")
-CONNECT: Final = language.tcp_request(Call("connect_robot", (1, 1)))
-GS: Final = language.tcp_request(Call("gs"))
+CONNECT: Final = codec.tcp_request(Call("connect_robot", (1, 1)))
+GS: Final = codec.tcp_request(Call("gs"))
 CONNECT_REPLY_SIZE, REPLY_SIZE = 8, 4 + 4 * 49
 BEGUN: Final = "begun"
 CLIENTS, DAEMON, HOSTILE_ONE = 3, 2, 1

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from nserver_emu.simulation.models import N150
-from nserver_emu.simulation.setup import RobotSetup
+from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.geometry import FloatArray
 from worlds.world import Polygon, StartPose, World

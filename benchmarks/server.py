@@ -13,7 +13,7 @@ import sys
 
 from echo import Pinger, compare, parsed_options, start_echo, started
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
 
 TARGET_RATIO, TARGET_P99_MS = 0.5, 1.0
@@ -23,8 +23,8 @@ CONNECT_REPLY_SIZE = 8
 
 def measure(rounds: int, calls: int) -> dict[str, float]:
     """Rates, 99th percentiles and their ratio."""
-    gs = language.tcp_request(Call("gs"))
-    connect = language.tcp_request(Call("connect_robot", (1, 1)))
+    gs = codec.tcp_request(Call("gs"))
+    connect = codec.tcp_request(Call("connect_robot", (1, 1)))
     daemon = [sys.executable, "-m", "nserver_emu", "--port", "0", "--limit-rate", "0"]
     with start_echo(len(gs), REPLY_SIZE) as echo_port, started(daemon) as line:
         sides = {

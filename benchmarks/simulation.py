@@ -26,9 +26,9 @@ from peer import INSTALL, SPEED_IN_S, TURN_RAD_S, peer
 from scenes import WALLS, alone, crowd, roam
 
 from nserver_emu.garbage import NEW_OBJECTS
-from nserver_emu.simulation.company import SPAN_PS, near
-from nserver_emu.simulation.polaroid import Polaroid
-from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
+from nserver_emu.simulation.acoustics import Polaroid
+from nserver_emu.simulation.multi_robot import SPAN_PS, near
+from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.geometry import FloatArray
 from worlds.raycast import NEAREST_OBSTACLE, cast_rays

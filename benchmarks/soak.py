@@ -29,7 +29,7 @@ from typing import Any, Final
 from soak_verdict import Finding, Sample, ended, verdict, visited
 from soak_visitors import KINDS, MODELS, House, ask_owner
 
-from nclient.leaving import left_in_order
+from nclient.common.process import left_in_order
 from nserver_emu.garbage import TIDY_S
 
 PATIENCE_S: Final = 600.0

@@ -29,18 +29,18 @@ from typing import Final
 import aiohttp
 
 from nclient import connect_async
-from nclient.async_robot import AsyncRobot
+from nclient.aio import AsyncRobot
 from nclient.errors import NomadError
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.models import MODELS as MODELS_BY_NAME
+from nclient.protocol.types import MODELS as MODELS_BY_NAME
 
 HOST: Final = "127.0.0.1"
 MODELS: Final = tuple(MODELS_BY_NAME)
 PATIENCE_S: Final = 20.0
 """A visit that takes longer is broken off."""
-CONNECT: Final = [language.tcp_request(Call("connect_robot", (robot, 1))) for robot in range(1, 4)]
-GS: Final = language.tcp_request(Call("gs"))
+CONNECT: Final = [codec.tcp_request(Call("connect_robot", (robot, 1))) for robot in range(1, 4)]
+GS: Final = codec.tcp_request(Call("gs"))
 MANY: Final = 1000
 SILENCE_S: Final = 0.3
 ROBOTD_MODEL, SERIAL_MODEL = MODELS[0], MODELS[1]
@@ -110,7 +110,7 @@ async def host(house: House, rng: random.Random) -> None:
 async def dies(house: House, rng: random.Random) -> None:
     """A program that is killed in the middle of an answer."""
     async with _connected(house, rng) as (reader, writer):
-        writer.write(language.tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
+        writer.write(codec.tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
         await reader.read(100)
         _reset(writer)
 

@@ -31,13 +31,13 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nserver_emu.garbage import seldom_sought
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import LOOPBACK, Daemon
-from nserver_emu.server.setting_up.setting import Setting
-from nserver_emu.viewer.web import served
+from nserver_emu.server.config import Setting
+from nserver_emu.server.daemon import LOOPBACK, Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.server import served
 from worlds.world import StartPose
 
 TARGET_SHARE, PICTURES_A_SECOND = 0.05, 20.0
@@ -108,7 +108,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
         serving = asyncio.create_task(daemon.serve(stop))
         _, writer = await asyncio.open_connection(LOOPBACK, port)
         for call in (Call("connect_robot", (1, 0)), Call("vm", ROUND_AND_ROUND)):
-            writer.write(language.tcp_request(call))
+            writer.write(codec.tcp_request(call))
         with seldom_sought():
             yield daemon, lines[0].split()[-1]
         if daemon.emulator.simulation.robots[1].still((0,)):

@@ -5,8 +5,8 @@ What a program needs stands here; the C names are in nclient.capi, the wire in n
 
 from __future__ import annotations
 
-from nclient.async_robot import AsyncRobot
-from nclient.backends.statistics import LinkStatistics
+from nclient.aio import AsyncRobot
+from nclient.backends.base import LinkStatistics
 from nclient.connect import connect, connect_async
 from nclient.errors import (
     AddressError,
@@ -20,9 +20,9 @@ from nclient.errors import (
     WireError,
     WorldFileError,
 )
-from nclient.quantities import AxisCommand, AxisMode
 from nclient.robot import Robot
-from nclient.robot_state import Battery, Pose, RobotState, Truth
+from nclient.state import Battery, Pose, RobotState, Truth
+from nclient.units import AxisCommand, AxisMode
 
 __all__ = [
     "AddressError",

@@ -16,8 +16,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote_plus, urlsplit
 
+from nclient.common.hints import did_you_mean
 from nclient.errors import AddressError, NomadError
-from nclient.suggesting import did_you_mean
 
 Reader = Callable[[str], Any]
 

@@ -27,20 +27,30 @@ from __future__ import annotations
 from collections.abc import MutableSequence, Sequence
 from typing import Any
 
-from nclient.backends.backend import Backend
+from nclient.backends.base import Backend
 from nclient.connect import Wanted, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
-from nclient.protocol.bounds import within_line
+from nclient.protocol.client_state import STATE_SIZE, HeldState
+from nclient.protocol.codec import within_line
 from nclient.protocol.commands import Call
 from nclient.protocol.fields import MAX_LASER_READINGS
-from nclient.protocol.mask import EVERYTHING, SLOTS, Position
-from nclient.protocol.models import N150, N200, SCOUT
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
-from nclient.protocol.stamps import INFRARED_KEYS, NO_STAMP, SONAR_KEYS
-from nclient.protocol.state import STATE_SIZE, HeldState
-from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
-from nclient.robot_state import WHEEL_IN_PER_DEG
+from nclient.protocol.types import (
+    CPU_RANGE_V,
+    EVERYTHING,
+    INFRARED_KEYS,
+    MOTOR_RANGE_V,
+    N150,
+    N200,
+    NO_STAMP,
+    SCOUT,
+    SLOTS,
+    SONAR_KEYS,
+    Position,
+    volts,
+)
+from nclient.state import WHEEL_IN_PER_DEG
 
 __all__ = [
     "FALSE", "LEFT", "MODEL_N150", "MODEL_N200", "MODEL_SCOUT", "RIGHT", "ROTATION_CONSTANT", "TRUE", "Laser",

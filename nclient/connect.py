@@ -18,10 +18,10 @@ from types import TracebackType
 from typing import Any
 
 import nclient.address as text
-from nclient.async_robot import AsyncRobot
-from nclient.backends.backend import Backend
+from nclient.aio import AsyncRobot
+from nclient.backends.base import Backend
 from nclient.errors import AddressError, ConnectionLost
-from nclient.protocol.models import MODELS
+from nclient.protocol.types import MODELS
 from nclient.robot import Robot
 from nclient.schemes import Wanted, known_schemes, open_nserver, open_tcp, opening_of
 from nclient.transports.tcp import TcpStream, names_of_this_machine

@@ -8,22 +8,20 @@ from __future__ import annotations
 from pathlib import Path
 from urllib.parse import unquote
 
-from nclient.backends.backend import Backend
-from nclient.backends.beside import Beside
+from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import DEFAULT_TIMEOUT_S, NserverBackend
-from nclient.backends.statistics import LinkStatistics
+from nclient.backends.wrappers import Beside
 from nclient.errors import AddressError
 from nclient.opening import Opening, Wanted
-from nclient.protocol.models import N150, Model
-from nclient.recording.follower import HELLO_FIRST, TCP
-from nclient.recording.log import read_recording
-from nclient.recording.player import STRICT, PlayedPeer, Player
-from nclient.recording.script import script_of
+from nclient.protocol.types import N150, Model
+from nclient.recording.format import read_recording
+from nclient.recording.recorder import HELLO_FIRST, TCP
+from nclient.recording.replayer import STRICT, PlayedPeer, Player, script_of
 from nclient.transports import memory
-from nclient.transports.byte_stream import ByteStream
 from nclient.transports.memory import MemoryStream
-from nclient.transports.serial_port import DEFAULT_BAUD, SerialStream
+from nclient.transports.serial import DEFAULT_BAUD, SerialStream
+from nclient.transports.stream import ByteStream
 from nclient.transports.tcp import CONNECT_TIMEOUT_S, ROBOT_LINE, TcpStream
 
 DEFAULT_PORT = 7019

@@ -13,11 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from nclient.address import Address, Reader
-from nclient.backends.backend import Backend
-from nclient.backends.statistics import LinkStatistics
-from nclient.protocol.models import N150, Model
-from nclient.recording.follower import TCP
-from nclient.transports.byte_stream import ByteStream
+from nclient.backends.base import Backend, LinkStatistics
+from nclient.protocol.types import N150, Model
+from nclient.recording.recorder import TCP
+from nclient.transports.stream import ByteStream
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,4 +127,4 @@ class Scheme:
     reads_the_rest: bool = False
     """Whether who answers reads the options that are not ours, and has its own to say about them."""
     line: str = TCP
-    """The language as recordings name it (nclient.recording.follower.LINES)."""
+    """The language as recordings name it (nclient.recording.recorder.LINES)."""

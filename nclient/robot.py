@@ -18,11 +18,10 @@ from typing import NamedTuple, Self
 
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import Mask, Position
-from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
-from nclient.quantities import AxisCommand, firing_order, tenths_of
-from nclient.robot_state import WHEEL_IN_PER_DEG, RobotState
+from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S, Mask, Position
 from nclient.robot_world import RobotWorld
+from nclient.state import WHEEL_IN_PER_DEG, RobotState
+from nclient.units import AxisCommand, firing_order, tenths_of
 
 RING = range(16)
 _HEAD = 4

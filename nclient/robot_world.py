@@ -16,17 +16,15 @@ import threading
 from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
-from nclient.backends.backend import Backend
-from nclient.backends.statistics import LinkStatistics
+from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import RobotRefused, WireError
+from nclient.protocol.client_state import HeldState
 from nclient.protocol.commands import Call
-from nclient.protocol.models import Model
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
-from nclient.protocol.state import HeldState
-from nclient.protocol.units import rad_from_tenths, tenths_from_rad, unwrapped_word
-from nclient.quantities import Points, points_tenths, tenths_of
-from nclient.robot_state import Pose, RobotState, Truth, snapshot
+from nclient.protocol.types import Model, rad_from_tenths, tenths_from_rad, unwrapped_word
+from nclient.state import Pose, RobotState, Truth, snapshot
+from nclient.units import Points, points_tenths, tenths_of
 
 _VERBS = {"pause": 1, "resume": 2, "speed": 3, "step": 4}
 _TENTHS_OF_A_FACTOR, _MS = 10, 1000

@@ -19,21 +19,29 @@ import nclient.address as text
 import nclient.openers as openers
 import nclient.wrappers as wrappers
 from nclient.address import Address
-from nclient.backends import feeding, reconnecting, retrying
+from nclient.backends import (
+    keep_alive,
+)
+from nclient.backends import (
+    wrappers as reconnecting,
+)
+from nclient.backends import (
+    wrappers as retrying,
+)
+from nclient.common.hints import did_you_mean
 from nclient.errors import AddressError
-from nclient.faults.plan_file import load_plan
+from nclient.faults.plan import load_plan
 from nclient.openers import open_nserver, open_tcp
 from nclient.opening import Opening, Option, Scheme, Wanted
-from nclient.protocol.models import N150, model_named
-from nclient.recording.follower import HELLO_FIRST, SERIAL
-from nclient.recording.player import ORDERS
-from nclient.suggesting import did_you_mean
+from nclient.protocol.types import N150, model_named
+from nclient.recording.recorder import HELLO_FIRST, SERIAL
+from nclient.recording.replayer import ORDERS
 from nclient.transports import memory
 
 __all__ = ["OPTIONS", "SCHEMES", "Opening", "Wanted", "known_schemes", "open_nserver", "open_tcp", "opening_of"]
 
 EXAMPLES = "such as nserver://localhost:7019/1 or sim:thesis_room"
-_SAFE = {"tm_s": feeding.DEFAULT_TIMEOUT_S, "feed": True}
+_SAFE = {"tm_s": keep_alive.DEFAULT_TIMEOUT_S, "feed": True}
 """Where time runs by itself: a program that is gone leaves a robot that stops."""
 _LINE = _SAFE | {"retries": retrying.DEFAULT_RETRIES, "reconnect": reconnecting.LONGEST_PAUSE_S}
 

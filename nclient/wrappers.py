@@ -10,22 +10,16 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from nclient.backends.backend import Backend
-from nclient.backends.bumper_stop import POLL_S, BumperStop
-from nclient.backends.capped import Capped
-from nclient.backends.feeding import Feeding
-from nclient.backends.reconnecting import Reconnecting
-from nclient.backends.retrying import Retrying
+from nclient.backends.base import Backend
+from nclient.backends.keep_alive import Feeding
+from nclient.backends.wrappers import POLL_S, BumperStop, Capped, Reconnecting, Retrying
 from nclient.errors import FaultPlanError, RecordingError
-from nclient.faults.faulty_line import FaultyLine
-from nclient.faults.injector import Injector
-from nclient.faults.language import LineLanguage, TcpLanguage
+from nclient.faults.frames import Injector, LineLanguage, TcpLanguage
+from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import Plan, require_rules_for
-from nclient.faults.stream import FaultyStream
 from nclient.opening import Opening
-from nclient.recording.follower import HELLO_FIRST, TCP
-from nclient.recording.stream import ProgramsRecording, Recorded
-from nclient.transports.byte_stream import ByteStream
+from nclient.recording.recorder import HELLO_FIRST, TCP, ProgramsRecording, Recorded
+from nclient.transports.stream import ByteStream
 
 _FASTEST_FED = 1000
 """State[0] of a simulation a hundred times as fast as time: faster ones nobody feeds, and they need no net."""

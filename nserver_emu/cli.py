@@ -5,7 +5,7 @@
     nserver help [ctl]                                          what either takes
 
 Rules: one line on stdout that a program can read, `listening nserver HOST:PORT`; everything else goes to stderr.
-Exit codes are those of nclient.exit_codes.
+Exit codes are those of nclient.common.exit_codes.
 """
 
 from __future__ import annotations
@@ -22,37 +22,34 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
-from nclient import outputs
-from nclient.access import access_of, warning
-from nclient.arguments import Parser
+from nclient.common import process
+from nclient.common.allowlist import access_of, warning
+from nclient.common.arguments import Parser
+from nclient.common.exit_codes import ExitCode
 from nclient.errors import NomadError, SnapshotError
-from nclient.exit_codes import ExitCode
-from nclient.recording.log import read_recording
-from nserver_emu import ctl, ctl_completion, logs
+from nclient.recording.format import read_recording
+from nserver_emu import logs
+from nserver_emu.control import cli
+from nserver_emu.control.options import controlled, may_have_faults
 from nserver_emu.garbage import seldom_sought
-from nserver_emu.gateway import options as real_options
-from nserver_emu.gateway.gateway import Gateway
-from nserver_emu.gateway.keeping import kept
-from nserver_emu.gateway.options import model_of, reached
-from nserver_emu.gateway.side import RealSide
+from nserver_emu.gateway import run as real_options
+from nserver_emu.gateway.gateway import Gateway, RealSide
+from nserver_emu.gateway.run import kept, model_of, reached
+from nserver_emu.legacy_setup import OldSetup, read_setups
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
-from nserver_emu.server.admission.descriptors import make_room
-from nserver_emu.server.admission.door import Door
-from nserver_emu.server.admission.limits import limits_of
-from nserver_emu.server.control.control_options import controlled, may_have_faults
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.keeping.autosave import SaveFile, autosaved
-from nserver_emu.server.keeping.recording import Beginning, header
-from nserver_emu.server.keeping.replay import replay
-from nserver_emu.server.ports.daemon import Daemon, stop_on_signals
-from nserver_emu.server.ports.fault_desk import FaultDesk
-from nserver_emu.server.ports.line_options import at_port, open_lines
-from nserver_emu.server.ports.talker import REQUESTS_A_TURN
-from nserver_emu.server.setting_up.old_setups import OldSetup, read_setups
-from nserver_emu.server.setting_up.restore_options import settle
-from nserver_emu.server.setting_up.setting import READY_MODELS, Setting, placed
-from nserver_emu.server.stage.pace import Pace
-from nserver_emu.server.stage.stage import Allowed
+from nserver_emu.persistence.autosave import SaveFile, autosaved
+from nserver_emu.persistence.options import settle
+from nserver_emu.persistence.recording import Beginning, header
+from nserver_emu.persistence.replay import replay
+from nserver_emu.server.admission import Door
+from nserver_emu.server.config import READY_MODELS, Setting, placed
+from nserver_emu.server.connection import REQUESTS_A_TURN
+from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.limits import limits_of, make_room
+from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.service import STOPPING, Manager, announced
 from nserver_emu.viewer.options import viewed
 from worlds.files import load_world, world_names
@@ -68,14 +65,14 @@ HELP = "help"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
-    outputs.fill_in()
+    process.fill_in()
     words = _asked_for_help(sys.argv[1:] if argv is None else argv)
-    run = _daemon if words[:1] != [CONTROL] else lambda words: ctl.main(words[1:])
+    run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
     try:
         code = run(words)
         sys.stdout.flush()
     except OSError as error:
-        return outputs.ended_by(error, "nserver")
+        return process.ended_by(error, "nserver")
     return code
 
 
@@ -230,7 +227,7 @@ def whole_parser() -> Parser:
     """The parser with `nserver ctl` and `nserver help` as subcommands: for completion. It reads no words itself."""
     parser = nserver_parser()
     first = parser.add_subparsers()
-    ctl_completion.add_commands(first.add_parser(CONTROL, help="say something to a daemon that runs"))
+    cli.add_commands(first.add_parser(CONTROL, help="say something to a daemon that runs"))
     asking = first.add_parser(HELP, help="show what there is", add_help=False)
     asking.add_argument("about", nargs="?", choices=[CONTROL])
     return parser

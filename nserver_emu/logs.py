@@ -1,6 +1,6 @@
 """What the daemon writes to stderr: lines for people, or an object a line for programs that collect logs.
 
-    {"time": "2026-11-21T10:27:45.123Z", "level": "warning", "logger": "nserver_emu.server.conversation.session",
+    {"time": "2026-11-21T10:27:45.123Z", "level": "warning", "logger": "nserver_emu.server.session",
      "message": "127.0.0.1:4711: refused: ...", "template": "%s: refused: %s ..."}        and "exception" where one was
 
 Rules: options and forms only; who logs what is each room's own. `template` is the same for all lines of one kind, so

@@ -14,22 +14,19 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from nclient import access
-from nclient.arguments import Parser
-from nclient.distribution import version
-from nclient.suggesting import did_you_mean
+from nclient.common import allowlist
+from nclient.common.arguments import Parser
+from nclient.common.hints import did_you_mean, version
 from nserver_emu import logs
-from nserver_emu.gateway import options as real_options
-from nserver_emu.server.admission import limits
-from nserver_emu.server.control import control_options
-from nserver_emu.server.keeping import autosave
-from nserver_emu.server.ports import line_options
-from nserver_emu.server.ports.daemon import LOOPBACK
-from nserver_emu.server.setting_up import restore_options
-from nserver_emu.server.setting_up.setting import MOST_ROBOTS, READY_MODELS
-from nserver_emu.server.stage.pace import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
-from nserver_emu.simulation.setup import NOISY, SETUPS
-from nserver_emu.simulation.setup_toml import SUFFIX
+from nserver_emu.control import options as control_options
+from nserver_emu.gateway import run as real_options
+from nserver_emu.persistence import autosave
+from nserver_emu.persistence import options as restore_options
+from nserver_emu.server import limits, serial_lines
+from nserver_emu.server.config import MOST_ROBOTS, READY_MODELS
+from nserver_emu.server.context import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
+from nserver_emu.server.daemon import LOOPBACK
+from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
 from worlds.files import DEFAULT_WORLD, world_names
 
@@ -60,7 +57,7 @@ def nserver_parser() -> Parser:
     _add_time(parser)
     _add_keeping(parser)
     _add_setup(parser)
-    for room in (line_options, real_options, control_options, access, limits, viewer_options):
+    for room in (serial_lines, real_options, control_options, allowlist, limits, viewer_options):
         room.add_options(parser)
     parser.add_argument("--list-worlds", action="store_true", help="name the shipped worlds and stop")
     logs.add_options(parser)
@@ -119,7 +116,7 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
     options.world, options.setups = _sorted_files(parser, options.files)
     _refuse_unknown_models(parser, options)
     _refuse_what_contradicts(parser, options, words)
-    line_options.refuse(parser, options)
+    serial_lines.refuse(parser, options)
     real_options.refuse(parser, options)
     viewer_options.refuse(parser, options)
     restore_options.refuse(parser, options, words)

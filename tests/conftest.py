@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 from pathlib import Path
 
 import pytest
@@ -24,12 +23,6 @@ settings.register_profile("steady", _UNHURRIED, derandomize=True)
 settings.register_profile("roaming", _UNHURRIED, derandomize=False)
 settings.load_profile("steady")
 
-sys.path.insert(0, str(Path(__file__).parent / "programs"))
-sys.path.insert(0, str(Path(__file__).parent / "nclient" / "protocol"))
-sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "server"))
-sys.path.insert(0, str(Path(__file__).parent / "nserver_emu" / "gateway"))
-sys.path.insert(0, str(Path(__file__).parent / "hardware"))
-sys.path.insert(0, str(Path(__file__).parent / "localization"))
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a script, for all that is begun
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -14,12 +14,12 @@ from types import SimpleNamespace
 import pytest
 
 import nomad_start
-from nclient.exit_codes import ExitCode
+from nclient.common.exit_codes import ExitCode
 
 ROOT = Path(__file__).parents[1]
 INTERRUPT = "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60)\n"
 SWALLOW = f"try:\n    {INTERRUPT.replace(chr(10), chr(10) + '    ')}\nexcept BaseException:\n    pass\n"
-COMMANDS = {"nomad": "nclient", "nserver": "nserver_emu"}
+COMMANDS = {"nomad": "nclient.cli.main", "nserver": "nserver_emu.cli"}
 
 
 @pytest.fixture(autouse=True)
@@ -31,9 +31,12 @@ def _heard() -> Iterator[None]:
 
 def begun(command: str, folder: Path, package: str, cli: str) -> subprocess.CompletedProcess[str]:
     """The command as a process, its package replaced by one that is written so."""
-    (folder / COMMANDS[command]).mkdir()
-    (folder / COMMANDS[command] / "__init__.py").write_text(package)
-    (folder / COMMANDS[command] / "cli.py").write_text(cli)
+    main = folder.joinpath(*COMMANDS[command].split("."))
+    main.parent.mkdir(parents=True)
+    for init in {main.parent, folder / main.relative_to(folder).parts[0]}:
+        (init / "__init__.py").write_text("")
+    (folder / main.relative_to(folder).parts[0] / "__init__.py").write_text(package)
+    main.with_suffix(".py").write_text(cli)
     program = f"import sys; sys.path.insert(0, {str(folder)!r}); import nomad_start; sys.exit(nomad_start.{command}())"
     paths = os.pathsep.join((str(ROOT), os.environ.get("PYTHONPATH", "")))
     plain = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE")}
@@ -67,7 +70,7 @@ def test_it_runs_the_command_with_its_exit_code(command: str, monkeypatch: pytes
         heard.append(signal.getsignal(signal.SIGINT))
         return 3
 
-    monkeypatch.setitem(sys.modules, f"{COMMANDS[command]}.cli", SimpleNamespace(main=main))
+    monkeypatch.setitem(sys.modules, COMMANDS[command], SimpleNamespace(main=main))
     assert getattr(nomad_start, command)() == 3
     assert heard == [signal.default_int_handler]
 

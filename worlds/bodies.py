@@ -1,7 +1,7 @@
 """The bodies of the three robots: what filter, physics and page must agree on. Numbers as in ROBOTS.md.
 
 Lives here: radii, where the sonars and the bumpers sit. Lives elsewhere: what the wire says of a model
-(nclient/protocol/models.py), speeds and limits (simulation). No arithmetic but degrees to radians.
+(nclient/protocol/types.py), speeds and limits (simulation). No arithmetic but degrees to radians.
 
     frame       x to the front, y to the left, angles counter-clockwise, inches and radians
     sonars      fixed to the turret (Scout: to the body); a beam points away from the axis, so its reading is

@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from nclient.common.hints import did_you_mean
 from nclient.errors import WorldFileError
-from nclient.suggesting import did_you_mean
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
 from worlds.outlines import require_outline
 from worlds.tables import SHORTEST_IN, Table

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from math import isfinite, radians
 from typing import Any, Final, NoReturn
 
+from nclient.common.hints import did_you_mean
 from nclient.errors import WorldFileError
-from nclient.suggesting import did_you_mean
 
 INCHES: Final = {"in": 1.0, "cm": 1.0 / 2.54, "m": 100.0 / 2.54}
 """Inches in one of each unit that a key may end in."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from nclient import file_text
+from nclient.common import files
 from nclient.errors import WorldFileError
 
 MOST_BYTES: Final = 1 << 22
@@ -14,9 +14,9 @@ MOST_BYTES: Final = 1 << 22
 
 def read_text(path: Path) -> str:
     """What stands in a file, UTF-8. Raises WorldFileError."""
-    return file_text.read_text(path, MOST_BYTES, WorldFileError)
+    return files.read_text(path, MOST_BYTES, WorldFileError)
 
 
 def toml_of(text: str, file: str) -> dict[str, Any]:
     """What it holds; `file` is what errors call it. Raises WorldFileError."""
-    return file_text.toml_of(text, file, WorldFileError)
+    return files.toml_of(text, file, WorldFileError)

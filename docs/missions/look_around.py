@@ -1,4 +1,4 @@
-"""Go to the middle of the room of figure 5.8, look to all four sides, and come back by given points."""
+"""Drive to the middle of the room of figure 5.8, look in four directions, and return along given points."""
 
 from localization.missions import Mission, OnLost, Settings, StepFailed
 
@@ -10,10 +10,10 @@ def mission(robot: Mission) -> None:
     for heading in (0, 90, 180, 270):
         robot.turn(heading)
         seen = robot.look()
-        robot.note(f"{heading} deg: {seen.sonars_in[0]} in ahead, {seen.finds} things that are not in the map")
+        robot.note(f"{heading} deg: {seen.sonars_in[0]} in ahead, {seen.finds} unmapped obstacles")
     try:
-        robot.wait_for(lambda seen: seen.nearest_in < 12, limit_s=3, words="somebody comes near")
-        robot.note("somebody is here")
+        robot.wait_for(lambda seen: seen.nearest_in < 12, limit_s=3, words="waiting for a person")
+        robot.note("a person is near")
     except StepFailed:
-        robot.note("nobody came")
+        robot.note("no person came")
     robot.follow([(20, 30), (5, 5)])

@@ -1,0 +1,1 @@
+"""Monte Carlo experiments: the thesis' figures, live runs, lost robots, plans."""

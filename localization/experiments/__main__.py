@@ -15,18 +15,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from localization.command_line.readers import make_folder
-from localization.experiments import figures
-from localization.experiments.live import command as live
-from localization.experiments.lost import command as lost
-from localization.experiments.options import NO_PICTURES, add_shared
-from localization.experiments.plan import command as plan
-from localization.experiments.pool import drive, drive_on_cluster
-from localization.experiments.progress import progress
-from localization.experiments.report import table
+from localization.cli.options import make_folder
+from localization.experiments import live_command as live
+from localization.experiments import lost_command, output, plan_command
+from localization.experiments.execution import drive, drive_on_cluster, progress
+from localization.experiments.output import NO_PICTURES, add_shared, table
 from localization.experiments.results import summarize
-from localization.experiments.settings import FIGURES, Figure, course_of
-from localization.runs.drawing import require_matplotlib
+from localization.experiments.trial import FIGURES, Figure, course_of
+from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 
 OUT: Final = Path("out/experiments")
@@ -42,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             case ["live"]:
                 live.main(given[1:])
             case ["lost"]:
-                lost.main(given[1:])
+                lost_command.main(given[1:])
             case ["plan"]:
-                plan.main(given[1:])
+                plan_command.main(given[1:])
             case ["all"]:
                 _drive_all(given[1:])
             case _:
@@ -72,8 +68,8 @@ def _drive_all(arguments: list[str]) -> None:
     _drive_figures([*FIGURES, *arguments])
     live.main(arguments)
     numbers = [word for word in arguments if word != NO_PICTURES]
-    lost.main(numbers)
-    plan.main(numbers)
+    lost_command.main(numbers)
+    plan_command.main(numbers)
 
 
 def _parts() -> dict[str, str]:
@@ -117,7 +113,7 @@ def _drive_figure(figure: Figure, options: argparse.Namespace) -> None:
     numbers.write_text(text + "\n", encoding="utf-8")
     written = [numbers]
     if options.pictures:
-        written += figures.draw(figure, course, outcome.tracks, options.out)
+        written += output.draw(figure, course, outcome.tracks, options.out)
     print(text if options.json else table(figure, course, summary), flush=True)
     print(f"  written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
 

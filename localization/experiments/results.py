@@ -14,9 +14,7 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization.experiments.consistency import mean_band, nees
-from localization.experiments.settings import Figure
-from localization.experiments.trial import Runs
+from localization.experiments.trial import Figure, Runs, mean_band, nees
 from localization.filters.belief import Floats, difference
 
 TRACKED_SEEDS: Final = 20

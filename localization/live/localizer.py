@@ -254,6 +254,6 @@ class Consistency:
             return text
         ring = "a real ring's cones are taken for rays (--sonars cones), " if self.rays else ""
         return (
-            f"{text}: do not trust this result. Possible causes: the encoders miss more than --odometry-noise says, "
+            f"{text}: do not believe this. The encoders miss more than --odometry-noise says, "
             f"{ring}--start is elsewhere, or the map is not of this room"
         )

@@ -16,7 +16,7 @@ import numpy as np
 
 from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
 from localization.filters.odometry import with_parameters
-from nclient.protocol.models import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
+from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
 from worlds.calibration import FAULTLESS, Calibration
 
 

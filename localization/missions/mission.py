@@ -1,4 +1,14 @@
-"""What a mission's program says: go to, follow, turn, look, wait for, patrol, dock.
+"""What a mission does whose robot no longer knows where it is: stand, search (groping) or give up, for so long.
+
+Rules: how it is searched is groping's, the same for all commands; a touch sets the robot back a little, and it looks
+around anew. Ends by lost_s.
+
+How far a turn in place by so much still has to go, however often around.
+
+Rules: pure; headings of the estimate in, what is left out. What was turned is added up from one to the next, which are
+less than half a turn apart; so it holds over tries, and a robot that was lost ends in the same heading all the same.
+
+What a mission's program says: go to, follow, turn, look, wait for, patrol, dock.
 
     def mission(robot):
         robot.go_to(60, 40, heading_deg=90)
@@ -17,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import cycle
 from math import cos, degrees, hypot, inf, radians, sin
 from typing import Final, NamedTuple
 
@@ -24,18 +35,54 @@ import numpy as np
 
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
-from localization.missions.arguments import check, points
-from localization.missions.failures import INTERRUPTED, MissionOver, StepFailed, ending_of
-from localization.missions.helm import Helm, Sight
-from localization.missions.lost import find_again
-from localization.missions.report import DONE, Report, Step
-from localization.missions.settings import Point, Settings
-from localization.missions.turning import Turning
-from localization.planning.course import Stretch, straight, turn_between
-from localization.planning.following import TURNED_RAD, Follower, turn
-from localization.planning.pilot import Ending, Patience, Pilot
+from localization.missions.controller import Helm, Sight
+from localization.missions.report import DONE, INTERRUPTED, MissionOver, Report, Step, StepFailed, ending_of
+from localization.missions.settings import OnLost, Point, Settings, check, points
+from localization.navigation.path import Stretch, straight, turn_between
+from localization.navigation.path_follower import STAND, TURNED_RAD, Follower, Velocities, turn
+from localization.navigation.pilot import Ending, Patience, Pilot
+from localization.navigation.recovery import DRIVE_IN_S, Groping
+from localization.navigation.waypoints import PERIOD_S
 from nclient.errors import MissionFileError
 from worlds.geometry import inside, polygon_segments
+
+BACK_S: Final = 1.5
+
+
+def find_again(helm: Helm, settings: Settings, reason: str) -> None:
+    """Do as the settings say; returns once the place is known. Raises MissionOver."""
+    if settings.on_lost is OnLost.GIVE_UP:
+        raise MissionOver("lost", reason)
+    until_s = helm.clock_s + settings.lost_s
+    commands = _searching(helm) if settings.on_lost is OnLost.SEARCH else cycle([STAND])
+    while helm.sight.estimate.health.status is HealthStatus.LOST:
+        if helm.clock_s > until_s:
+            raise MissionOver("lost", f"not found again in {settings.lost_s:g} s: {helm.sight.estimate.health.reason}")
+        helm.period(next(commands))
+
+
+def _searching(helm: Helm) -> Iterator[Velocities]:
+    """Commands without end."""
+    groping = Groping(PERIOD_S)
+    while True:
+        if helm.sight.state.touching:
+            yield from [Velocities(-DRIVE_IN_S, 0.0)] * round(BACK_S / PERIOD_S)
+            groping.reset()
+        yield Velocities(*groping.command(helm.sight.state))
+
+
+class Turning:
+    """A turn from a heading, by so much to the left."""
+
+    def __init__(self, heading_rad: float, by_rad: float) -> None:
+        self._heading_rad, self._left_rad = heading_rad, by_rad
+
+    def left_rad(self, heading_rad: float) -> float:
+        """What is left of it at this heading, to the left."""
+        self._left_rad -= turn_between(self._heading_rad, heading_rad)
+        self._heading_rad = heading_rad
+        return self._left_rad
+
 
 HALT_S: Final = 2.0
 """An axis at its top speed stands within this."""
@@ -349,4 +396,3 @@ class Mission:
 
 def _listed(points: Sequence[Point]) -> str:
     return " ".join(f"({x:g}, {y:g})" for x, y in points)
-

@@ -1,4 +1,12 @@
-"""What became of a mission, step by step: values, their JSON, and lines for people.
+"""Why a step of a mission ended before it was done, or all of it, and how that is told.
+
+    StepFailed (NomadError)         a step; it may be tried again, and a program may catch it and do something else
+    MissionOver (BaseException)     the mission; nothing more is driven: its time is over, it left the fence, is lost
+
+Rules: `ending` in a word, the message in words. The end of a mission is no error that a program handles on its way: as
+KeyboardInterrupt it passes by `except Exception`, and what catches it all the same gets it again from every verb.
+
+What became of a mission, step by step: values, their JSON, and lines for people.
 
 Rules: values and words; no robot, no file. Times are of the robot's clock, from the start of the mission.
 """
@@ -7,11 +15,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import degrees
-from typing import Any
+from typing import Any, Final
 
-from localization.filters.belief import wrapped
-from localization.missions.failures import INTERRUPTED
-from localization.runs.run import Pose
+from localization.filters.belief import wrap_angle
+from localization.live.run import Pose
+from nclient.common.process import Left
+from nclient.errors import NomadError
+
+
+class StepFailed(NomadError):
+    """A step ended before it was done."""
+
+    def __init__(self, ending: str, reason: str) -> None:
+        self.ending = ending
+        super().__init__(reason)
+
+
+class MissionOver(BaseException):
+    """The mission ended before it was done."""
+
+    def __init__(self, ending: str, reason: str) -> None:
+        self.ending = ending
+        super().__init__(reason)
+
+
+INTERRUPTED: Final = "interrupted"
+
+
+def ending_of(error: BaseException) -> tuple[str, str]:
+    """How a step or a mission ends that raised this, in a word and in words; what interrupts is Ctrl-C, or a signal."""
+    if isinstance(error, StepFailed | MissionOver):
+        return error.ending, str(error)
+    if isinstance(error, KeyboardInterrupt | Left):
+        return INTERRUPTED, error.signal_name if isinstance(error, Left) else "Ctrl-C"
+    kind = "" if isinstance(error, NomadError) else type(error).__name__
+    return "error", ": ".join(part for part in (kind, str(error)) if part)
 
 
 @dataclass
@@ -111,7 +149,7 @@ def _pose(pose: Pose | None) -> dict[str, float] | None:
 
 def _degrees(heading_rad: float) -> float:
     """From -180 to 180, of encoders and of estimates alike."""
-    return degrees(wrapped(heading_rad))
+    return degrees(wrap_angle(heading_rad))
 
 
 def _step(step: Step) -> dict[str, Any]:

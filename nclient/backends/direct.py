@@ -1,4 +1,12 @@
-"""A robot on its own line: the direct language over a stream of bytes, which is never clean.
+"""Questions and answers on a robot's line, which numbers neither: whose answer is it that comes?
+
+    owed:  gs get_rv pr          a get_rv comes: it is that one's, the gs is lost; a gs comes: the gs was only late
+
+Rules: a robot answers in the order in which it was asked, and a line never changes an order. So a frame is laid to
+the earliest question of its type that is still owed an answer, and whatever was asked before that is lost; the last
+question has its answer when nothing is owed any more. Bytes and types only; what they mean is direct.py's.
+
+A robot on its own line: the direct language over a stream of bytes, which is never clean.
 
     ct, or the hello of a N200 over TCP ──> command ──> the answer of its type, a NAK, or silence ──> command ...
 
@@ -6,6 +14,13 @@ Rules: a command goes out once, after the input was emptied. A bad answer or non
 conversation stays usable, as with the C library. But a late answer is never taken for another command's
 (docs/decisions/017): while an answer of a command's type is owed, a question of another type is asked first, and
 once that is answered nothing of before can come. What a model's line does not have is refused here and not sent.
+
+st as the very first bytes of a conversation on a robot's line: before its hello, its mask, or anything else.
+
+    open ──> st ──> a frame of st's type with a good checksum, whatever it holds ──> hello, ct, gs ...
+
+Rules: the bytes of st are the same for every model and mask, and so is the type of its answer: a robot that cannot be
+understood can still be stopped. Nothing is known of the robot here, and nothing is learned but what the frame holds.
 """
 
 from __future__ import annotations
@@ -15,22 +30,146 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 
-from nclient.backends.line import Line
-from nclient.backends.pieces import in_pieces, is_wait
-from nclient.backends.plausible import Plausibility
-from nclient.backends.statistics import LinkStatistics
+from nclient.backends.base import LinkStatistics, in_pieces, is_wait
+from nclient.backends.validation import Plausibility
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol import language
-from nclient.protocol.bounds import BYTE_HIGHEST
+from nclient.protocol import codec
+from nclient.protocol.client_state import HELLO_SIZE, adopt, read_hello
+from nclient.protocol.codec import BYTE_HIGHEST
 from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
-from nclient.protocol.hello import HELLO_SIZE, adopt, read_hello
-from nclient.protocol.likeness import is_it_another, model_like
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import Model
+from nclient.protocol.decode import is_it_another, model_like
 from nclient.protocol.replies import LINE_STATE, Reply
-from nclient.protocol.serial_frame import SerialFrame
-from nclient.protocol.terms import DEFAULT_LASER_MODE, LINES, Terms, line_terms
-from nclient.transports.byte_stream import ByteStream
+from nclient.protocol.serial_framing import SMALLEST_FRAME, SerialFrame, SerialFramer
+from nclient.protocol.types import EVERYTHING, N150, Model
+from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, Terms, line_terms
+from nclient.transports.stream import ByteStream, Deadline
+
+GAP_S = 0.25
+"""Silence within an answer after which no more of it comes: bytes are 0.3 ms apart, a radio modem's bursts 0.1 s."""
+QUIET_S = 2.0
+"""Silence after which a late answer comes no more, where there is no other way to know."""
+_LONGEST_QUIET_S = 10.0
+_FLUSHES = 64
+"""Pieces of input thrown away before a question; a line that babbles on is asked all the same."""
+
+
+class Line:
+    """One end of a line. `clock`: seconds, of which every wait and every latency is."""
+
+    def __init__(self, stream: ByteStream, link: LinkStatistics, clock: Callable[[], float] = time.monotonic) -> None:
+        self._stream = stream
+        self._link = link
+        self._clock = clock
+        self._framer = SerialFramer()
+        self._owed: list[int] = []
+        self._asked_s = 0.0
+
+    def deadline(self, seconds: float) -> Deadline:
+        """So many seconds from now."""
+        return Deadline.after(seconds, self._clock)
+
+    def owes(self, frame_type: int | None) -> bool:
+        """Whether an answer of this type may still come late."""
+        return frame_type in self._owed
+
+    def ask(self, frame_type: int, request: bytes, patience_s: float) -> SerialFrame:
+        """Send a question and give the frame that answers it, or a NAK. Raises ReplyTimeout and ConnectionLost.
+
+        Nothing of this type should be owed: else its late answer is waited for and dropped first.
+        """
+        self.empty_input()
+        self._owed.append(frame_type)
+        self._link.exchanges += 1
+        self._asked_s = self._clock()
+        self._stream.send(request)
+        try:
+            return self._answer(patience_s)
+        finally:
+            self._count()
+
+    def took(self) -> None:
+        """The last answer is believed: count it, and the time that it took."""
+        self._link.took(self._clock() - self._asked_s)
+
+    def send(self, frame_type: int, request: bytes) -> None:
+        """Send something whose answer nobody waits for, and which stays owed."""
+        self._owed.append(frame_type)
+        self._stream.send(request)
+
+    def receive_bare(self, size: int, deadline: Deadline) -> bytes:
+        """So many bytes that are no frame; as many as there are at the deadline."""
+        data = b""
+        try:
+            while len(data) < size:
+                data += self._stream.receive(deadline)
+        except ReplyTimeout:
+            pass
+        return data[:size]
+
+    def empty_input(self) -> None:
+        """Take what has come, so that it answers nothing that is asked from now on."""
+        try:
+            for _ in range(_FLUSHES):
+                for frame in self._framer.receive(self._stream.receive(self.deadline(0))):
+                    self._is_awaited(frame)
+                    self._link.strays += 1
+        except ReplyTimeout:
+            pass
+        self._framer.clear()
+        self._count()
+
+    def wait_for_quiet(self) -> None:
+        """Wait until what is late comes no more; then nothing is owed. Raises ReplyTimeout on a line that babbles."""
+        limit = self.deadline(_LONGEST_QUIET_S)
+        while limit.remaining():
+            try:
+                self._stream.receive(self.deadline(QUIET_S))
+            except ReplyTimeout:
+                self._owed.clear()
+                return
+        raise ReplyTimeout("the line is never quiet")
+
+    def close(self) -> None:
+        """Let the stream go."""
+        self._stream.close()
+
+    def _answer(self, patience_s: float) -> SerialFrame:
+        """The frame that answers the last question. Raises ReplyTimeout at the deadline, or at a gap behind rubbish."""
+        deadline, over = self.deadline(patience_s), False
+        while not over:
+            rubbish = self._framer.skipped_bytes + self._framer.pending
+            wait = self.deadline(min(GAP_S, deadline.remaining())) if rubbish >= SMALLEST_FRAME else deadline
+            try:
+                frames = self._framer.receive(self._stream.receive(wait))
+            except ReplyTimeout:
+                frames, over = self._framer.expire(), True
+            for frame in frames:
+                if self._is_awaited(frame):
+                    return frame
+                self._link.strays += 1
+        raise ReplyTimeout(f"{rubbish} bytes came and no answer" if rubbish else f"no answer within {patience_s:g} s")
+
+    def _is_awaited(self, frame: SerialFrame) -> bool:
+        """Lay a frame to the earliest question that it can answer; whether that is the last one.
+
+        While others are owed, a NAK may be any's, and counts as nobody's.
+        """
+        if frame.type in self._owed:
+            del self._owed[: self._owed.index(frame.type) + 1]
+        elif frame.type == NAK_TYPE and len(self._owed) == 1:
+            self._owed.clear()
+        else:
+            return False
+        return not self._owed
+
+    def _count(self) -> None:
+        """Take over what the framer has counted."""
+        framer, link = self._framer, self._link
+        link.frames += framer.frames
+        link.skipped_bytes += framer.skipped_bytes
+        link.checksum_errors += framer.bad_checksums
+        framer.frames = framer.skipped_bytes = framer.bad_checksums = 0
+
 
 QUICK_S = 1.0
 """How long a host waits for what a robot answers at once."""
@@ -111,7 +250,7 @@ class DirectBackend:
         """The answer to a call. Raises ReplyTimeout, RobotRefused, WireError and stays usable, or ConnectionLost."""
         if self._over is not None:
             raise ConnectionLost(f"{call.name}: {self._over}; connect again")
-        row = language.row_named(call.name)
+        row = codec.row_named(call.name)
         if row.name == "place_robot":
             x, y, steering, turret = call.args
             self.execute(Call("dp", (x, y)))
@@ -188,14 +327,14 @@ class DirectBackend:
     def _read(self, frame: SerialFrame) -> Reply:
         """The reply. A laser that an earlier client left in another mode shows by the length, until conf_ls is said."""
         try:
-            return language.read_line_reply(frame, self._terms)
+            return codec.read_line_reply(frame, self._terms)
         except WireError:
             if self._laser_mode_said or "conf_ls" in self._shaped or not self._terms.model.has_laser:
                 raise
             other = self._terms.copy()
             other.note_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
-                reply = language.read_line_reply(frame, other)
+                reply = codec.read_line_reply(frame, other)
                 self._terms = other
                 return reply
             raise
@@ -224,7 +363,7 @@ class DirectBackend:
             self._line.send(row.line_type, request)
         self._see_off(row, row)
         for name in sorted(self._doubtful_shapes - {row.name}, key=_SHAPING.index):
-            again, shaping = self._shaped[name], language.row_named(name)
+            again, shaping = self._shaped[name], codec.row_named(name)
             self._see_off(shaping, row)
             self._ask(shaping, again, _request(again, self._terms.model))
 
@@ -234,7 +373,7 @@ class DirectBackend:
             self._line.empty_input()
         if not self._line.owes(row.line_type):
             return
-        probes = (language.row_named(name) for name in _PROBES)
+        probes = (codec.row_named(name) for name in _PROBES)
         probe = next((probe for probe in probes if not self._line.owes(probe.line_type)), None)
         try:
             if probe is None:
@@ -284,7 +423,7 @@ class DirectBackend:
         if call.name not in _SHAPING:
             return _nothing
         before, shaped = self._terms.copy(), dict(self._shaped)
-        language.note(call, self._terms)
+        codec.note(call, self._terms)
         self._shaped[call.name] = call
         self._doubtful_shapes.add(call.name)
 
@@ -298,8 +437,31 @@ class DirectBackend:
 @lru_cache(maxsize=256)
 def _request(call: Call, model: Model) -> bytes:
     """Programs ask the same few things again and again; on a line their bytes hang on the model alone."""
-    return language.line_request(call, line_terms(model))
+    return codec.line_request(call, line_terms(model))
 
 
 def _nothing() -> None:
     """Nothing was agreed."""
+
+
+ATTEMPTS = 3
+"""How often st is said before the conversation is given up for a new one."""
+
+
+def say_stop(
+    stream: ByteStream, patience_s: float, clock: Callable[[], float], told: Callable[[], object]
+) -> SerialFrame:
+    """The frame that answers st; `told` is called for each st said. Raises ReplyTimeout, ConnectionLost."""
+    line_type = codec.row_named("st").line_type
+    assert line_type is not None
+    request = codec.line_request(Call("st"), line_terms(N150))
+    for _ in range(ATTEMPTS):
+        told()
+        line = Line(stream, LinkStatistics(), clock)  # a new one: the late answer to an earlier st is one to this
+        try:
+            frame = line.ask(line_type, request, patience_s)
+        except ReplyTimeout:
+            continue
+        if frame.type != NAK_TYPE:
+            return frame
+    raise ReplyTimeout(f"st was not answered within {patience_s:g} s, {ATTEMPTS} times")

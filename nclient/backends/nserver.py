@@ -15,16 +15,15 @@ import time
 from functools import lru_cache
 from typing import Final
 
-from nclient.backends.statistics import LinkStatistics
+from nclient.backends.base import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call, Command
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nclient.protocol.terms import Terms, tcp_terms
-from nclient.transports.byte_stream import ByteStream, Deadline
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.types import EVERYTHING, N150, Model
+from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.transports.stream import ByteStream, Deadline
 
 DEFAULT_TIMEOUT_S = 5.0
 """How long a server may take to answer."""
@@ -40,7 +39,7 @@ _REFUSED_PORT: Final = {
 }
 """What port 0 means."""
 
-_request = lru_cache(maxsize=256)(language.tcp_request)
+_request = lru_cache(maxsize=256)(codec.tcp_request)
 """Programs ask the same few things again and again."""
 
 _TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connections)?"
@@ -115,11 +114,11 @@ class NserverBackend:
         """The answer to a call. Raises as Backend.execute says."""
         if self._over is not None:
             raise ConnectionLost(f"{call.name}: {self._over}; connect again")
-        row = language.row_named(call.name)
+        row = codec.row_named(call.name)
         if row.tcp_type is None:
             raise RobotRefused(call.name, None, "exists only on a robot's own line")
         request = _request(call)
-        language.note(call, self._terms)
+        codec.note(call, self._terms)
         if not row.has_tcp_reply:
             return self._leave(request)
         exchange = self._exchange if self._link is None else self._counted
@@ -186,7 +185,7 @@ class NserverBackend:
 
     def _answer_of(self, row: Command, frame: TcpFrame) -> Reply:
         try:
-            return language.read_tcp_reply(row, frame, self._terms)
+            return codec.read_tcp_reply(row, frame, self._terms)
         except WireError as error:
             self._finish(f"{row.name} was answered by what does not fit it")
             raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error

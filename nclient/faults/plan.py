@@ -1,22 +1,220 @@
-"""A plan of faults as a value: rules, each with what it does, to which frames, and how often. Reading it: plan_file.py
+"""What can be done to a frame, each kind a value: its settings are its fields, and they check themselves.
+
+    the whole frame   drop | delay | nak | silence | hang_up
+    its bytes         corrupt | drop_byte | stray | cut | noise
+
+Rules: values only, nothing happens here (injector.py). A setting out of its range is a FaultPlanError that names it.
+`place` is an index into the frame, negative from its end (-2 is the checksum); left out, chance picks one.
+
+A plan of faults as a value: rules, each with what it does, to which frames, and how often. Reading it: plan_file.py
 
     frame ──> rule 1 ──> rule 2 ──> ... ──> arrives        a frame that a rule took away never comes to those below it
 
 Rules: immutable, and right once made: a FaultPlanError names rule and key. Every rule counts the frames that come to
 it for itself and on each line for itself, so that `every = 10` is exactly every tenth of them.
+
+Plans of faults as TOML: text in, a Plan out, and back. The only file here that touches the disk.
+
+    seed = 7
+    [[rule]]
+    name = "every tenth"                  rule 1 where left out
+    do = "corrupt"                        a kind of fault (kinds.py), or a list of them: one each time, by chance
+    change = "bit"                        the settings of its kinds
+    command = ["gs", "get_sn"]            C names; all where left out
+    direction = "reply"                   request, reply (where left out) or both
+    every = 10                            or percent, first, at; each frame where left out; from_s, until_s
+    line = "serial:1"                     or a list; all where left out
+
+Rules: whatever is wrong is a FaultPlanError: file, rule, key, what was expected.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from pathlib import Path
+from typing import Any, ClassVar, Final
 
+from nclient.common.files import read_text, toml_of
+from nclient.common.hints import did_you_mean
 from nclient.errors import FaultPlanError
-from nclient.faults.kinds import Fault, check_number, check_whole, fail
+from nclient.protocol.codec import no_command
 from nclient.protocol.commands import BY_NAME
-from nclient.protocol.language import no_command
-from nclient.suggesting import did_you_mean
+
+BIT, BYTE = "bit", "byte"
+MOST_STRAY = 0xFFFF
+"""The most stray bytes at once."""
+LONGEST_S = 86_400.0
+"""The longest delay or silence, seconds: a day."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """The frame does not arrive."""
+
+    kind: ClassVar[str] = "drop"
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """The frame arrives `delay_s` later, evenly spread over that +- `jitter_s`, and what follows it no earlier."""
+
+    delay_s: float
+    jitter_s: float = 0.0
+    kind: ClassVar[str] = "delay"
+
+    def __post_init__(self) -> None:
+        check_number("delay_s", self.delay_s, 0.0, LONGEST_S)
+        check_number("jitter_s", self.jitter_s, 0.0, LONGEST_S)
+        if self.jitter_s > self.delay_s:
+            fail("jitter_s", f"at most delay_s, {self.delay_s:g}, since nothing arrives before it is sent",
+                 self.jitter_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Corrupt:
+    """One byte becomes another: by one `change`d bit, or any byte but what it was."""
+
+    change: str = BYTE
+    place: int | None = None
+    kind: ClassVar[str] = "corrupt"
+
+    def __post_init__(self) -> None:
+        check_choice("change", self.change, (BIT, BYTE))
+        _check_place(self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class DropByte:
+    """One byte does not arrive."""
+
+    place: int | None = None
+    kind: ClassVar[str] = "drop_byte"
+
+    def __post_init__(self) -> None:
+        _check_place(self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """`count` bytes that nobody sent, at one place; before the first byte and behind the last are places, too."""
+
+    count: int = 1
+    place: int | None = None
+    kind: ClassVar[str] = "stray"
+
+    def __post_init__(self) -> None:
+        check_whole("count", self.count, 1, MOST_STRAY)
+        _check_place(self.place)
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """The first `keep` bytes arrive, at least one less than there are."""
+
+    keep: int | None = None
+    kind: ClassVar[str] = "cut"
+
+    def __post_init__(self) -> None:
+        if self.keep is not None:
+            check_whole("keep", self.keep, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Nak:
+    """A refusal instead: of a request, which then does not arrive, or in place of a reply.
+
+    A NAK on a robot's own line, an ERROR reply over Nserver's protocol.
+    """
+
+    kind: ClassVar[str] = "nak"
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """From this frame on nothing arrives for `silence_s`, whatever the command, in the directions of the rule."""
+
+    silence_s: float
+    kind: ClassVar[str] = "silence"
+
+    def __post_init__(self) -> None:
+        check_number("silence_s", self.silence_s, 0.0, LONGEST_S)
+
+
+@dataclass(frozen=True, slots=True)
+class HangUp:
+    """The connection ends, after `keep` bytes of the frame."""
+
+    keep: int = 0
+    kind: ClassVar[str] = "hang_up"
+
+    def __post_init__(self) -> None:
+        check_whole("keep", self.keep, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Each byte for itself, in per cent of all: becomes another, does not arrive, or has a stray one behind it."""
+
+    corrupt_percent: float = 0.0
+    drop_percent: float = 0.0
+    add_percent: float = 0.0
+    change: str = BYTE
+    kind: ClassVar[str] = "noise"
+
+    def __post_init__(self) -> None:
+        rates = {name: getattr(self, name) for name in ("corrupt_percent", "drop_percent", "add_percent")}
+        for name, rate in rates.items():
+            check_number(name, rate, 0.0, 100.0)
+        check_choice("change", self.change, (BIT, BYTE))
+        if not 0.0 < sum(rates.values()) <= 100.0:
+            fail(" + ".join(rates), "together more than 0 and at most 100", sum(rates.values()))
+
+
+Alteration = Corrupt | DropByte | Stray | Cut
+"""What changes bytes of a frame by chance alone."""
+Fault = Drop | Delay | Alteration | Nak | Silence | HangUp | Noise
+KINDS: dict[str, type[Fault]] = {
+    kind.kind: kind for kind in (Drop, Delay, Corrupt, DropByte, Stray, Cut, Nak, Silence, HangUp, Noise)
+}
+"""Every kind by the name that a plan calls it."""
+
+
+def fail(key: str, wanted: str, found: object) -> None:
+    """Raise FaultPlanError about one setting."""
+    shown = f"{found:g}" if isinstance(found, float) else repr(found)
+    raise FaultPlanError(f"{key}: {wanted}, not {shown}")
+
+
+def check_whole(key: str, value: object, least: int, most: int | None = None) -> None:
+    """Refuse what is no whole number from `least` to `most`."""
+    wanted = f"a whole number, {least} or more" if most is None else f"a whole number, {least} to {most}"
+    if not isinstance(value, int) or isinstance(value, bool) or value < least or (most is not None and value > most):
+        fail(key, wanted, value)
+
+
+def check_number(key: str, value: object, least: float, most: float) -> None:
+    """Refuse what is no number from `least` to `most`."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        upper = f"{least:g} or more" if math.isinf(most) else f"{least:g} to {most:g}"
+        fail(key, f"a number, {upper}", value)
+
+
+def check_choice(key: str, value: object, choices: Iterable[str]) -> None:
+    """Refuse what is none of these words."""
+    choices = tuple(choices)
+    if value not in choices:
+        fail(key, f"one of {', '.join(choices)}", value)
+
+
+def _check_place(place: object) -> None:
+    if place is not None and (not isinstance(place, int) or isinstance(place, bool)):
+        fail("place", "a whole number, the index of a byte, negative from the end", place)
+
 
 GREETING = "hello"
 """What a plan calls the eleven bytes that an N200 sends first over TCP."""
@@ -177,3 +375,120 @@ def _check_line(rule: str, line: str) -> None:
         )
 
 
+MOST_BYTES: Final = 1 << 20
+"""More than any plan by hand; a larger file is something else."""
+_ANY = "all"
+_WHEN = tuple(entry.name for entry in dataclasses.fields(When))
+_RULE = ("name", "do", "command", "direction", "line", *_WHEN)
+_DIRECTIONS = {"both": BOTH} | {direction.value: frozenset({direction}) for direction in Direction}
+
+
+def load_plan(path: Path) -> Plan:
+    """The plan of a file. Raises FaultPlanError."""
+    return parse_plan(read_plan(path), str(path))
+
+
+def read_plan(path: Path) -> str:
+    """The text of a file that may be a plan. Raises FaultPlanError where it cannot be read."""
+    return read_text(path, MOST_BYTES, FaultPlanError)
+
+
+def parse_plan(text: str, file: str = "plan") -> Plan:
+    """The plan that a text says; `file` is what errors call it. Raises FaultPlanError."""
+    top = toml_of(text, file, FaultPlanError)
+    try:
+        _allow(top, ("seed", "rule"))
+        tables = top.get("rule", [])
+        if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+            raise FaultPlanError("rule: expected tables under [[rule]], each with its double brackets")
+        return Plan(tuple(_rule(table, number) for number, table in enumerate(tables, start=1)), top.get("seed", 0))
+    except FaultPlanError as error:
+        raise FaultPlanError(f"{file}: {error}") from None
+
+
+def plan_text(plan: Plan) -> str:
+    """A plan as TOML; parse_plan makes the same plan of it."""
+    lines = [f"seed = {plan.seed}"]
+    for rule in plan.rules:
+        lines += ["", "[[rule]]", *(f"{key} = {_value(value)}" for key, value in _entries(rule))]
+    return "\n".join(lines) + "\n"
+
+
+def _rule(table: Mapping[str, Any], number: int) -> Rule:
+    name = table.get("name", f"rule {number}")
+    if not isinstance(name, str) or not name.strip():
+        raise FaultPlanError(f"rule {number}: name: expected a text, found {name!r}")
+    try:
+        kinds = [_kind(word) for word in _words(table, "do", ())]
+        settings = {entry.name for kind in kinds for entry in dataclasses.fields(kind)}
+        _allow(table, (*_RULE, *sorted(settings)))
+        faults = tuple(_fault(kind, table) for kind in kinds)
+        when = When(**{key: _plain(key, table[key]) for key in _WHEN if key in table})
+        direction = table.get("direction", Direction.REPLY.value)
+        check_choice("direction", direction, _DIRECTIONS)
+        commands, lines = _names(table, "command"), _names(table, "line")
+    except FaultPlanError as error:
+        raise FaultPlanError(f"rule {name!r}: {error}") from None
+    return Rule(name, faults, when, commands, _DIRECTIONS[direction], lines)
+
+
+def _kind(word: str) -> type[Fault]:
+    if word not in KINDS:
+        raise FaultPlanError(f"do: no kind of fault {word!r}; there are {', '.join(KINDS)}{did_you_mean(word, KINDS)}")
+    return KINDS[word]
+
+
+def _fault(kind: type[Fault], table: Mapping[str, Any]) -> Fault:
+    given = {}
+    for entry in dataclasses.fields(kind):
+        if entry.name in table:
+            given[entry.name] = table[entry.name]
+        elif entry.default is dataclasses.MISSING:
+            raise FaultPlanError(f"{entry.name}: is wanted by do = {kind.kind!r}")
+    return kind(**given)
+
+
+def _words(table: Mapping[str, Any], key: str, default: tuple[str, ...]) -> tuple[str, ...]:
+    """One text or a list of them."""
+    value = table.get(key, list(default))
+    words = [value] if isinstance(value, str) else value
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise FaultPlanError(f"{key}: expected a text or a list of texts, found {value!r}")
+    return tuple(words)
+
+
+def _names(table: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    words = _words(table, key, (_ANY,))
+    return () if _ANY in words else words
+
+
+def _plain(key: str, value: Any) -> Any:
+    if key != "at":
+        return value
+    return tuple(value) if isinstance(value, list) else (value,)
+
+
+def _allow(table: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in table:
+        if key not in known:
+            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(known)}{did_you_mean(key, known)}")
+
+
+def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:
+    """The keys of a rule that are not what they are where left out."""
+    yield "name", rule.name
+    yield "do", [fault.kind for fault in rule.faults]
+    settings = {
+        entry.name: getattr(value, entry.name)
+        for value in (*rule.faults, rule.when)
+        for entry in dataclasses.fields(value)
+        if getattr(value, entry.name) != entry.default
+    }
+    yield from settings.items()
+    yield from ((key, list(names)) for key, names in (("command", rule.commands), ("line", rule.lines)) if names)
+    yield "direction", next(word for word, directions in _DIRECTIONS.items() if directions == rule.directions)
+
+
+def _value(value: object) -> str:
+    """A value as TOML writes it: numbers, texts and lists are as in JSON, but for DEL."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

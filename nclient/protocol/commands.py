@@ -15,9 +15,7 @@ from typing import Any, NamedTuple
 from construct import Construct
 
 from nclient.protocol import replies as shape
-from nclient.protocol.fields import MAX_LASER_READINGS, WORD, Words
-from nclient.protocol.line_fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED
-from nclient.protocol.models import MODELS, Model
+from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED, MAX_LASER_READINGS, WORD, Words
 from nclient.protocol.replies import ReplyShape
 from nclient.protocol.requests import (
     ARM_MOVE,
@@ -41,6 +39,7 @@ from nclient.protocol.requests import (
     TextWords,
     UserPacket,
 )
+from nclient.protocol.types import MODELS, Model
 
 ALL = frozenset(MODELS)
 N200 = frozenset({"n200"})

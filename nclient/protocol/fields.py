@@ -5,6 +5,20 @@
 Rules: a piece parses to one of four things a Reply holds, State slots {number: value}, stamps {name: Stamp},
 a laser vector (n, values...), or a plain value; pieces whose presence depends on the conversation read its
 Terms from the context (`terms=` given to parse and build). Too few bytes is construct's StreamError.
+
+Runs of equal numbers on the robot's own line, low byte first, packed and unpacked in one go.
+
+    BYTES, SHORTS, LONGS    unsigned, of 1, 2 and 4 octets
+    SIGNED_SHORTS, SIGNED_LONGS    sign-magnitude: the top bit means minus; -0 reads as 0
+
+Rules: numbers and bytes, nothing else; a number that does not fit is a ValueError. A state packet is made of runs, and
+an element at a time costs ten times as much.
+
+The pieces of a robot's own line, as construct classes. No message is declared here.
+
+    low byte first; signed numbers are sign-magnitude (top bit = minus): -50 is 32 80
+
+Rules: those of fields.py; numbers go in runs (runs.py).
 """
 
 from __future__ import annotations
@@ -13,13 +27,12 @@ import struct
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import Any, Final, Literal
 
-from construct import Construct, FormatFieldError, Int32sb, Int32ub, StreamError
+from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32sb, Int32ub, Int32ul, StreamError
 
-from nclient.protocol.mask import Mask, Position
-from nclient.protocol.stamps import NO_STAMP, STAMP_KEYS, Stamp
-from nclient.protocol.terms import Terms
+from nclient.protocol.types import NO_STAMP, STAMP_KEYS, Mask, Position, Stamp
+from nclient.protocol.wire_state import Terms
 
 WORD = Int32sb
 UNSIGNED_WORD = Int32ub
@@ -170,3 +183,241 @@ def check_laser(laser: Sequence[int], width: int, path: str) -> None:
         raise FormatFieldError(
             f"a laser vector of {laser[0]} readings has {width * laser[0]} numbers after the count, "
             f"not {len(laser) - 1}", path=path)
+
+
+class Run:
+    """Numbers of so many octets each, one after another. `code`: that of struct; `signed`: sign-magnitude."""
+
+    def __init__(self, code: str, signed: bool = False) -> None:
+        self.octets: Final = struct.calcsize(f"<{code}")
+        self.sign: Final = 1 << (8 * self.octets - 1) if signed else 0
+        self._code: Final = code
+
+    def pack(self, numbers: Sequence[int]) -> bytes:
+        """The bytes of these numbers. Raises ValueError where one does not fit."""
+        if self.sign:
+            numbers = [number if 0 <= number < self.sign else self._magnitude(number) for number in numbers]
+        try:
+            return struct.pack(f"<{len(numbers)}{self._code}", *numbers)
+        except struct.error as error:
+            raise ValueError(f"{list(numbers)} in {self.octets} bytes each: {error}") from None
+
+    def unpack(self, data: bytes) -> tuple[int, ...]:
+        """The numbers that these bytes are, a whole count of them."""
+        numbers = struct.unpack(f"<{len(data) // self.octets}{self._code}", data)
+        if not self.sign:
+            return numbers
+        return tuple(number if number < self.sign else self.sign - number for number in numbers)
+
+    def _magnitude(self, number: int) -> int:
+        if abs(number) >= self.sign:
+            raise ValueError(f"{number} does not fit sign-magnitude below {self.sign}")
+        return self.sign - number
+
+
+BYTES: Final = Run("B")
+SHORTS: Final = Run("H")
+LONGS: Final = Run("I")
+SIGNED_SHORTS: Final = Run("H", signed=True)
+SIGNED_LONGS: Final = Run("I", signed=True)
+
+
+LINE_BYTE = Int8ub
+LINE_UNSIGNED = Int16ul
+LINE_CLOCK = Int32ul
+
+
+class Number(Construct):
+    """One number of a run (runs.py)."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self.run = run
+
+    def _parse(self, stream: Any, context: Any, path: str) -> int:
+        return self.run.unpack(take(stream, self.run.octets, path))[0]
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        stream.write(_packed(self.run, (obj,), path))
+        return obj
+
+    def _sizeof(self, context: Any, path: str) -> int:
+        return self.run.octets
+
+
+LINE_SIGNED = Number(SIGNED_SHORTS)
+LINE_LONG = Number(SIGNED_LONGS)
+
+
+class _MaskedSlots(Masked):
+    """State slots on the robot's own line; only those in the mask where `masked`."""
+
+    def __init__(self, first: int, last: int, masked: bool) -> None:
+        super().__init__()
+        self.slots: Sequence[int] = range(first, last + 1)
+        self.masked = masked
+        self._chosen: tuple[Mask | None, Sequence[int]] = (None, ())
+
+    def absent(self, mask: Mask) -> bool:
+        return self.masked and not any(map(mask.has, self.slots))
+
+    def _selected(self, context: Any) -> Sequence[int]:
+        """A mask seldom changes, so what the last one chose is kept."""
+        if not self.masked:
+            return self.slots
+        mask, slots = terms_of(context).mask, self.slots
+        chosen = self._chosen
+        if chosen[0] is not mask:
+            chosen = self._chosen = (mask, [slot for slot in slots if mask.has(slot)])
+        return chosen[1]
+
+
+class LineSlots(_MaskedSlots):
+    """State slots on the robot's own line, numbers of a run; only those in the mask where `masked`."""
+
+    def __init__(self, first: int, last: int, run: Run, masked: bool = True) -> None:
+        super().__init__(first, last, masked)
+        self.run = run
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        slots = self._selected(context)
+        return dict(zip(slots, self.run.unpack(take(stream, self.run.octets * len(slots), path)), strict=True))
+
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        stream.write(_packed(self.run, [obj.get(slot, 0) for slot in self._selected(context)], path))
+        return obj
+
+
+class LineNibbles(_MaskedSlots):
+    """Infrared readings on the robot's own line: four bits each, low half first, padded with 0 to a byte."""
+
+    def __init__(self, first: int, last: int, masked: bool = True) -> None:
+        super().__init__(first, last, masked)
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        slots = self._selected(context)
+        data = take(stream, (len(slots) + 1) // 2, path)
+        return {slot: data[k // 2] >> 4 * (k % 2) & 15 for k, slot in enumerate(slots)}
+
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        values = [obj.get(slot, 0) & 15 for slot in self._selected(context)]
+        values += [0] * (len(values) % 2)
+        stream.write(bytes(low | high << 4 for low, high in zip(values[::2], values[1::2], strict=True)))
+        return obj
+
+
+class BumperBytes(_MaskedSlots):
+    """The three bumper bytes on the robot's own line as one number, in the order of the model."""
+
+    def __init__(self, slot: int, masked: bool = True) -> None:
+        super().__init__(slot, slot, masked)
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[int, int]:
+        order = _bumper_order(context)
+        return {slot: int.from_bytes(take(stream, 3, path), order) for slot in self._selected(context)}
+
+    def _build(self, obj: Mapping[int, int], stream: Any, context: Any, path: str) -> Mapping[int, int]:
+        for slot in self._selected(context):
+            stream.write((obj.get(slot, 0) & 0xFFFFFF).to_bytes(3, _bumper_order(context)))
+        return obj
+
+
+class LineStamps(Masked):
+    """Stamps on the robot's own line of one kind of sensor, if its bit is set in Smask[0].
+
+    In a state packet only those in the mask have stamps (`slots`: their State slots); a get_ answer has them all.
+    """
+
+    def __init__(self, wanted: Position, slots: Sequence[int] = ()) -> None:
+        super().__init__()
+        self.keys = STAMP_KEYS[wanted]
+        self.wanted = int(wanted)
+        self.slots = slots
+
+    def absent(self, mask: Mask) -> bool:
+        return not self._selected(mask)
+
+    def _selected(self, mask: Mask) -> list[str]:
+        if not mask.position & self.wanted:
+            return []
+        if not self.slots:
+            return list(self.keys)
+        return [key for key, slot in zip(self.keys, self.slots, strict=True) if mask.has(slot)]
+
+    def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
+        return {
+            key: Stamp._make(
+                SIGNED_LONGS.unpack(take(stream, 28, path)) + LONGS.unpack(take(stream, 8, path))
+            )
+            for key in self._selected(terms_of(context).mask)
+        }
+
+    def _build(self, obj: Mapping[str, Stamp], stream: Any, context: Any, path: str) -> Mapping[str, Stamp]:
+        for key in self._selected(terms_of(context).mask):
+            stamp = obj.get(key, NO_STAMP)
+            stream.write(_packed(SIGNED_LONGS, stamp[:7], path) + _packed(LONGS, stamp[7:], path))
+        return obj
+
+
+class LineLaser(Masked):
+    """A laser block on the robot's own line: count, then `width` signed numbers or one pixel a reading.
+
+    `masked_by`: the State slot whose mask bit decides whether the block is there at all; None: always.
+    """
+
+    def __init__(self, width: Callable[[Terms], int], masked_by: int | None = None) -> None:
+        super().__init__()
+        self.width = width
+        self.masked_by = masked_by
+
+    def absent(self, mask: Mask) -> bool:
+        return self.masked_by is not None and not mask.has(self.masked_by)
+
+    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...] | None:
+        terms = terms_of(context)
+        if self.absent(terms.mask):
+            return None
+        count = checked_readings(SHORTS.unpack(take(stream, 2, path))[0], path)
+        width = self.width(terms)
+        run = SHORTS if width == 1 else SIGNED_SHORTS
+        return (count, *run.unpack(take(stream, 2 * count * width, path)))
+
+    def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
+        terms = terms_of(context)
+        if self.absent(terms.mask):
+            return obj
+        laser = obj or (0,)
+        width = self.width(terms)
+        check_laser(laser, width, path)
+        run = SHORTS if width == 1 else SIGNED_SHORTS
+        stream.write(_packed(SHORTS, laser[:1], path) + _packed(run, laser[1:], path))
+        return obj
+
+
+class LineRun(Construct):
+    """A fixed count of numbers on the robot's own line."""
+
+    def __init__(self, count: int, run: Run) -> None:
+        super().__init__()
+        self.count = count
+        self.run = run
+
+    def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...]:
+        return self.run.unpack(take(stream, self.count * self.run.octets, path))
+
+    def _build(self, obj: Sequence[int], stream: Any, context: Any, path: str) -> Sequence[int]:
+        if len(obj) != self.count:
+            raise FormatFieldError(f"{self.count} numbers wanted, {len(obj)} given", path=path)
+        stream.write(_packed(self.run, obj, path))
+        return obj
+
+
+def _packed(run: Run, numbers: Sequence[int], path: str) -> bytes:
+    try:
+        return run.pack(numbers)
+    except (ValueError, TypeError) as error:
+        raise FormatFieldError(str(error), path=path) from None
+
+
+def _bumper_order(context: Any) -> Literal["little", "big"]:
+    return "little" if terms_of(context).model.bumpers_low_first else "big"

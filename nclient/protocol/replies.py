@@ -18,20 +18,26 @@ from typing import Any, Final, NamedTuple
 from construct import Construct, ConstructError, GreedyRange, Int8ub
 
 from nclient.errors import WireError
-from nclient.protocol.fields import UNSIGNED_WORD, Masked, WordLaser, Words, WordSlots, WordStamps
-from nclient.protocol.line_fields import (
+from nclient.protocol.fields import (
+    BYTES,
     LINE_CLOCK,
+    SHORTS,
+    SIGNED_SHORTS,
+    UNSIGNED_WORD,
     BumperBytes,
     LineLaser,
     LineNibbles,
     LineRun,
     LineSlots,
     LineStamps,
+    Masked,
+    WordLaser,
+    Words,
+    WordSlots,
+    WordStamps,
 )
-from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position
-from nclient.protocol.runs import BYTES, SHORTS, SIGNED_SHORTS
-from nclient.protocol.stamps import Stamp
-from nclient.protocol.terms import LINES, PIXELS, Terms, line_laser_width
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position, Stamp
+from nclient.protocol.wire_state import LINES, PIXELS, Terms, line_laser_width
 
 MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44

@@ -1,4 +1,9 @@
-"""The layouts of request data, as construct classes: one flat tuple of arguments to bytes and back.
+"""A request's layout to bytes and back, as construct's `parse` and `build`, and nothing is left for Python's garbage.
+
+Rules: construct's own make a context for each call, which holds itself: there for as long as nobody looks for garbage,
+which a daemon does now and then. Here all calls share two that never change. Errors are construct's own.
+
+The layouts of request data, as construct classes: one flat tuple of arguments to bytes and back.
 
     arguments    integers in the order of the C call, lists laid open; the text of tk is the only string
     Words        the plain case over TCP: a word an argument
@@ -11,7 +16,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence as Arguments
-from typing import Any
+from io import BytesIO
+from typing import Any, Final
 
 from construct import (
     Adapter,
@@ -33,10 +39,44 @@ from construct import (
     this,
 )
 
-from nclient.protocol import layouts
-from nclient.protocol.fields import WORD, Words
-from nclient.protocol.line_fields import LINE_BYTE, LINE_UNSIGNED
-from nclient.protocol.mask import Mask, mask_from_line, mask_from_tcp
+from nclient.protocol.fields import LINE_BYTE, LINE_UNSIGNED, WORD, Words
+from nclient.protocol.types import Mask, mask_from_line, mask_from_tcp
+
+
+class _Context:
+    """What construct hands to each piece: which way it goes, and itself where a piece asks for the outermost one."""
+
+    __slots__ = ("_building", "_parsing")
+    _sizing = False
+
+    def __init__(self, *, parsing: bool) -> None:
+        self._parsing = parsing
+        self._building = not parsing
+
+    @property
+    def _params(self) -> _Context:
+        return self
+
+    def get(self, name: str, default: object = None) -> object:
+        """As of a dictionary that holds nothing but `_root`."""
+        return self if name == "_root" else default
+
+
+_PARSING: Final = _Context(parsing=True)
+_BUILDING: Final = _Context(parsing=False)
+
+
+def parse(layout: Construct, data: bytes) -> Any:
+    """The value that these bytes are. Raises ConstructError."""
+    return layout._parse(BytesIO(data), _PARSING, "(parsing)")
+
+
+def build(layout: Construct, value: Any) -> bytes:
+    """The bytes of a value. Raises ConstructError."""
+    stream = BytesIO()
+    layout._build(value, stream, _BUILDING, "(building)")
+    return stream.getvalue()
+
 
 MAX_OBSTACLE_VERTICES = 10
 MAX_TEXT_WORDS = 64
@@ -237,11 +277,11 @@ class ByteWords(Adapter):
         self.packet = packet
 
     def _decode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        parsed: tuple[int, ...] = layouts.parse(self.packet, bytes(word & 255 for word in obj))
+        parsed: tuple[int, ...] = parse(self.packet, bytes(word & 255 for word in obj))
         return parsed
 
     def _encode(self, obj: Arguments[int], context: Any, path: str) -> tuple[int, ...]:
-        return tuple(layouts.build(self.packet, obj))
+        return tuple(build(self.packet, obj))
 
 
 ARM_ZERO = ArmPacket(40, LINE_UNSIGNED)

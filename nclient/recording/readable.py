@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from nclient.errors import RecordingError
-from nclient.recording.log import IN, OUT, TIME, Entry
+from nclient.recording.format import IN, OUT, TIME, Entry
 
 _POSE: Final = ((34, "x"), (35, "y"), (36, "steer"), (37, "turret"))
 _SONARS, _INFRAREDS, _SPEEDS = slice(17, 33), slice(1, 17), slice(38, 41)

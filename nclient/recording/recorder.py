@@ -1,20 +1,177 @@
-"""Writes down what goes over connections: one recorder a file, one tape a connection.
+"""Listens to one connection from outside: cuts what goes by into frames and says what each one is.
+
+    to_robot(bytes) ──> framer ──> Transcript ──> objects as `nomad wire decode` prints them
+    to_host(bytes)  ──> framer ──^
+
+Rules: no I/O, no clock; never raises for what goes by, since a line is never clean: bytes that are no frame become an
+{"error": ...}. A host empties its input before it asks, so half an answer is given up when a request goes out.
+
+Writes down what goes over connections: one recorder a file, one tape a connection.
 
     recorder.open(name, line, model) ──> tape.to_robot(bytes)   tape.to_host(bytes)   tape.close()
     recorder.stepped(dt_s)               simulated time passed that nobody asked for
 
 Rules: the clock is handed in; without one, time is the robot's own clock as its answers tell it, so that a run in
 simulated time is recorded the same whenever it is made. OFF records nothing and costs nothing.
+
+A stream around a stream that writes down what goes through it, and a program's recording of all its streams.
+
+Rules: bytes are noted as they went, so in the order and the pieces in which the program had them; what failed to go out
+is noted too, since part of it may have gone. A connection made anew is another connection of the same file, which is
+closed whenever none is open. No clock here: the recorder has one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
 
-from nclient.protocol.models import Model
-from nclient.recording.follower import TCP, Follower
-from nclient.recording.log import CLOSE, IN, OPEN, OUT, TIME, Entry, LogWriter
+from nclient.common.hints import version
+from nclient.protocol import serial_framing, tcp_framing
+from nclient.protocol.client_state import HELLO_SIZE
+from nclient.protocol.decode import Transcript
+from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
+from nclient.protocol.tcp_framing import Refused, TcpFrame, TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.types import Model
+from nclient.protocol.wire_state import Terms
+from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, LogWriter
+from nclient.transports.stream import ByteStream, Deadline
+
+TCP, SERIAL, HELLO_FIRST = "tcp", "serial", "hello"
+LINES: Final = (TCP, SERIAL, HELLO_FIRST)
+"""The languages of a connection: an Nserver's, a robot's own, and that with eleven bare bytes from the robot first."""
+Decoded = dict[str, Any]
+
+
+class Frame(NamedTuple):
+    """The bytes of a whole frame, or what is wrong with some that are none."""
+
+    data: bytes
+    wrong: str = ""
+
+
+class Ears(Protocol):
+    """The framers of a language, both ways."""
+
+    wide: bool
+    """Whether the client is known to be one of 64 bits."""
+
+    def take_up(self, wide: bool) -> None: ...
+    def to_robot(self, data: bytes) -> list[Frame]: ...
+    def to_host(self, data: bytes) -> list[Frame]: ...
+
+
+def ears_for(line: str, model: Model) -> Ears:
+    """What cuts the frames of one of LINES. Only a model that has a mask says hello with it."""
+    return _TcpEars() if line == TCP else _LineEars(line == HELLO_FIRST and model.sends_mask)
+
+
+class Follower:
+    """One connection, heard from outside. `line`: one of LINES."""
+
+    def __init__(self, line: str, model: Model) -> None:
+        self._ears = ears_for(line, model)
+        self._line, self._model = line, model
+        self._transcript: Transcript | None = None
+
+    def take_up(self, terms: Terms) -> None:
+        """Listen to a connection that went on unheard so far and has come to these terms; between two requests."""
+        self._ears.take_up(terms.wide)
+        self._whole().agree(terms)
+
+    def to_robot(self, data: bytes) -> list[Decoded]:
+        """What these bytes to the robot made whole."""
+        return [self._said(frame, to_robot=True) for frame in self._ears.to_robot(data)]
+
+    def to_host(self, data: bytes) -> list[Decoded]:
+        """What these bytes from the robot made whole."""
+        return [self._said(frame, to_robot=False) for frame in self._ears.to_host(data)]
+
+    @property
+    def clock_s(self) -> float:
+        """The robot's clock as it was told last; 0 before."""
+        return (self._transcript.held.clock or 0) / 1000 if self._transcript else 0.0
+
+    def _said(self, frame: Frame, to_robot: bool) -> Decoded:
+        if frame.wrong:
+            return {"error": frame.wrong}
+        return self._whole().request(frame.data) if to_robot else self._whole().reply(frame.data)
+
+    def _whole(self) -> Transcript:
+        """A transcript in the language that is spoken; whether words are of 64 bits shows in the first request."""
+        if self._transcript is None:
+            wire = SERIAL if self._line != TCP else "tcp64" if self._ears.wide else TCP
+            self._transcript = Transcript(wire, self._model)
+        return self._transcript
+
+
+class _TcpEars:
+    """Messages of an Nserver's clients, of 32 bits or of 64."""
+
+    def __init__(self) -> None:
+        self._requests = TcpFramer(request_bounds)
+        self._replies = TcpFramer(reply_bounds, wide=False)
+        self.wide = False
+
+    def take_up(self, wide: bool) -> None:
+        self._requests.wide = self._replies.wide = self.wide = wide
+
+    def to_robot(self, data: bytes) -> list[Frame]:
+        items = self._requests.receive(data)
+        self.wide = self._replies.wide = bool(self._requests.wide)
+        return self._frames(items, reply=False)
+
+    def to_host(self, data: bytes) -> list[Frame]:
+        return self._frames(self._replies.receive(data), reply=True)
+
+    def _frames(self, items: list[TcpFrame | Refused], reply: bool) -> list[Frame]:
+        return [
+            Frame(tcp_framing.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
+            if isinstance(item, TcpFrame)
+            else Frame(b"", item.reason)
+            for item in items
+        ]
+
+
+class _LineEars:
+    """Frames on a robot's own line, among whatever else comes there. `greets`: eleven bare bytes come first."""
+
+    wide = False
+
+    def __init__(self, greets: bool) -> None:
+        self._requests = SerialFramer(HOST_LIMIT)
+        self._answers = SerialFramer()
+        self._hello: bytes | None = b"" if greets else None
+
+    def take_up(self, wide: bool) -> None:
+        del wide
+        self._hello = None
+
+    def to_robot(self, data: bytes) -> list[Frame]:
+        missed = self._answers.pending
+        self._answers.clear()
+        given_up = [Frame(b"", f"{missed} bytes of an answer that never became whole")] if missed else []
+        return given_up + _cut(self._requests, data)
+
+    def to_host(self, data: bytes) -> list[Frame]:
+        if self._hello is None:
+            return _cut(self._answers, data)
+        self._hello += data
+        if len(self._hello) < HELLO_SIZE:
+            return []
+        hello, rest = self._hello[:HELLO_SIZE], self._hello[HELLO_SIZE:]
+        self._hello = None
+        return [Frame(hello), *_cut(self._answers, rest)]
+
+
+def _cut(framer: SerialFramer, data: bytes) -> list[Frame]:
+    before = framer.skipped_bytes
+    found = [Frame(serial_framing.build_frame(frame.type, frame.data)) for frame in framer.receive(data)]
+    passed_over = framer.skipped_bytes - before
+    return [Frame(b"", f"{passed_over} bytes that are no frame"), *found] if passed_over else found
+
 
 _MOST_PIECES: Final = 1000
 """Different pieces of time that are kept before they are written down."""
@@ -157,3 +314,80 @@ class AnyRecorder(Protocol):
     def paced(self, factor: float | None, paused: bool) -> None: ...
     def changed(self, what: Mapping[str, Any]) -> None: ...
     def close(self) -> None: ...
+
+
+class RecordingStream:
+    """`stream`, with what passes noted on `tape`."""
+
+    def __init__(self, stream: ByteStream, tape: Tape) -> None:
+        self._stream = stream
+        self._tape = tape
+        self._closed = False
+
+    def send(self, data: bytes) -> None:
+        """Send all of it. Raises as the stream does."""
+        if not self._closed:
+            self._tape.to_robot(data)
+        self._stream.send(data)
+
+    def receive(self, deadline: Deadline) -> bytes:
+        """What the stream gives. Raises as it does."""
+        data = self._stream.receive(deadline)
+        self._tape.to_host(data)
+        return data
+
+    def close(self) -> None:
+        """Let go of both."""
+        self._stream.close()
+        if not self._closed:
+            self._closed = True
+            self._tape.close()
+
+
+class Recorded(NamedTuple):
+    """Whom a program records: the address, the language (one of follower.LINES) and the robot's model."""
+
+    address: str
+    line: str
+    model: Model
+
+
+class ProgramsRecording:
+    """What one program records of one address, over however many connections.
+
+    clock    seconds since the start; None: the robot's own clock, so that the same run is the same file
+    started  when that start was
+
+    Raises RecordingError when the file cannot be made.
+    """
+
+    def __init__(
+        self, path: Path, what: Recorded, clock: Callable[[], float] | None = None, started: datetime | None = None
+    ) -> None:
+        header = {
+            "package": version(),
+            "started": started and started.isoformat(timespec="seconds"),
+            "time": "the robot's clock" if clock is None else "seconds since the start",
+            "address": what.address, "wire": what.line, "model": what.model.name,
+        }  # fmt: skip
+        self._recorder = Recorder(LogWriter(path, header), clock)
+        self._line, self._model = what.line, what.model
+        self._count = 0
+
+    def around(self, stream: ByteStream) -> RecordingStream:
+        """The stream, recorded."""
+        self._count += 1
+        tape = self._recorder.open(str(self._count), self._line, self._model)
+        return RecordingStream(stream, _Resting(tape, self._recorder))
+
+
+class _Resting:
+    """A tape after which the file rests."""
+
+    def __init__(self, tape: Tape, recorder: Recorder) -> None:
+        self._tape, self._recorder = tape, recorder
+        self.to_robot, self.to_host = tape.to_robot, tape.to_host
+
+    def close(self) -> None:
+        self._tape.close()
+        self._recorder.rest()

@@ -12,7 +12,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, runtime_checkable
 
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
-from nclient.transports.byte_stream import Deadline
+from nclient.transports.stream import Deadline
 
 GROUP = "nomad.openers"
 """Entry points: a scheme each, a function address -> Peer."""

@@ -9,7 +9,7 @@ import contextlib
 import socket
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.transports.byte_stream import Deadline
+from nclient.transports.stream import Deadline
 
 CONNECT_TIMEOUT_S = 5.0
 SERVER, ROBOT_LINE = "nserver --port", "nserver --robotd"

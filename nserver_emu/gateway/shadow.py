@@ -5,18 +5,41 @@
 
 Rules: pure; no robot, no clock. Angles differ by the short way. A sonar counts where both heard something; where only
 one did is counted beside it. 255 is no range, and 0 a dead sonar.
+
+The report of a shadow as a file: JSON, or CSV where the file is called so; a row a quantity.
+
+The simulation in the shadow of a real robot: it does what the robot did, and is compared with it.
+
+    what the robot carried out ──> the same calls to the simulation ──> its State beside the robot's ──> Shadow
+
+To the calls it is a backend as the robot is, so that what is put around the one (speed caps) goes around the other.
+Rules: no clock and no thread; whoever calls decides when. The simulation's encoders begin where the robot's are; where
+the simulated robot stands in the map is where it was started.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
-from nclient.protocol.mask import BUMPER_SLOT, COMPASS_SLOT
-from nclient.protocol.models import Model
-from nclient.protocol.units import FULL_TURN_TENTHS
+from nclient.backends.base import Backend
+from nclient.common.files import unwritable
+from nclient.errors import RecordingError, RobotRefused
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, Model, rad_from_tenths
+from nclient.protocol.wire_state import tcp_terms
+from nserver_emu.gateway.translate import Link, whole_state
+from nserver_emu.server.session import Answer, Visit
+from nserver_emu.server.state_encoder import state_slots
+from nserver_emu.simulation.robot import SimulatedRobot
 
 _X, _Y, _STEERING, _TURRET = 34, 35, 36, 37
 _VELOCITIES: Final = range(38, 41)
@@ -112,3 +135,100 @@ def short_way_deg(difference_tenths: int) -> float:
     """The difference of two directions in degrees, -180 to below 180."""
     half = FULL_TURN_TENTHS // 2
     return ((difference_tenths + half) % FULL_TURN_TENTHS - half) / 10
+
+
+_COLUMNS: Final = ("count", "mean", "std", "max", "last", "one_sided")
+
+
+def write(shadow: Shadow, address: str, path: Path) -> None:
+    """Write the report. Raises RecordingError where the file cannot be written."""
+    text = as_csv(shadow) if path.suffix.lower() == ".csv" else as_json(shadow, address)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(unwritable(path, error, "the report of the shadow")) from error
+
+
+def as_json(shadow: Shadow, address: str) -> str:
+    """Address, model, how many states were compared, and the quantities by name."""
+    whole = {
+        "robot": address,
+        "model": shadow.model.name,
+        "states": shadow.states,
+        "difference": "real less simulated",
+        "quantities": {name: found.as_numbers() for name, found in shadow.quantities.items()},
+    }
+    return json.dumps(whole, indent=2) + "\n"
+
+
+def as_csv(shadow: Shadow) -> str:
+    """The quantities, a row each, under a row of names."""
+    text = io.StringIO()
+    rows = csv.DictWriter(text, ("quantity", *_COLUMNS), lineterminator="\n")
+    rows.writeheader()
+    for name, found in shadow.quantities.items():
+        rows.writerow({"quantity": name, **found.as_numbers()})
+    return text.getvalue()
+
+
+log = logging.getLogger(__name__)
+
+_POSE = slice(34, 38)
+_SPEED = 0
+
+
+class Simulated:
+    """A simulated robot as a backend. An answer that only time can bring is none: nobody waits for it."""
+
+    greeting: Reply | None = None
+    port = 1
+    closed = False
+    link = None
+
+    def __init__(self, simulate: Answer, robot_id: int, model: Model) -> None:
+        self.terms = tcp_terms(model)
+        self._simulate = simulate
+        self._visit = Visit(self.terms, robot_id)
+
+    def execute(self, call: Call) -> Reply:
+        """What the simulation answers. Raises RobotRefused."""
+        answer = self._simulate(call, self._visit)
+        if not isinstance(answer, Reply):
+            return Reply("none")
+        if answer.kind == "error":
+            raise RobotRefused(call.name, answer.values[0])
+        return answer
+
+    def close(self) -> None:
+        """Nothing is to be let go."""
+
+
+class Follower:
+    """`simulated`: the robot that follows, as a backend and as it is; `link` is how the real one is reached."""
+
+    def __init__(self, simulated: Backend, robot: Callable[[], SimulatedRobot], link: Link) -> None:
+        self.shadow = Shadow(link.model)
+        self._simulated = simulated
+        self._robot = robot
+        self._link = link
+        self._aligned = False
+
+    def follow(self, calls: Iterable[Call], state: Reply | None) -> None:
+        """Do what the robot did; `state` is what it said then, if it said anything."""
+        for call in calls:
+            try:
+                self._simulated.execute(call)
+            except RobotRefused as error:
+                log.warning("shadow: %s%s in the simulation: %s", call.name, call.args, error)
+        if state is None:
+            return
+        real = whole_state(state, self._link)
+        if not self._aligned:
+            self._align(real)
+        self.shadow.compare(real, state_slots(self._robot(), _SPEED))
+
+    def _align(self, real: list[int]) -> None:
+        x, y, steering, turret = real[_POSE]
+        self._robot().define_position(x / 10, y / 10)
+        self._robot().define_angles(rad_from_tenths(steering), rad_from_tenths(turret))
+        self._aligned = True

@@ -1,4 +1,19 @@
-"""What a call to an Nserver becomes on a real robot, and its reply from what the robot answers. One table.
+"""A laser vector in another shape than the robot sent: a connection reads one shape, the robot's laser gives another.
+
+    words a reading     4 lines x1 y1 x2 y2 | 2 points x y | 1 the camera's row of each column
+    rows -> points -> lines       and no way back: what cannot be made is (0,), no reading
+
+Rules: pure. Rows become points by the geometry of simulation/laser.py, evenly spread over its angle.
+
+The real robot's State as an Nserver sends it: what came over its line, on the terms of each connection.
+
+    0 speed: 10, real time | 1-16 infrared: 15 where it has none | 33 bumpers: clean, at rest 0
+    41 motors as the robot says | 42 laser mode of the connection | 43 compass | 44 error: 0
+
+Rules: pure. A state packet of any mask or none makes all 45 slots; a slot that the connection's mask leaves out keeps
+the value last sent there. Stamps that a robot does not make read 0.
+
+What a call to an Nserver becomes on a real robot, and its reply from what the robot answers. One table.
 
     call ──> plan: calls to the robot, one after another ──> the last one's reply ──> reply of the connection
 
@@ -15,17 +30,110 @@ on a line that has none as well. Numbers that the robot's own line cannot carry 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from nclient.protocol.bounds import within_line
+import numpy as np
+
+from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
+from nclient.protocol.codec import within_line
 from nclient.protocol.commands import BY_NAME, Call, on_line
-from nclient.protocol.mask import COMPASS_SLOT
-from nclient.protocol.replies import Reply
-from nserver_emu.gateway.robot_state import Link, laser_for, state_for
-from nserver_emu.server.conversation.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
-from nserver_emu.server.handling.ground import done
+from nclient.protocol.replies import MOTOR_SLOT, Reply
+from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
+from nclient.protocol.wire_state import LINES, PIXELS, POINTS
+from nserver_emu.server.handlers.world import done
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.state_encoder import INFRARED_NOTHING, as_sent
+from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
+from worlds.bodies import BODIES, Body
+from worlds.geometry import FloatArray
+
+NOTHING = (0,)
+
+
+def in_shape(vector: tuple[int, ...], width: int, body: Body, fit: LineFit) -> tuple[int, ...]:
+    """The laser vector (n, numbers of n readings), 1/10 inch or rows, with `width` words a reading."""
+    count = vector[0]
+    given = (len(vector) - 1) // count if count else width
+    if given == width:
+        return vector
+    if given == LINES or width == PIXELS:
+        return NOTHING
+    found = _points_of_rows(vector[1:], body) if given == PIXELS else np.reshape(vector[1:], (-1, POINTS)) / 10.0
+    if width == LINES:
+        found = lines(found, fit)
+    return (len(found), *[tenths(number) for number in found.ravel().tolist()])
+
+
+def _points_of_rows(rows: tuple[int, ...], body: Body) -> FloatArray:
+    """Points (k, 2) in the robot's frame, of the columns that see something: range is PIXEL_IN / row."""
+    at = np.linspace(0, COLUMNS - 1, len(rows)).round().astype(int)
+    seen = np.full(COLUMNS, np.inf)
+    lit = np.array(rows) > 0
+    seen[at[lit]] = PIXEL_IN / np.array(rows)[lit]
+    return points(seen, body)
+
+
+REAL_TIME: Final = 10
+_SPEED_SLOT: Final = 0
+_INFRAREDS: Final = range(1, 17)
+_AXES: Final = 7
+"""The bits of State[41] that say whether an axis moves; those above are a Scout's battery."""
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """How a real robot is reached: its model, and whether that is its own line or another Nserver."""
+
+    model: Model
+    own_line: bool
+
+    @property
+    def masks(self) -> bool:
+        """Whether what its packets hold can be chosen: sensors, and stamps."""
+        return self.model.sends_mask or not self.own_line
+
+    def clean(self, slots: Mapping[int, int]) -> dict[int, int]:
+        """State slots without the bits that bumpers at rest show on the robot's own line."""
+        clean = dict(slots)
+        if BUMPER_SLOT in clean:
+            clean[BUMPER_SLOT] &= ~self.model.bumper_rest
+        return clean
+
+
+def whole_state(reply: Reply, link: Link) -> list[int]:
+    """State[0..44] of a state reply, clean."""
+    slots = dict.fromkeys(range(STATE_SIZE), 0) | dict.fromkeys(_INFRAREDS, INFRARED_NOTHING)
+    slots[_SPEED_SLOT] = REAL_TIME
+    slots |= link.clean(reply.slots)
+    slots[LASER_SLOT] = slots[ERROR_SLOT] = 0
+    return list(slots.values())
+
+
+def state_for(visit: Visit, reply: Reply, link: Link) -> Reply:
+    """The state reply that this connection gets; it counts as sent."""
+    slots, laser = whole_state(reply, link), None
+    if link.model.has_laser:
+        slots[LASER_SLOT] = visit.terms.laser_mode
+        laser = shaped(reply.laser, visit.terms.laser_width, link) if visit.terms.mask.has(LASER_SLOT) else None
+    return replace(reply, slots=dict(enumerate(as_sent(visit, slots))), laser=laser)
+
+
+def laser_for(visit: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:
+    """The answer to get_ls or, where `segments`, to get_sg."""
+    return replace(reply, laser=shaped(reply.laser, LINES if segments else visit.terms.get_laser_width, link))
+
+
+def shaped(laser: tuple[int, ...] | None, width: int, link: Link) -> tuple[int, ...] | None:
+    """A laser vector with so many words a reading; None where there is none."""
+    return None if laser is None else in_shape(laser, width, BODIES[link.model.name], LineFit())
+
+
+def moving_axes(reply: Reply) -> int:
+    """Bits 0 1 2: which axes move, as a state reply says."""
+    return reply.slots.get(MOTOR_SLOT, 0) & _AXES
+
 
 Shaping = Callable[[Visit, Reply, Link], Reply]
 REFRESH: Final = Call("gs")

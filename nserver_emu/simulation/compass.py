@@ -17,8 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from nserver_emu.simulation.angles import once_round
-from nserver_emu.simulation.instants import PS_PER_S
+from nserver_emu.simulation.segments import PS_PER_S, once_round
 
 INTERVAL_PS: Final = PS_PER_S // 10
 """Ten readings a second."""

@@ -16,10 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
-from nserver_emu.simulation.poses import Stamp
-from nserver_emu.simulation.sighting import Eye
+from nserver_emu.simulation.segments import NEVER_PS, PS_PER_S, Stamp
 from nserver_emu.simulation.sonar import UNFIRED
+from nserver_emu.simulation.visibility import Eye
 from worlds.bodies import Body
 from worlds.geometry import FloatArray, normals
 from worlds.raycast import cast_discs, cast_rays

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from nserver_emu.simulation.sighting import Eye
+from nserver_emu.simulation.visibility import Eye
 from worlds.bodies import Body
 from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays

@@ -10,13 +10,12 @@ from dataclasses import fields
 from typing import Any
 
 from nclient.errors import StartError
-from nserver_emu.simulation.company import Company, touch
-from nserver_emu.simulation.instants import to_ps, to_s
 from nserver_emu.simulation.models import N150, RobotModel
-from nserver_emu.simulation.noise import Identity
+from nserver_emu.simulation.multi_robot import Company, touch
+from nserver_emu.simulation.noise import IDEAL, Identity, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import IDEAL, RobotSetup
-from nserver_emu.simulation.standing import Standing
+from nserver_emu.simulation.segments import to_ps, to_s
+from nserver_emu.simulation.spatial_hash import Standing
 from worlds.raycast import load_compiled
 from worlds.world import StartPose, World
 

@@ -16,12 +16,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.simulation.echo_ways import Scene
-from nserver_emu.simulation.instants import NEVER_PS, PS_PER_S
-from nserver_emu.simulation.passage import Moment
-from nserver_emu.simulation.polaroid import Cry, Polaroid
-from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sighting import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
+from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
+from nserver_emu.simulation.segments import NEVER_PS, PS_PER_S, Moment, Pose, Stamp
+from nserver_emu.simulation.visibility import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
 from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
 from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc

@@ -15,9 +15,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from nserver_emu.viewer.laser_modes import Modes
-from nserver_emu.viewer.picture import Album
-from nserver_emu.viewer.protocol import to_page
+from nserver_emu.viewer.messages import to_page
+from nserver_emu.viewer.scene import Album, Modes
 
 AHEAD: Final = 10
 """Pictures on their way to a viewer: half a second of them."""

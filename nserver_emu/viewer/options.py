@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from nclient.errors import ExtraMissing, NomadError
-from nserver_emu.viewer.entrance import tokens_of
+from nserver_emu.viewer.auth import tokens_of
 
 if TYPE_CHECKING:
-    from nserver_emu.server.ports.daemon import Daemon
+    from nserver_emu.server.daemon import Daemon
 
 DEFAULT_PORT: Final = 7080
 LOOPBACK: Final = "127.0.0.1"
@@ -63,7 +63,7 @@ async def viewed(daemon: Daemon, options: argparse.Namespace) -> AsyncIterator[l
     async with AsyncExitStack() as open_page:
         try:
             require_aiohttp()
-            from nserver_emu.viewer.web import served
+            from nserver_emu.viewer.server import served
 
             kept = options.viewer_token_file
             tokens = None if kept is None else tokens_of(kept)

@@ -16,11 +16,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from nclient.protocol.commands import BY_NAME
-from nclient.protocol.models import Model
-from nclient.protocol.terms import Terms
-from nclient.recording.follower import HELLO_FIRST, SERIAL, TCP, Decoded, Follower
+from nclient.protocol.types import Model
+from nclient.protocol.wire_state import Terms
 from nclient.recording.readable import told
-from nclient.recording.recorder import AnyRecorder, Tape
+from nclient.recording.recorder import HELLO_FIRST, SERIAL, TCP, AnyRecorder, Decoded, Follower, Tape
 
 MOST_ROWS: Final = 40
 MOST_ASKED: Final = 64

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 from faulty_exchanges import ONE_BYTE, PACKET, Outcome, exchange, missed, noise, one_byte, read_packet
 
-from nclient.faults.kinds import Corrupt, DropByte, Fault, Noise, Stray
-from nclient.faults.plan import Direction, Plan, Rule
-from nclient.protocol.serial_frame import build_frame
+from nclient.faults.plan import Corrupt, Direction, DropByte, Fault, Noise, Plan, Rule, Stray
+from nclient.protocol.serial_framing import build_frame
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "faulty_exchanges.py"
 SLICE = 2000

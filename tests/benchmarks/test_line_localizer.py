@@ -13,7 +13,7 @@ from line_localizer import END_IN, RMSE_IN, daemon, localized
 from nclient import connect
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "line_localizer.py"
-NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
+NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
 SPEED = 2.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import standing
 
-from localization.experiments.live.scenario import SCENARIOS
+from localization.experiments.live_trial import SCENARIOS
 from localization.filters.belief import chi_square_quantile
 
 SEEDS = 6

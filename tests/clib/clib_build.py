@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from forked import Forked
+from tests.programs.forked import Forked
 
 ROOT = Path(__file__).parents[2]
 CLIB = ROOT / "clib"

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "nclient"))
-
-from clib_build import KINDS, BuildCache, BuildKind, can_build_32_bit
+from tests.clib.clib_build import KINDS, BuildCache, BuildKind, can_build_32_bit
 
 NO_32_BITS = "32-bit builds are not tested: cc -m32 does not work on this machine; install gcc-multilib"
 

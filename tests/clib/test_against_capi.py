@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
 
 from nclient import capi
-from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.types import EVERYTHING
+from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
 
 PARTIAL = [int(k % 3 != 1) for k in range(44)]
 CALLS = ["gs", "posDataRequest 31", "get_ir", "get_sn", "get_bp", "get_cp", "get_rc", "get_rv", "get_ra",

@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from answering import on_socket
-from clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls
-from robot_line import NAK, Late, ScriptedLine
-from scripted_pty import serve_pty
 
 from nclient.errors import ConnectionLost
+from nclient.protocol.client_state import Hello, build_hello
 from nclient.protocol.commands import Call
-from nclient.protocol.hello import Hello, build_hello
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N200, SCOUT, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import build_frame
-from nclient.transports.serial_port import SerialStream
+from nclient.protocol.serial_framing import build_frame
+from nclient.protocol.types import EVERYTHING, N200, SCOUT, Model
+from nclient.transports.serial import SerialStream
+from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls
+from tests.clib.scripted_pty import serve_pty
+from tests.nclient.answering import on_socket
+from tests.nclient.robot_line import NAK, Late, ScriptedLine
 
 
 @pytest.fixture(scope="module")

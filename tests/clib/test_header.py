@@ -9,10 +9,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from clib_build import CLIB, PLAIN, BuildCache
 
 from nclient import capi
-from nclient.protocol.state import ERROR_SLOT, STATE_SIZE
+from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
+from tests.clib.clib_build import CLIB, PLAIN, BuildCache
 
 INCLUDE = CLIB / "include"
 HEADER = (INCLUDE / "Nclient.h").read_text()

@@ -9,13 +9,12 @@ import subprocess
 import threading
 from collections.abc import Iterator
 
-from clib_build import PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
-from recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
-
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import NAK_TYPE
-from nclient.protocol.models import N150, Model
-from nclient.protocol.terms import Terms, line_terms, tcp_terms
+from nclient.protocol.types import N150, Model
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
+from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
 
 MUTATED = 20_000
 ROUNDS = 120
@@ -33,7 +32,7 @@ def corpus() -> Iterator[str]:
 def corpus_lines(session: Iterator[Exchange], terms: Terms, model: Model | None) -> Iterator[str]:
     for exchange in session:
         reply = exchange.reply
-        language.note(exchange.call, terms)
+        codec.note(exchange.call, terms)
         if not reply or (reply[:2] == b"\0\x5b" if model is None else reply[3] == NAK_TYPE):
             continue
         data = reply[4:] if model is None else reply[4:-2]

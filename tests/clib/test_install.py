@@ -8,8 +8,8 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-from answering import ScriptedServer, by_script, on_socket
-from clib_build import CLIB, PLAIN, ROOT, BuildCache, run
+from tests.clib.clib_build import CLIB, PLAIN, ROOT, BuildCache, run
+from tests.nclient.answering import ScriptedServer, by_script, on_socket
 
 README = (CLIB / "README.md").read_text()
 MAKEFILE = (CLIB / "Makefile").read_text()

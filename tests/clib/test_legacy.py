@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from clib_build import NARROW, PLAIN, PROGRAMS, TIMEOUT_S, BuildCache, BuildKind, run_nserver
+
+from tests.clib.clib_build import NARROW, PLAIN, PROGRAMS, TIMEOUT_S, BuildCache, BuildKind, run_nserver
 
 OLD = ("-std=gnu89",)
 LEGACY = PROGRAMS / "legacy"

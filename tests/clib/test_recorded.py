@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clib_build import PROGRAMS, BuildCache, BuildKind, run_calls
-from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
+from nclient.protocol.client_state import Hello, build_hello
 from nclient.protocol.commands import COMMANDS
-from nclient.protocol.hello import Hello, build_hello
-from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.types import EVERYTHING
+from tests.clib.clib_build import PROGRAMS, BuildCache, BuildKind, run_calls
+from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 TIMEOUT_S = 30.0
 Cases = list[dict[str, Any]]

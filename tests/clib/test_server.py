@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from answering import ScriptedServer, by_script, error, on_socket, simple
-from clib_build import NARROW_SANITIZED, PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
-from recorded import TCP
 
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
+from tests.clib.clib_build import NARROW_SANITIZED, PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
+from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
+from tests.nclient.protocol.recorded import TCP
 
 
 @pytest.fixture(scope="module")

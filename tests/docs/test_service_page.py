@@ -1,6 +1,6 @@
-"""docs/service.md: each command is understood by whom it is for, and the unit, with what is added to it, by systemd.
+"""Check the commands, the unit and the overrides of docs/service.md.
 
-What would change this machine is read, not run; the daemon that the unit begins is begun by hand, with its words.
+Commands that would change this machine are not run. The daemon is started with the arguments of the unit.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from forked import Forked
 
 from nserver_emu.cli import main
+from tests.programs.forked import Forked
 
 ROOT = Path(__file__).parents[2]
 UNIT = ROOT / "packaging/nserver.service"
@@ -27,21 +27,21 @@ ADDED, OPTIONS = re.findall(r"^```ini\n(.*?)^```", PAGE, re.MULTILINE | re.DOTAL
 ENVIRONMENT = "/opt/nserver/bin/"
 
 
-def test_each_command_is_of_what_there_is() -> None:
+def test_commands_name_existing_files() -> None:
     venv, install, unit, pages, *systemd, status = [shlex.split(line) for line in TYPED.splitlines()]
     assert venv == ["python3", "-m", "venv", str(Path(ENVIRONMENT).parent)]
     extra = re.fullmatch(r"\.\[(\w+)\]", install[-1])
     assert extra is not None
     assert extra[1] in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert (ROOT / unit[-2]).samefile(UNIT)
-    assert UNIT.read_text().startswith(f"# An Nserver as a service: {unit[-1]}. ")
+    assert UNIT.read_text().startswith(f"# Run nserver as a service: {unit[-1]}. ")
     assert f"Documentation=file://{pages[pages.index('-t') + 1]}/service.md\n" in UNIT.read_text()
     assert [line[0] for line in systemd] == ["systemd-analyze", "systemctl", "systemctl"]
     assert status[0] == f"{ENVIRONMENT}nserver"
 
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="systemd-analyze is not on this machine")
-def test_systemd_finds_nothing_wrong_with_the_unit_and_what_a_serial_port_adds(tmp_path: Path) -> None:
+def test_systemd_verifies_unit_and_override(tmp_path: Path) -> None:
     program, place = tmp_path / "nserver", tmp_path / "nserver.service"
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
@@ -54,10 +54,10 @@ def test_systemd_finds_nothing_wrong_with_the_unit_and_what_a_serial_port_adds(t
         assert (done.returncode, done.stderr) == (0, "")
     override.write_text("[Service]\nPrivateDevices=perhaps\n")
     done = subprocess.run(["systemd-analyze", "verify", str(place)], capture_output=True, text=True, check=False)
-    assert "perhaps" in done.stderr, "what is wrong is seen"
+    assert "perhaps" in done.stderr, "systemd reports errors"
 
 
-def test_the_daemon_of_the_unit_says_how_it_is_and_where_its_page_is(
+def test_daemon_of_the_unit_serves_control_and_viewer(
     tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path_factory.mktemp("s")

@@ -1,4 +1,4 @@
-"""The tunnels of docs/security.md: TLS as the page says it, with stunnel at both ends; SSH's line as ssh reads it."""
+"""Run the TLS tunnel of docs/security.md with stunnel at both ends, and check the ssh command with `ssh -G`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
 
 PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text(encoding="utf-8")
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 TLS_ALERT = b"\x15"
 STUNNEL = shutil.which("stunnel4") or "stunnel"
 
@@ -43,28 +43,28 @@ def running(*command: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
             process.terminate()
 
 
-def listening(port: int) -> None:
-    """Until somebody listens there."""
-    end_s = time.monotonic() + PATIENCE_S
+def wait_for_port(port: int) -> None:
+    """Return when the port accepts connections."""
+    end_s = time.monotonic() + TIMEOUT_S
     while time.monotonic() < end_s:
         with contextlib.suppress(ConnectionRefusedError), socket.create_connection(("127.0.0.1", port)):
             return
         time.sleep(0.05)
-    raise AssertionError(f"nobody listens at {port}")
+    raise AssertionError(f"port {port} does not accept connections")
 
 
-def answered(port: int, keys: ssl.SSLContext | None) -> bytes:
-    """What comes back to a CONNECT over TLS, or over plain TCP; nothing where the other end lets go."""
-    plain = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
-    with plain, contextlib.suppress(OSError), keys.wrap_socket(plain) if keys else plain as way:
-        way.sendall(language.tcp_request(Call("connect_robot", (1, 1))))
-        return way.recv(8)
+def reply_to_connect(port: int, keys: ssl.SSLContext | None) -> bytes:
+    """Return the reply to CONNECT over TLS or plain TCP, empty if the connection is closed."""
+    plain = socket.create_connection(("127.0.0.1", port), TIMEOUT_S)
+    with plain, contextlib.suppress(OSError), keys.wrap_socket(plain) if keys else plain as stream:
+        stream.sendall(codec.tcp_request(Call("connect_robot", (1, 1))))
+        return stream.recv(8)
     return b""
 
 
 @pytest.fixture(scope="module")
 def ports(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, int, Path]]:
-    """Both ends and a daemon: the port of the lab's end, of the program's, and the folder of the keys."""
+    """Run both ends and a daemon; yield the ports of the lab's and the program's end, and the folder of the keys."""
     folder = tmp_path_factory.mktemp("tunnel")
     *keys, _ = blocks("sh")
     for command in keys:
@@ -81,11 +81,11 @@ def ports(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[int, int, 
         for name, text, port in (("lab.conf", lab, outer), ("me.conf", me, near)):
             (folder / name).write_text(text)
             stack.enter_context(running(STUNNEL, name, cwd=folder))
-            listening(port)
+            wait_for_port(port)
         yield outer, near, folder
 
 
-def test_a_program_drives_through_the_tunnel(ports: tuple[int, int, Path]) -> None:
+def test_program_drives_through_the_tunnel(ports: tuple[int, int, Path]) -> None:
     _, near, _ = ports
     with connect(f"nserver://localhost:{near}/1") as robot:
         robot.move(translation_in=2)
@@ -97,21 +97,21 @@ def test_a_program_drives_through_the_tunnel(ports: tuple[int, int, Path]) -> No
     assert "2.0" in done.stdout
 
 
-def test_who_has_no_key_that_the_lab_knows_gets_no_word(ports: tuple[int, int, Path]) -> None:
+def test_client_without_trusted_key_gets_no_reply(ports: tuple[int, int, Path]) -> None:
     outer, _, folder = ports
     keyless = ssl.create_default_context(cafile=str(folder / "lab.pem"))
     keyless.check_hostname = False
-    known = ssl.create_default_context(cafile=str(folder / "lab.pem"))
-    known.check_hostname = False
-    known.load_cert_chain(folder / "me.pem", folder / "me.key")
-    assert answered(outer, known)[:2] == b"\0\x52", "the same with the key: CONNECT's reply"
-    assert answered(outer, keyless) == b""
-    assert answered(outer, None)[:1] in (b"", TLS_ALERT)
+    trusted = ssl.create_default_context(cafile=str(folder / "lab.pem"))
+    trusted.check_hostname = False
+    trusted.load_cert_chain(folder / "me.pem", folder / "me.key")
+    assert reply_to_connect(outer, trusted)[:2] == b"\0\x52", "with the key: the reply to CONNECT"
+    assert reply_to_connect(outer, keyless) == b""
+    assert reply_to_connect(outer, None)[:1] in (b"", TLS_ALERT)
 
 
-def test_the_line_of_ssh_forwards_what_the_page_says() -> None:
+def test_ssh_command_forwards_the_port() -> None:
     (line,) = [block for block in blocks("console") if "ssh" in block]
     _, ssh, *words = line.split()
-    said = subprocess.run([ssh, "-G", *words], capture_output=True, text=True, check=True).stdout
-    assert "localforward 7019 [127.0.0.1]:7019" in said
-    assert "\nhostname lab\n" in said
+    config = subprocess.run([ssh, "-G", *words], capture_output=True, text=True, check=True).stdout
+    assert "localforward 7019 [127.0.0.1]:7019" in config
+    assert "\nhostname lab\n" in config

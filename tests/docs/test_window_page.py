@@ -1,7 +1,7 @@
-"""Every command of docs/window.md, in its order, on one daemon: real processes, a real page.
+"""Run every command of docs/window.md in order on one daemon: real processes, a real viewer.
 
-Rules: nothing is added to a command but where this machine's free ports are; the daemon's time goes faster. A runtime
-folder of the test's own is the user's, so that daemon and `nserver ctl` meet where they do when nobody says.
+Only ports are replaced, and the daemon's time runs faster. A temporary runtime folder lets the daemon and `nserver ctl`
+find each other by default.
 """
 
 from __future__ import annotations
@@ -23,56 +23,55 @@ pytestmark = pytest.mark.long
 PAGE = (Path(__file__).parents[2] / "docs" / "window.md").read_text(encoding="utf-8")
 LINES = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()]
 START, *COMMANDS = LINES
-SEEKS = "nomad localize nserver://localhost:7019/1 --map thesis_room --start unknown --stay"
 
 
 @dataclass(frozen=True)
-class Here:
-    """What the page's places are here: a folder, an environment in which programs are found, and words instead."""
+class Setting:
+    """Folder and environment of the commands, and the addresses of the page with their replacements."""
 
     folder: Path
     environment: dict[str, str]
-    places: dict[str, str]
+    addresses: dict[str, str]
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Here]:
-    folder = tmp_path_factory.mktemp("w")  # a short path: a Unix socket's has about a hundred bytes
+def setting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Setting]:
+    folder = tmp_path_factory.mktemp("w")  # short: the path of a Unix socket has at most about a hundred bytes
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     environment = os.environ | {"PATH": path, "XDG_RUNTIME_DIR": str(folder)}
     start = shlex.split(START.replace("--viewer", "--viewer 0 --port 0 --speed 4"), comments=True)
     with subprocess.Popen(start, stdout=subprocess.PIPE, text=True, env=environment) as daemon:
         assert daemon.stdout is not None
         try:
-            told = dict(daemon.stdout.readline().split()[1:] for _ in range(2 + ("--control" in start)))
-            places = {"7019": told["nserver"].rpartition(":")[2], "http://127.0.0.1:7080/?token=...": told["viewer"]}
-            yield Here(folder, environment, places)
+            ports = dict(daemon.stdout.readline().split()[1:] for _ in range(2 + ("--control" in start)))
+            port, viewer = ports["nserver"].rpartition(":")[2], ports["viewer"]
+            yield Setting(folder, environment, {"7019": port, "http://127.0.0.1:7080/?token=...": viewer})
         finally:
             daemon.send_signal(signal.SIGTERM)
     assert daemon.returncode == 0
 
 
-def run(here: Here, command: str, most_s: float = 120) -> str:
-    for there, place in here.places.items():
-        command = command.replace(there, place)
-    done = subprocess.run(["bash", "-c", command], cwd=here.folder, env=here.environment, capture_output=True,
-                          text=True, timeout=most_s, check=False)  # fmt: skip
+def run(setting: Setting, command: str, timeout_s: float = 120) -> str:
+    for address, replacement in setting.addresses.items():
+        command = command.replace(address, replacement)
+    done = subprocess.run(["bash", "-c", command], cwd=setting.folder, env=setting.environment, capture_output=True,
+                          text=True, timeout=timeout_s, check=False)  # fmt: skip
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
     return done.stdout
 
 
-def test_the_page_begins_with_its_daemon() -> None:
+def test_page_begins_with_its_daemon() -> None:
     assert START.startswith("nserver thesis_room --noisy --viewer")
     assert len(COMMANDS) == 6
 
 
 @pytest.mark.parametrize("command", [line for line in COMMANDS if "--stay" not in line])
-def test_a_command_of_the_page_runs(command: str, page: Here) -> None:
-    run(page, command)
+def test_command_runs(command: str, setting: Setting) -> None:
+    run(setting, command)
 
 
-def test_a_localizer_that_stays_goes_on_until_it_is_stopped(page: Here) -> None:
+def test_localizer_that_stays_runs_until_stopped(setting: Setting) -> None:
     (command,) = [line for line in COMMANDS if "--stay" in line]
-    assert command.startswith(SEEKS)
-    told = run(page, f"timeout --signal INT 5 {command} || test $? = 124 -o $? = 130")
-    assert "LOST" in told or "OK" in told
+    assert command.startswith("nomad localize nserver://localhost:7019/1 --map thesis_room --start unknown --stay")
+    output = run(setting, f"timeout --signal INT 5 {command} || test $? = 124 -o $? = 130")
+    assert "LOST" in output or "OK" in output

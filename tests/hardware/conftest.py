@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from envelope import HOME_IN, SPEED_IN_S, Bench, Walk, limited
-from forked import Forked
+
+from tests.hardware.envelope import HOME_IN, SPEED_IN_S, Bench, Walk, limited
+from tests.programs.forked import Forked
 
 EMULATED = ("n150", "n200", "scout")
 FASTER = 2

@@ -15,7 +15,7 @@ import pytest
 
 from nclient import Robot, connect
 from nclient.address import parsed
-from nclient.robot_state import Pose, RobotState
+from nclient.state import Pose, RobotState
 
 SPEED_IN_S, TURN_DEG_S, TIMEOUT_S = 5, 30, 2
 LIMITS = {"max_speed_in_s": SPEED_IN_S, "max_turn_deg_s": TURN_DEG_S, "tm_s": TIMEOUT_S, "bumper_stop": 1, "feed": 1}

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from envelope import SPEED_IN_S, Bench, Walk
 
 from nclient import RobotRefused
-from nclient.protocol.models import N200
+from nclient.protocol.types import N200
+from tests.hardware.envelope import SPEED_IN_S, Bench, Walk
 
 pytestmark = pytest.mark.long
 

@@ -10,13 +10,11 @@ from pathlib import Path
 import pytest
 
 from localization.experiments import __main__ as experiments
-from localization.experiments.crew import ClusterError, on_cluster
-from localization.experiments.fingerprint import fingerprint
-from localization.experiments.live import matrix
-from localization.experiments.live.matrix import Job, trials
-from localization.experiments.live.store import Store
-from localization.experiments.pool import drive_on_cluster, drive_part
-from localization.experiments.settings import FIGURES
+from localization.experiments import live_trial
+from localization.experiments.execution import ClusterError, drive_on_cluster, drive_part, fingerprint, on_cluster
+from localization.experiments.live_command import Store
+from localization.experiments.live_trial import Job, trials
+from localization.experiments.trial import FIGURES
 
 distributed = pytest.importorskip("distributed")
 
@@ -38,7 +36,7 @@ def test_live_trials_are_the_same_to_the_bit(address: str, tmp_path: Path) -> No
     for trial in trials(["exact", "measured"], ["5.4"], ["ekf", "mcl"], 2, 12):
         there = store.get(trial)
         assert there is not None
-        assert matrix.run(Job(trial)).result.same_numbers(there)
+        assert live_trial.run(Job(trial)).result.same_numbers(there)
 
 
 def test_figures_are_the_same_to_the_bit(address: str) -> None:

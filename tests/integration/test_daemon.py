@@ -12,24 +12,22 @@ import struct
 from collections import Counter
 
 import pytest
-from daemon_house import House, with_daemon
-from wire_client import simulation
 
 from nclient.errors import ConnectionLost
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_frame import Refused, TcpFrame
-from nserver_emu.server.conversation.session import Session
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.connection import Connection
-from nserver_emu.server.ports.daemon import Daemon, stop_on_signals
-from nserver_emu.server.ports.talker import HEARD_A_TURN, REQUESTS_A_TURN
-from nserver_emu.server.stage.pace import Pace
-from nserver_emu.server.stage.stage import Allowed
+from nclient.protocol.tcp_framing import Refused, TcpFrame
+from nserver_emu.server.connection import HEARD_A_TURN, REQUESTS_A_TURN, Connection
+from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.daemon import Daemon, stop_on_signals
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import Session
+from tests.nserver_emu.server.daemon_house import House, with_daemon
+from tests.nserver_emu.server.wire_client import simulation
 from worlds.world import StartPose
 
-GS = language.tcp_request(Call("gs"))
+GS = codec.tcp_request(Call("gs"))
 
 
 def test_a_robot_drives_in_real_time_for_one_client_and_another_sees_it() -> None:
@@ -165,7 +163,7 @@ def test_what_comes_while_an_answer_takes_its_time_is_looked_at_up_to_a_crowd_an
     async def visit(house: House) -> None:
         waiting, other = await house.call(), await house.call()
         await waiting.ask("vm", 0, 0, 20)
-        waiting.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))) + GS * 1000)
+        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))) + GS * 1000)
         while not any(connection.session.crowded for connection in house.daemon.connections):
             assert (await other.ask("gs")).kind == "state"
         before = turns
@@ -182,14 +180,14 @@ def test_what_comes_while_an_answer_takes_its_time_is_looked_at_up_to_a_crowd_an
 def test_a_client_that_does_not_read_is_not_waited_for_and_loses_nothing() -> None:
     async def visit(house: House) -> None:
         deaf, polite = await house.call(), await house.call()
-        deaf.writer.transport.pause_reading()  # a reader that has better things to do
+        deaf.transport.pause_reading()  # a reader that has better things to do
         count = 60_000
         deaf.writer.write(GS * count)
         while not any(connection.blocked for connection in house.daemon.connections):
             assert (await polite.ask("gs")).kind == "state"
         for _ in range(20):
             assert (await polite.ask("gs")).kind == "state"
-        deaf.writer.transport.resume_reading()
+        deaf.transport.resume_reading()
         for _ in range(count):
             assert (await deaf.reply("gs")).kind == "state"
         assert not any(connection.blocked for connection in house.daemon.connections)
@@ -201,7 +199,7 @@ def test_a_client_that_vanishes_while_it_waits_leaves_a_robot_that_stands() -> N
     async def visit(house: House) -> None:
         waiting, other = await house.call(), await house.call()
         await waiting.ask("vm", 0, 0, 20)
-        waiting.writer.write(language.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))))
+        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 2**31 - 1))))
         while not any(connection.session.waiting for connection in house.daemon.connections):
             await asyncio.sleep(0.001)
         waiting.writer.close()
@@ -383,7 +381,7 @@ def test_second_connections_find_their_own_robots_and_the_gone_are_forgotten() -
         assert [(await client.ask("sim_truth")).values[-1] for client in second] == [1, 2]
         for client in first:
             client.writer.close()
-        second[0].writer.write(language.tcp_request(Call("disconnect_robot", (1, 1))))
+        second[0].writer.write(codec.tcp_request(Call("disconnect_robot", (1, 1))))
         second[1].writer.close()
         while house.daemon.connections or len(house.daemon.acquaintances):
             await asyncio.sleep(0.005)

@@ -10,11 +10,10 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from forked import Forked
-
 from nclient import connect
+from tests.programs.forked import Forked
 
-NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
+NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
 FAULTS = """
 seed = 3
 [[rule]]

@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from forked import Forked
 
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import NserverBackend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150
-from nclient.transports.serial_port import SerialStream
+from nclient.protocol.types import N150
+from nclient.transports.serial import SerialStream
 from nclient.transports.tcp import TcpStream
 from nserver_emu import cli
+from tests.programs.forked import Forked
 
 GS = Call("gs")
 PLAN = """

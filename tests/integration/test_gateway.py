@@ -11,11 +11,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from forked import Forked
-
 from nclient import connect
 from nclient.errors import ConnectionLost, RobotRefused
 from nclient.robot import Robot
+from tests.programs.forked import Forked
 
 WHOLE_S = 30.0
 

@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from envelope import LIMITS, limited
-from forked import Forked
 
 from nclient.address import parsed
+from tests.hardware.envelope import LIMITS, limited
+from tests.programs.forked import Forked
 
 TESTS = Path(__file__).parents[1]
 

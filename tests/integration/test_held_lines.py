@@ -9,19 +9,19 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import forked
 import pytest
-from forked import Forked
 
 from nclient import ConnectionLost, connect
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
-from nclient.protocol.terms import tcp_terms
-from nclient.transports.byte_stream import Deadline
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import tcp_terms
+from nclient.transports.stream import Deadline
+from tests.programs import forked
+from tests.programs.forked import Forked
 
-GS = language.tcp_request(Call("gs"))
+GS = codec.tcp_request(Call("gs"))
 STATE = b"\x10\x00\x11\x22"
 
 
@@ -115,7 +115,7 @@ def test_who_talks_keeps_the_line_and_the_next_has_his_turn_then() -> None:
 
 
 def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
-    ws = language.tcp_request(Call("ws", (1, 1, 1, 100)))
+    ws = codec.tcp_request(Call("ws", (1, 1, 1, 100)))
     with a_bridge("0.3") as (near, far), called(near) as waiting, called(near) as newcomer:
         end = next_end(far)
         waiting.sendall(ws)
@@ -125,7 +125,7 @@ def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
         with pytest.raises(TimeoutError):
             waiting.recv(1)
         waiting.settimeout(10)
-        answer = language.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_terms(N150))
+        answer = codec.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_terms(N150))
         end.sendall(answer)
         assert received(waiting, len(answer)) == answer
         assert is_closed(waiting)

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from forked import Forked
 
 from nclient import ConnectionLost, capi, connect
 from nclient.errors import ReplyTimeout
 from nclient.robot import Robot
+from tests.programs.forked import Forked
 
 WHOLE_S = 30.0
 

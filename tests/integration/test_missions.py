@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import forked
 import pytest
-from forked import Forked
 
 from nclient import connect
+from tests.programs import forked
+from tests.programs.forked import Forked
 
 PATIENCE_S = 60.0
 MISSION = """

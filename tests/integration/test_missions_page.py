@@ -1,4 +1,4 @@
-"""Every command of docs/missions.md, and its program, as a reader would run them."""
+"""Run every command of docs/missions.md and load its list and its program."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.missions.files import parse_list
-from localization.missions.programs import parse_program
-from localization.missions.verbs import CONDITIONS, VERBS
+from localization.missions.steps import CONDITIONS, VERBS, parse_list, parse_program
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "missions.md").read_text()
@@ -32,23 +30,23 @@ def run(command: str, folder: Path) -> str:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_of_the_page_runs(command: str, tmp_path: Path) -> None:
-    told = run(command, tmp_path)
+def test_command_runs(command: str, tmp_path: Path) -> None:
+    output = run(command, tmp_path)
     if "--json" in command:
-        assert json.loads(told)["ending"] == "done"
+        assert json.loads(output)["ending"] == "done"
     elif "--check" not in command and "experiments" not in command:
-        assert re.search(r"^ *[\d.]+ s  done at \(", told, re.MULTILINE)
+        assert re.search(r"^ *[\d.]+ s  done at \(", output, re.MULTILINE)
     if "--report" in command:
         assert json.loads((tmp_path / "out" / "report.json").read_text())["ending"] == "done"
 
 
-def test_the_list_and_the_program_of_the_page_are_missions() -> None:
-    (listed,) = [text for kind, text in BLOCKS if kind == "toml"]
+def test_list_and_program_are_missions() -> None:
+    (steps,) = [text for kind, text in BLOCKS if kind == "toml"]
     (program,) = [text for kind, text in BLOCKS if kind == "python"]
-    assert parse_list(listed, "page").settings.title == "Rounds"
+    assert parse_list(steps, "page").settings.title == "Rounds"
     assert parse_program(program, "page").settings.title == "Mail"
 
 
-def test_the_page_tells_of_every_verb_and_condition() -> None:
+def test_page_has_every_step_and_condition() -> None:
     for word in (*VERBS, *CONDITIONS):
         assert f"`{word}`" in PAGE

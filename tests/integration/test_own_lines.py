@@ -17,11 +17,11 @@ import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import forked
 import pytest
-from forked import Forked
 
 from nclient import connect
+from tests.programs import forked
+from tests.programs.forked import Forked
 
 VM, GS, ST, GET_RV, GET_RC, WS, CT = 5, 7, 9, 22, 21, 31, 6
 PATIENCE_S = 20.0

@@ -17,22 +17,22 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
-import forked
 import pytest
-from forked import Forked
 
 from nclient import ConnectionLost, Robot, connect
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
-from nclient.protocol.terms import line_terms
-from nclient.recording.log import read_recording
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import line_terms
+from nclient.recording.format import read_recording
 from nserver_emu import cli as nserver_cli
+from tests.programs import forked
+from tests.programs.forked import Forked
 
 NSERVER = ("nserver", "--port", "0", "--lockstep", "0.1")
-GS = language.line_request(Call("gs"), line_terms(N150))
-STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), line_terms(N150))
+GS = codec.line_request(Call("gs"), line_terms(N150))
+STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), line_terms(N150))
 
 
 class Program:

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from forked import Forked
 
 from nclient import ConnectionLost, Robot, connect
-from nserver_emu import ctl
+from nserver_emu.control import cli
+from tests.programs.forked import Forked
 
 BACK_S = 30.0
 SET_IN = 12.5
@@ -43,7 +43,7 @@ class Daemon:
 
     def pull(self) -> None:
         """With the next state it sends, the pseudo-terminal is gone, and another behind the link."""
-        assert ctl.main(["--control", str(self._socket), "faults", "set", str(self._plan)]) == 0
+        assert cli.main(["--control", str(self._socket), "faults", "set", str(self._plan)]) == 0
 
     def start(self) -> None:
         """Another one, behind the same link."""

@@ -19,14 +19,14 @@ from math import hypot
 from pathlib import Path
 
 import pytest
-from forked import Forked
 
 from nclient import BumperHit, ConnectionLost, NomadError, connect
-from nclient import cli as nomad
+from nclient.cli import main as nomad
 from nclient.errors import ReplyTimeout
 from nclient.robot import Robot
 from nserver_emu import cli
 from nserver_emu.simulation.robot import SimulatedRobot
+from tests.programs.forked import Forked
 
 WHOLE_S = 30.0
 SILENCE = '[[rule]]\ndo = "silence"\nsilence_s = 1000.0\ndirection = "both"\nfirst = 1\nline = "serial"\n'

@@ -18,9 +18,9 @@ import pytest
 import serial
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.transports import serial_port
-from nclient.transports.byte_stream import Deadline
-from nclient.transports.serial_port import SerialStream
+from nclient.transports import serial as serial_port
+from nclient.transports.serial import SerialStream
+from nclient.transports.stream import Deadline
 
 
 class Pty:

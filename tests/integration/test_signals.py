@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from forked import Forked
 
 from nclient import connect
+from tests.programs.forked import Forked
 
 PATIENCE_S = 60.0
 MISSION = "map = 'thesis_room'\n[[step]]\ndo = 'go_to'\nto_in = [80, 80]\n"

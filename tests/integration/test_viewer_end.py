@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import aiohttp
-from forked import Forked
+
+from tests.programs.forked import Forked
 
 AT_ONCE_S = 2.0
 """The best of three, for busy machines: it takes hundredths; with a page open it was 2.9 s more each time."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nclient import cli
+from nclient.cli import main
 from worlds.calibration import load_calibration
 
 pytestmark = pytest.mark.long
@@ -28,7 +28,7 @@ def test_every_command_of_the_page_works(page: str, tmp_path: Path, monkeypatch:
     given = commands(page)
     assert len(given) >= 2
     for words in given:
-        assert cli.main(words) == 0, words
+        assert main.main(words) == 0, words
 
 
 def test_the_file_of_the_page_is_a_model_file(tmp_path: Path) -> None:

@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 from nclient.backends.nserver import NserverBackend
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol import replies as shape
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N150, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, request_bounds
-from nclient.protocol.terms import tcp_terms
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, request_bounds
+from nclient.protocol.types import N150, Model
+from nclient.protocol.wire_state import tcp_terms
 from nclient.robot import Robot
 from nclient.transports.memory import MemoryStream
 
@@ -56,9 +56,9 @@ class ScriptedServer:
     def send(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
             assert isinstance(frame, TcpFrame), frame
-            call = language.tcp_call(frame)
+            call = codec.tcp_call(frame)
             self.calls.append(call)
-            language.note(call, self.terms)
+            codec.note(call, self.terms)
             if BY_NAME[call.name].has_tcp_reply:
                 self._out += self._bytes_for(call)
 
@@ -86,7 +86,7 @@ class ScriptedServer:
         answer = self.answers[call.name] if call.name in self.answers else self._dull(row.name, row.tcp_reply)
         if answer is None or isinstance(answer, bytes):
             return answer or b""
-        return language.tcp_reply(row, answer, self.terms)
+        return codec.tcp_reply(row, answer, self.terms)
 
     def _dull(self, name: str, layout: shape.ReplyShape) -> Reply:
         if name in ("connect_robot", "create_robot"):

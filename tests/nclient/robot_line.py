@@ -12,18 +12,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from recorded import SERIAL, exchanges, model_of
-
 from nclient.backends.direct import DirectBackend
-from nclient.protocol import language
+from nclient.protocol import codec
+from nclient.protocol.client_state import Hello, build_hello
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.hello import Hello, build_hello
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import SerialFramer
-from nclient.protocol.terms import line_terms
+from nclient.protocol.serial_framing import SerialFramer
+from nclient.protocol.types import EVERYTHING, N150, Model
+from nclient.protocol.wire_state import line_terms
 from nclient.transports.memory import MemoryStream
+from tests.nclient.protocol.recorded import SERIAL, exchanges, model_of
 
 NAK = Reply("nak")
 SONARS = {slot: 40 + slot for slot in range(17, 33)}
@@ -49,7 +47,7 @@ class ScriptedLine:
         self.slots: dict[int, int] = dict.fromkeys(range(1, 44), 0) | SONARS | {33: model.bumper_rest}
         self.clock = 1000
         self.volts = (200, 210)
-        self.laser = (0,)
+        self.laser: tuple[int, ...] = (0,)
         self.calls: list[Call] = []
         self.requests = bytearray()
         self.closed = 0
@@ -61,7 +59,7 @@ class ScriptedLine:
     def send(self, data: bytes) -> None:
         self.requests += data
         for frame in self._framer.receive(data):
-            call = language.line_call(frame, self.terms)
+            call = codec.line_call(frame, self.terms)
             self.calls.append(call)
             self.clock += 16
             self.out += self._late
@@ -85,14 +83,14 @@ class ScriptedLine:
 
     def frame(self, name: str, reply: Reply | None = None) -> bytes:
         """The bytes of an answer to a command, the dull one by itself."""
-        return language.line_reply(BY_NAME[name], reply or self._dull(name), self.terms)
+        return codec.line_reply(BY_NAME[name], reply or self._dull(name), self.terms)
 
     def _answer(self, call: Call) -> None:
         told = self.answers.get(call.name, self._dull(call.name))
         if isinstance(told, list):
             told = told.pop(0) if told else self._dull(call.name)
         if told is not None and told != NAK:
-            language.note(call, self.terms)
+            codec.note(call, self.terms)
         if isinstance(told, Late):
             self._late += self.frame(call.name, told.reply)
         elif isinstance(told, Reply):

@@ -7,10 +7,10 @@ import inspect
 import threading
 
 import pytest
-from answering import ScriptedServer, error, robot_on
 
 from nclient import AsyncRobot, ConnectionLost, Robot, RobotRefused, WireError
 from nclient.protocol.commands import Call
+from tests.nclient.answering import ScriptedServer, error, robot_on
 
 
 def names_of(kind: type) -> set[str]:
@@ -44,7 +44,7 @@ def test_calls_run_on_one_thread_that_is_not_the_loops() -> None:
         threads.add(threading.current_thread().name)
         answer(data)
 
-    server.send = send
+    server.send = send  # type: ignore[method-assign]  # a scripted server is made to answer late
 
     async def several() -> None:
         async with await on(server) as robot:
@@ -88,7 +88,7 @@ class Held:
                 assert self.go.wait(10)
             answer(data)
 
-        server.send = send
+        server.send = send  # type: ignore[method-assign]  # a scripted server is made to answer late
 
 
 def test_a_cancelled_wait_leaves_the_robot_usable() -> None:

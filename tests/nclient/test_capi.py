@@ -8,16 +8,15 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from answering import ScriptedServer, by_script, error, on_socket, simple
-from recorded import TCP, TCP_SESSIONS
 
 from nclient import RobotRefused, WireError, capi
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import COMMANDS, Call, Command
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import SCOUT
 from nclient.protocol.replies import Reply
-from nclient.protocol.terms import line_terms
+from nclient.protocol.types import EVERYTHING, SCOUT
+from nclient.protocol.wire_state import line_terms
+from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
+from tests.nclient.protocol.recorded import TCP, TCP_SESSIONS
 
 TYPE_OF_THE_RECORDER = 200
 

@@ -6,15 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from recorded import LINE_SESSIONS, SERIAL, model_of
-from robot_line import NAK, RecordedRobot, ScriptedLine
 
 from nclient import capi
 from nclient.errors import AddressError, RobotRefused
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N200, SCOUT
+from nclient.protocol.types import EVERYTHING, N200, SCOUT
 from nclient.transports.memory import MemoryStream
+from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, model_of
+from tests.nclient.robot_line import NAK, RecordedRobot, ScriptedLine
 
 TYPE_OF_THE_RECORDER = 200
 

@@ -7,7 +7,6 @@ import importlib
 import socket
 
 import pytest
-from answering import ScriptedServer, by_script, on_socket
 
 from nclient import (
     AddressError,
@@ -20,10 +19,10 @@ from nclient import (
     connect_async,
 )
 from nclient.connect import Wanted, is_listening, known_schemes, open_machine
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, N200, SCOUT
+from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream
+from tests.nclient.answering import ScriptedServer, by_script, on_socket
 
 connecting = importlib.import_module("nclient.connect")
 """The module; the package's own name `connect` is the function."""

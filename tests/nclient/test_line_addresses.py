@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from answering import ScriptedServer
-from robot_line import ScriptedLine, spoiled
 
 from nclient import AddressError, BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
 from nclient.connect import is_listening
+from nclient.protocol.client_state import Hello, build_hello
 from nclient.protocol.commands import Call
-from nclient.protocol.hello import Hello, build_hello
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, N200, SCOUT
+from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports.memory import MemoryStream
+from tests.nclient.answering import ScriptedServer
+from tests.nclient.robot_line import ScriptedLine, spoiled
 
 
 class Bench:

@@ -8,16 +8,15 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from answering import ScriptedServer, error, robot_on, simple
 
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import COMMANDS, Call, Command
-from nclient.protocol.models import DEFAULT_SONAR_ORDER, SCOUT
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import NO_STAMP
-from nclient.quantities import AxisCommand
+from nclient.protocol.types import DEFAULT_SONAR_ORDER, NO_STAMP, SCOUT
 from nclient.robot import Robot
-from nclient.robot_state import RobotState
+from nclient.state import RobotState
+from nclient.units import AxisCommand
+from tests.nclient.answering import ScriptedServer, error, robot_on, simple
 
 OWN_NAMES = {"sim_truth", "sim_control"}
 ORDER = (1, 2, 3, *[255] * 13)
@@ -294,7 +293,7 @@ def test_experts_speak_in_calls() -> None:
     assert robot.execute(Call("get_rpx")).values == (0,)
 
 
-def test_threads_take_turns() -> None:
+def test_threads_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
     robot = robot_on(server)
     overlapped, second_goes = threading.Event(), threading.Event()
@@ -309,7 +308,7 @@ def test_threads_take_turns() -> None:
         answer(data)
 
     at_once: list[bool] = []
-    server.send = send
+    monkeypatch.setattr(server, "send", send)
     first = threading.Thread(target=robot.refresh)
     first.start()
     assert second_goes.wait(5)

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nclient.protocol.models import N150, N200, SCOUT, Model
+from nclient.protocol.client_state import HeldState
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import Stamp
-from nclient.protocol.state import HeldState
-from nclient.robot_state import Pose, RobotState, snapshot
+from nclient.protocol.types import N150, N200, SCOUT, Model, Stamp
+from nclient.state import Pose, RobotState, snapshot
 
 
 def state(model: Model = N150, **slots: int) -> RobotState:

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from answering import ScriptedServer, error, robot_on, simple
 
 from nclient.errors import RobotRefused, WireError
 from nclient.protocol.commands import Call
-from nclient.protocol.models import SCOUT
 from nclient.protocol.replies import Reply
-from nclient.protocol.terms import line_terms
+from nclient.protocol.types import SCOUT
+from nclient.protocol.wire_state import line_terms
 from nclient.robot import Robot
-from nclient.robot_state import Pose, Truth
 from nclient.robot_world import Arc
+from nclient.state import Pose, Truth
+from tests.nclient.answering import ScriptedServer, error, robot_on, simple
 
 POSE = Pose(10, 20, math.pi / 2, -math.pi)
 SQUARE_IN = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0)]
@@ -75,7 +75,8 @@ def test_an_obstacle_moves_and_says_where_it_is() -> None:
 
 def test_where_the_robots_are() -> None:
     server = ScriptedServer({"get_rpx": simple(2, 10, 20, 900, -30, 40, 1800)})
-    assert robot_on(server).read_robots() == ((1, 2, pytest.approx(math.pi / 2)), (-3, 4, pytest.approx(math.pi)))
+    places = [list(place) for place in robot_on(server).read_robots()]
+    assert places == [pytest.approx([1, 2, math.pi / 2]), pytest.approx([-3, 4, math.pi])]
 
 
 def test_a_list_of_robots_that_is_too_short_is_a_wire_error() -> None:
@@ -177,7 +178,7 @@ def test_simulated_time_is_controlled(verb: Any, value: float, sent: tuple[int, 
 
 def test_another_verb_of_time_is_refused() -> None:
     with pytest.raises(ValueError, match="pause, resume, speed, step, not 'stop'"):
-        robot_on(ScriptedServer()).control_time("stop")
+        robot_on(ScriptedServer()).control_time("stop")  # type: ignore[arg-type]
 
 
 class Mute:

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from wire_client import WireClient
 
 from nserver_emu import cli
 from nserver_emu.options import as_long_option
+from tests.nserver_emu.server.wire_client import WireClient
 
 pytestmark = pytest.mark.long
 

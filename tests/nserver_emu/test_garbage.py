@@ -10,11 +10,11 @@ import weakref
 from pathlib import Path
 
 import pytest
-from daemon_house import House, with_daemon
 
 from nserver_emu import cli, garbage
 from nserver_emu.garbage import FEW_OBJECTS, NEW_OBJECTS, SHARE, TIDY_S, Tidying, seldom_sought
-from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.daemon import Daemon
+from tests.nserver_emu.server.daemon_house import House, with_daemon
 
 
 class Ring:

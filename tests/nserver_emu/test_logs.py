@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
-from nclient.arguments import Parser
+from nclient.common.arguments import Parser
 from nserver_emu import cli, logs
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -10,7 +10,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from clean_install import (
+
+from tests.packaging.clean_install import (
     ALL,
     CHECKS,
     EXTRAS,
@@ -53,7 +54,7 @@ def test_the_sdist_holds_all_that_its_scripts_need_and_that_can_still_be_run(dis
         files = {member.name.partition("/")[2]: member for member in held.getmembers() if member.isfile()}
     wanted = {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "docs/shell.md", "worlds/thesis_room.toml"}
     wanted |= {"clib/Makefile", "clib/include/Nclient.h", "clib/src/calls.c", "packaging/nserver.service"}
-    wanted |= {"tests/packaging/test_wheel.py", "benchmarks/soak.py", "fuzz/kept.py", ".ci/run"}
+    wanted |= {"tests/packaging/test_wheel.py", "benchmarks/soak.py", "fuzz/saved_files.py", ".ci/run"}
     assert wanted <= set(files)
     assert all(files[f"scripts/{path.name}"].mode & 0o100 for path in (ROOT / "scripts").iterdir() if _runs(path))
 

@@ -7,7 +7,7 @@ import asyncio
 from localization.filters.belief import Belief
 from nclient import Pose, Robot, RobotState, connect, connect_async
 from nclient.capi import State, connect_robot, gs, st
-from nserver_emu.simulation.setup import SETUPS
+from nserver_emu.simulation.noise import SETUPS
 from worlds.files import load_world
 
 

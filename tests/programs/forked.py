@@ -25,9 +25,9 @@ from typing import IO, Any, Self
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload([
-    "nserver_emu.cli", "nserver_emu.server.ports.pseudo_terminal", "nserver_emu.viewer.web", "numpy.random",
-    "nclient.cli", "nclient.commands.bridge", "nclient.commands.doctor", "nclient.commands.play",
-    "localization.calibration.cli", "localization.cli", "localization.missions.command", "localization.missions.go",
+    "nserver_emu.cli", "nserver_emu.server.pty", "nserver_emu.viewer.server", "numpy.random",
+    "nclient.cli.main", "nclient.cli.bridge", "nclient.cli.doctor", "nclient.cli.play",
+    "localization.cli.calibrate", "localization.cli.localize", "localization.cli.mission", "localization.cli.go",
 ])  # fmt: skip
 
 
@@ -147,6 +147,6 @@ def _be(program: str, words: tuple[str, ...], environment: dict[str, str], strea
     if program == "nserver":
         from nserver_emu.cli import main
     else:
-        from nclient.cli import main
+        from nclient.cli.main import main
     with contextlib.suppress(BrokenPipeError):
         sys.exit(main())

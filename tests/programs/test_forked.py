@@ -6,9 +6,10 @@ import signal
 import subprocess
 import sys
 
-import forked
 import pytest
-from forked import Forked
+
+from tests.programs import forked
+from tests.programs.forked import Forked
 
 pytestmark = pytest.mark.long
 

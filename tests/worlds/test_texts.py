@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import WorldFileError
-from nserver_emu.simulation.model_files import load_models
-from nserver_emu.simulation.setup_toml import load_setup
+from nserver_emu.simulation.models import load_models
+from nserver_emu.simulation.noise import load_setup
 from worlds.calibration import load_calibration
 from worlds.files import load_world
 from worlds.texts import MOST_BYTES, read_text

@@ -1,10 +1,10 @@
-// Small charts over time: the latest at the right, seconds below, values at the left; a legend as text beside them.
+// Charts over time: the latest value at the right, seconds below, values at the left; legends are HTML text.
 
-import { sizedPen, element } from './parts.js';
+import { sizedPen, element } from './widgets.js';
 
 const LEFT = 40, BOTTOM = 16;
 
-// lines: [{points: [[time_s, value] ...], colour, dots}]; bound: a value with a line of its own.
+// lines: [{points: [[time_s, value] ...], colour, dots}]; bound: a value marked by a horizontal line.
 export function chart(canvas, theme, { end_s, span_s, lines, bound }) {
   const pen = sizedPen(canvas, 0.34);
   if (!pen) return;
@@ -12,6 +12,7 @@ export function chart(canvas, theme, { end_s, span_s, lines, bound }) {
   const low = Math.min(0, ...values), high = Math.max(1e-3, ...values), wide = pen.width - LEFT - 6, tall = pen.height - BOTTOM - 8;
   const at = (time_s, value) => [LEFT + wide * (1 - (end_s - time_s) / span_s), 6 + tall - (value - low) / (high - low) * tall];
   pen.font = '11px system-ui, sans-serif';
+  // Horizontal lines at the limits, 0 and the bound; labels that would overlap are omitted.
   let lastAt = Infinity;
   for (const value of [...new Set([low, 0, ...(bound ? [bound] : []), high])].sort((a, b) => a - b)) {
     const [, py] = at(end_s, value);
@@ -35,11 +36,11 @@ export function chart(canvas, theme, { end_s, span_s, lines, bound }) {
   }
 }
 
-// How long ago, written under a chart.
+// Label the time axis: seconds before now.
 export function timeAxis(pen, theme, { left, right, y, span_s }) {
   pen.fillStyle = theme.quiet;
   pen.textAlign = 'center';
-  for (const share of [0.25, 0.5, 0.75]) pen.fillText(`−${Math.round(span_s * (1 - share))} s`, left + share * (right - left), y);
+  for (const fraction of [0.25, 0.5, 0.75]) pen.fillText(`−${Math.round(span_s * (1 - fraction))} s`, left + fraction * (right - left), y);
   pen.textAlign = 'left';
   pen.fillText(`−${span_s} s`, left, y);
   pen.textAlign = 'right';
@@ -47,7 +48,7 @@ export function timeAxis(pen, theme, { left, right, y, span_s }) {
   pen.textAlign = 'left';
 }
 
-// [name of a colour of the theme, what it means] ...
+// Entries: [name of a theme colour, meaning] ...
 export function legend(...entries) {
   return element('div', { className: 'legend' }, ...entries.map(([colour, text]) =>
     element('span', {}, element('i', { style: `background: var(--${colour})` }), text)));

@@ -1,4 +1,4 @@
-// The twenty colours of client graphics, as X had them, and the page's own from the style sheet.
+// The colours of client graphics, with the values of X11, and the theme colours from the style sheet.
 
 export const CLIENT_COLOURS = {
   Blue: '#0000ff', NavyBlue: '#000080', RoyalBlue: '#4169e1', SteelBlue: '#4682b4', CadetBlue: '#5f9ea0',
@@ -10,15 +10,15 @@ export const CLIENT_COLOURS = {
 const NAMES = ['paper', 'panel', 'ink', 'quiet', 'edge', 'accent', 'grid', 'wall', 'obstacle', 'actual', 'encoder',
   'actual-trace', 'encoder-trace', 'sonar', 'infrared', 'laser', 'hit', 'estimate', 'good'];
 
-const LEAST_CONTRAST = 3, STEPS = 20;
+const MIN_CONTRAST = 3, STEPS = 20;
 
-// A colour as clients name it, on this page: black is its ink, and one that would not be seen on its paper is mixed with
-// ink until it is (contrast 3 to 1, as WCAG 2.2 asks of what is drawn).
-const seen = new Map();
+// Return a client's colour for this theme. Black is the text colour, and a colour without enough contrast to the background
+// is mixed with the text colour until it has: 3 to 1, as WCAG 2.2 requires for graphics.
+const cache = new Map();
 export function clientColour(name, theme) {
   const key = `${name} ${theme.paper} ${theme.ink}`;
-  if (!seen.has(key)) seen.set(key, name in CLIENT_COLOURS ? onPaper(CLIENT_COLOURS[name], theme) : theme.ink);
-  return seen.get(key);
+  if (!cache.has(key)) cache.set(key, name in CLIENT_COLOURS ? onPaper(CLIENT_COLOURS[name], theme) : theme.ink);
+  return cache.get(key);
 }
 
 function onPaper(colour, { paper, ink }) {
@@ -26,14 +26,14 @@ function onPaper(colour, { paper, ink }) {
   for (let step = 0; step <= STEPS; step += 1) {
     const mixed = one.map((part, k) => Math.round(part + (other[k] - part) * step / STEPS));
     const text = `#${mixed.map((part) => part.toString(16).padStart(2, '0')).join('')}`;
-    if (contrast(text, paper) >= LEAST_CONTRAST) return text;
+    if (contrast(text, paper) >= MIN_CONTRAST) return text;
   }
   return ink;
 }
 
 function parts(colour) { return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16)); }
 
-// As WCAG 2.2 defines it, of colours #rrggbb.
+// Return the contrast ratio of two colours #rrggbb, as defined by WCAG 2.2.
 export function contrast(one, other) {
   const light = (colour) => parts(colour).map((part) => part / 255)
     .map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4))

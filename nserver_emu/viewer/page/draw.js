@@ -1,7 +1,7 @@
-// Draws a scene through a pen: the 2D context of a canvas, or svg.js that writes the same strokes down.
-// Rules: reads scene, view and options, changes none of them. World in inches, screen in CSS pixels.
+// Draws a scene with a pen: the 2D context of a canvas, or an SvgPen. The world is in inches, the screen in CSS pixels.
+// Nothing here changes scene, view or options.
 
-import { toScreen, toWorld, roundLength } from './view.js';
+import { toScreen, toWorld, roundLength } from './geometry.js';
 import { sonarDirection } from './scene.js';
 import { clientColour } from './colours.js';
 import { unitIn, lengthText } from './units.js';
@@ -10,8 +10,8 @@ export const LAYERS = {
   grid: 'Grid', traces: 'Traces', encoder: 'Encoder robot', sonar: 'Sonar', infrared: 'Infrared', bumper: 'Bumpers',
   laser: 'Laser', graphics: 'Client graphics', estimate: 'Estimate',
 };
-const CONE = 12.5 * Math.PI / 180;
-const NOTHING_IN = 255, NO_INFRARED = 15;
+const CONE = 12.5 * Math.PI / 180;  // half opening angle of a sonar
+const NO_ECHO_IN = 255, NO_INFRARED = 15;  // readings without an echo
 
 export function drawScene(pen, scene, view, options) {
   const { theme, shown } = options;
@@ -21,14 +21,14 @@ export function drawScene(pen, scene, view, options) {
   if (!scene.world) return;
   drawWorld(pen, scene.world, view, options);
   if (shown.graphics) options.graphics?.(pen, scene, view, options);
-  const many = Object.keys(scene.robots).length > 1;
+  const isFleet = Object.keys(scene.robots).length > 1;
   for (const [id, robot] of Object.entries(scene.robots)) {
     const body = scene.bodies[id];
     if (!body) continue;
     if (shown.traces) drawTraces(pen, scene.traces[id], view, theme);
     if (id === options.robot) drawSensors(pen, scene, id, view, options);
     if (shown.encoder) drawRobot(pen, robot.encoder, body, view, { colour: theme.encoder, dashed: true });
-    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && many });
+    drawRobot(pen, robot.actual, body, view, { colour: theme.actual, name: id, chosen: id === options.robot && isFleet });
     if (shown.bumper) drawBumpers(pen, robot, body, view, theme);
   }
   if (shown.estimate) options.estimate?.(pen, scene, view, options);
@@ -73,8 +73,8 @@ function drawGrid(pen, view, { theme, metric }) {
 }
 
 function drawWorld(pen, world, view, { theme }) {
-  for (const thing of world.obstacles) {
-    polygonPath(pen, view, thing.corners);
+  for (const { corners } of world.obstacles) {
+    polygonPath(pen, view, corners);
     pen.fillStyle = theme.obstacle;
     pen.globalAlpha = 0.35; pen.fill(); pen.globalAlpha = 1;
     pen.strokeStyle = theme.wall; pen.lineWidth = 1.5; pen.stroke();
@@ -95,6 +95,7 @@ function drawTraces(pen, traces, view, theme) {
     pen.strokeStyle = colour;
     pen.lineWidth = 1.5;
     pen.beginPath();
+    // null, null marks a gap: the robot was placed elsewhere
     for (let k = 0, pass = pen.moveTo; k + 1 < points.length; k += 2) {
       if (points[k] === null) { pass = pen.moveTo; continue; }
       pass.call(pen, ...toScreen(view, points[k], points[k + 1]));
@@ -104,7 +105,8 @@ function drawTraces(pen, traces, view, theme) {
   }
 }
 
-// Sonar beams from where each sonar cried, laser points where they were seen, infrared from where the robot is now.
+// Sonar beams start where each sonar emitted its ping and laser points are where they were measured; infrared readings are
+// drawn at the current pose.
 function drawSensors(pen, scene, id, view, { theme, shown }) {
   const robot = scene.robots[id], body = scene.bodies[id], laser = scene.lasers[id];
   const [x, y] = robot.actual;
@@ -128,7 +130,7 @@ function drawSensors(pen, scene, id, view, { theme, shown }) {
 }
 
 function drawBeam(pen, view, [x, y, direction], ring, reading, colour) {
-  const far = ring + reading, nothing = reading >= NOTHING_IN;
+  const far = ring + reading, nothing = reading >= NO_ECHO_IN;
   const [px, py] = toScreen(view, x, y);
   pen.globalAlpha = nothing ? 0.03 : 0.09;
   pen.fillStyle = colour;
@@ -207,7 +209,7 @@ function drawScale(pen, view, { theme, metric }) {
   pen.fillText(lengthText(length, metric, length < unitIn(metric) ? 2 : 0), 16, y - 5);
 }
 
-// What clients drew, on a sheet of its own: there two shapes in XOR cancel where they meet, as on the old screens.
+// Draw the client graphics on a canvas of their own, where shapes in XOR mode cancel each other, as on old displays.
 export function drawGraphics(pen, scene, view, { theme }) {
   for (const shape of scene.graphics) {
     pen.globalCompositeOperation = shape[4] ? 'xor' : 'source-over';
@@ -216,7 +218,7 @@ export function drawGraphics(pen, scene, view, { theme }) {
   pen.globalCompositeOperation = 'source-over';
 }
 
-// One of them; [number, figure, its numbers in tenths, colour, whether in XOR].
+// Draw a shape [number, figure, coordinates in tenths, colour, is in XOR mode].
 export function drawShape(pen, [, figure, tenths], view, colour) {
   const n = tenths.map((tenth) => tenth / 10);
   pen.strokeStyle = pen.fillStyle = colour;
@@ -237,7 +239,7 @@ export function drawShape(pen, [, figure, tenths], view, colour) {
   }
 }
 
-// The box's upper left corner, its width and height; from an angle, so many degrees on (as X draws arcs).
+// Draw an arc as X does: upper left corner, width and height of its box, start angle and extent in degrees.
 function drawArc(pen, [x, y, w, h, from, extent], view) {
   const [px, py] = toScreen(view, x + w / 2, y - h / 2), radians = (degrees) => degrees * Math.PI / 180;
   pen.beginPath();

@@ -1,9 +1,10 @@
-// Replays a run that was kept: the link's place is taken by the messages of the run and a bar to go through them.
+// Replays a saved run: replaces the connection by the messages of the run, with controls to play and seek.
 
-import { element, button } from './parts.js';
+import { element, button } from './widgets.js';
 
-export function openReplay(run, { hear, reset, state }) {
+export function openReplay(run, { onMessage, onReset, onState }) {
   const messages = [{ ...run.base, type: 'picture' }, ...run.messages];
+  // Messages without a time have that of the picture before them.
   const times = messages.map(() => 0);
   messages.forEach((message, k) => { times[k] = message.type === 'picture' ? message.time_s : times[Math.max(k - 1, 0)]; });
   const first = times[0], last = times[times.length - 1];
@@ -12,11 +13,11 @@ export function openReplay(run, { hear, reset, state }) {
   const slider = element('input', { type: 'range', min: first, max: last, step: 'any', value: first, id: 'replay-time' });
   slider.setAttribute('aria-label', 'Time of the run, seconds');
   const play = button('Play', () => go(!playing), { id: 'replay-play', title: 'Play or pause (space bar)' });
-  const shown = element('span', { id: 'replay-now' });
+  const position = element('span', { id: 'replay-now' });
   const rate = element('select', { id: 'replay-rate' }, ...[0.5, 1, 2, 5, 10].map((factor) => element('option', { value: factor }, `${factor} x`)));
   rate.value = '1';
   rate.setAttribute('aria-label', 'Speed');
-  document.querySelector('header').append(play, slider, shown, rate);
+  document.querySelector('header').append(play, slider, position, rate);
   slider.addEventListener('input', () => seek(Number(slider.value)));
   document.addEventListener('keydown', (event) => {
     if (event.key !== ' ' || event.target.closest?.('button, select, summary')) return;
@@ -32,11 +33,11 @@ export function openReplay(run, { hear, reset, state }) {
   }
 
   function seek(time_s) {
-    if (time_s < now_s) { next = 0; reset(); }
+    if (time_s < now_s) { next = 0; onReset(); }  // replay from the start
     now_s = time_s;
-    while (next < messages.length && times[next] <= now_s) { hear(messages[next]); next += 1; }
+    while (next < messages.length && times[next] <= now_s) { onMessage(messages[next]); next += 1; }
     const text = `${(now_s - first).toFixed(1)} of ${(last - first).toFixed(1)} s`;
-    if (shown.textContent !== text) shown.textContent = text;
+    if (position.textContent !== text) position.textContent = text;
     slider.setAttribute('aria-valuetext', text);
   }
 
@@ -50,9 +51,9 @@ export function openReplay(run, { hear, reset, state }) {
     requestAnimationFrame(frame);
   }
 
-  reset();
-  state('replay');
+  onReset();
+  onState('replay');
   queueMicrotask(() => seek(first));
   requestAnimationFrame(frame);
-  return { send() {}, ask: async () => ({ ok: false, error: 'this is a run that was kept' }), seek, last };
+  return { send() {}, request: async () => ({ ok: false, error: 'this is a saved run' }), seek, last };
 }

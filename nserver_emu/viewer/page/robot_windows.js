@@ -1,9 +1,9 @@
-// The windows Robot, Short sensors and Long sensors: State in words and numbers, the rings seen from above, the
-// sixteen sonars over time. Rules: read the scene, change nothing of it.
+// The windows Robot, Short sensors and Long sensors: State as text and numbers, the sensor rings from above, and the
+// sonars over time.
 
 import { HISTORY_S } from './scene.js';
 import { lengthText, degreesText, unitIn, unitName } from './units.js';
-import { cell, table, sizedPen } from './parts.js';
+import { cell, table, sizedPen } from './widgets.js';
 import { timeAxis } from './charts.js';
 
 const MODES = { n150: 'steering', n200: 'steering', scout: 'wheels' };
@@ -12,44 +12,44 @@ export const robotWindow = {
   id: 'robot', title: 'Robot',
   build(box) { this.rows = table(box, 'State of the robot'); },
   update(app) {
-    const { robot, body, scene } = app.chosen();
+    const { robot, body, scene } = app.selected();
     if (!robot) return;
-    for (const [name, text] of stateInWords(robot, body, scene, app.metric, app.robot)) cell(this.rows, name, text);
+    for (const [name, text] of stateRows(robot, body, scene, app.metric, app.robot)) cell(this.rows, name, text);
   },
 };
 
-// Whose laser mode the map follows: each client has its own, and what any of them is told is drawn.
-export function laserInWords(body, clients = []) {
+// Describe the laser modes: each client has its own, and the map shows points if any of them has the laser on.
+function laserText(body, clients = []) {
   if (!body.sees) return 'this robot has none';
-  if (!clients.length) return 'on, as at power-on: it has no client';
-  const told = (on) => clients.filter(([, mode]) => Boolean(mode & 1) === on).map(([name, mode]) => `${name} (mode ${mode})`).join(', ');
-  return [['on for', told(true)], ['off for', told(false)]].filter(([, names]) => names).map((parts) => parts.join(' ')).join('; ');
+  if (!clients.length) return 'on, as at power-on: no client is connected';
+  const names = (on) => clients.filter(([, mode]) => Boolean(mode & 1) === on).map(([name, mode]) => `${name} (mode ${mode})`).join(', ');
+  return [['on for', names(true)], ['off for', names(false)]].filter(([, list]) => list).map((parts) => parts.join(' ')).join('; ');
 }
 
-// State[0..44] as a person says it; [what, text] each.
-export function stateInWords(robot, body, scene, metric, who) {
+// Return State[0..44] and the true state as rows [name, text].
+function stateRows(robot, body, scene, metric, id) {
   const s = robot.state, tenth = (slot) => lengthText(s[slot] / 10, metric);
   const angle = (slot) => degreesText(s[slot] * Math.PI / 1800);
   const speed = (slot) => `${lengthText(s[slot] / 10, metric)}/s`, turn = (slot) => `${(s[slot] / 10).toFixed(1)}°/s`;
   const axes = MODES[body.family] === 'wheels' ? ['right wheel', 'left wheel'] : ['translation', 'steering', 'turret'];
   const moving = axes.filter((_, k) => s[41] >> k & 1);
   const touched = [...Array(body.bumpers).keys()].filter((k) => s[33] >> k & 1);
-  const off = Math.hypot(robot.actual[0] - robot.encoder[0], robot.actual[1] - robot.encoder[1]);
+  const error = Math.hypot(robot.actual[0] - robot.encoder[0], robot.actual[1] - robot.encoder[1]);
   return [
     ['model', body.model],
-    ['encoders say', `${tenth(34)}, ${tenth(35)}`],
+    ['encoder position', `${tenth(34)}, ${tenth(35)}`],
     ['steering, turret', `${angle(36)}, ${angle(37)}`],
-    ['really at', `${lengthText(robot.actual[0], metric)}, ${lengthText(robot.actual[1], metric)}`],
-    ['really heading', `${degreesText(robot.actual[2])}, ${degreesText(robot.actual[3])}`],
-    ['encoders off by', lengthText(off, metric)],
+    ['true position', `${lengthText(robot.actual[0], metric)}, ${lengthText(robot.actual[1], metric)}`],
+    ['true angles', `${degreesText(robot.actual[2])}, ${degreesText(robot.actual[3])}`],
+    ['encoder error', lengthText(error, metric)],
     ...(body.differential ? [['wheels', `${speed(38)} right, ${speed(39)} left`]]
       : [['velocities', `${speed(38)}, ${turn(39)}, ${turn(40)}`]]),
     ['moving', moving.length ? moving.join(', ') : 'nothing'],
     ['bumpers', touched.length ? `touched: ${touched.join(', ')}` : 'free'],
     ['compass', angle(43)],
-    ['laser', laserInWords(body, scene.laser_modes[who])],
-    ['State[0] (speed)', s[0] === 9999 ? 'as fast as it can' : s[0] === 0 ? 'time stands' : `${s[0] / 10} x real time`],
-    ['said last', scene.said.findLast(([, id]) => String(id) === String(who))?.[2] ?? 'nothing'],
+    ['laser', laserText(body, scene.laser_modes[id])],
+    ['State[0] (speed)', s[0] === 9999 ? 'as fast as possible' : s[0] === 0 ? 'paused' : `${s[0] / 10} x real time`],
+    ['last speech', scene.speech.findLast(([, robotId]) => String(robotId) === String(id))?.[2] ?? 'none'],
     ['numbers', s.join(' ')],
   ];
 }
@@ -58,10 +58,10 @@ export const shortWindow = {
   id: 'short', title: 'Short sensors',
   build(box) { this.canvas = polarCanvas(box, 'Infrared ring and bumpers from above'); this.rows = table(box, 'Infrared'); },
   update(app) {
-    const { robot, body } = app.chosen();
+    const { robot, body } = app.selected();
     if (!robot) return;
     const readings = robot.state.slice(1, 17);
-    polar(this.canvas, app.theme, { values: readings, most: 15, colour: app.theme.infrared, off: !body.sees,
+    polar(this.canvas, app.theme, { values: readings, max: 15, colour: app.theme.infrared, off: !body.sees,
       turn: robot.actual[3], steer: robot.actual[2], bumpers: body.bumpers, touched: robot.state[33],
       frame: robot.front, metric: app.metric });
     cell(this.rows, 'infrared', body.sees ? readings.join(' ') : 'this robot has none');
@@ -80,14 +80,14 @@ export const longWindow = {
     this.rows = table(box, 'Sonars');
   },
   update(app) {
-    const { robot, scene, id } = app.chosen();
+    const { robot, scene, id } = app.selected();
     if (!robot) return;
     const readings = robot.state.slice(17, 33);
-    polar(this.canvas, app.theme, { values: readings, most: polarReach(readings), nothing: 255, colour: app.theme.sonar,
+    polar(this.canvas, app.theme, { values: readings, max: polarRange(readings), colour: app.theme.sonar,
       turn: robot.actual[3], steer: robot.actual[2], numbered: true, metric: app.metric });
     drawStrips(this.strips, app.theme, scene.history[id] ?? [], scene.time_s, app.metric);
     cell(this.rows, 'sonars 0 to 15', readings.map((reading) => Math.round(reading / unitIn(app.metric))).join(' '));
-    cell(this.rows, 'in', app.metric ? 'centimetres, 648 for nothing heard' : 'inches, 255 for nothing heard');
+    cell(this.rows, 'unit', app.metric ? 'centimetres, 648 without an echo' : 'inches, 255 without an echo');
   },
 };
 
@@ -99,14 +99,14 @@ function polarCanvas(box, label) {
   return canvas;
 }
 
-// How far the view of a ring goes, so that a small room fills it: 30, 60, 120 or all 255 inches.
-export function polarReach(readings) {
-  const farthest = Math.max(0, ...readings.filter((reading) => reading < 255));
-  return [30, 60, 120].find((reach) => farthest <= reach) ?? 255;
+// Return the range shown in a ring plot: 30, 60, 120 or 255 inches, so that small rooms fill it.
+export function polarRange(readings) {
+  const maximum = Math.max(0, ...readings.filter((reading) => reading < 255));
+  return [30, 60, 120].find((range) => maximum <= range) ?? 255;
 }
 
-// A ring of sixteen from above, as the robot is turned in the world; rings of the plot at a third each.
-function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers = 0, touched = 0, frame = 0, numbered, metric }) {
+// Plot a ring of sixteen sensors from above, turned as the robot in the world, with circles at thirds of the range.
+function polar(canvas, theme, { values, max, colour, off, turn, steer, bumpers = 0, touched = 0, frame = 0, numbered, metric }) {
   const pen = sizedPen(canvas, 0.62);
   if (!pen) return;
   const cx = pen.width / 2, cy = pen.height / 2, inner = 16, outer = Math.min(cx, cy) - 18;
@@ -114,20 +114,21 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
   pen.strokeStyle = theme.edge;
   pen.fillStyle = theme.quiet;
   pen.font = '11px system-ui, sans-serif';
-  for (const share of [1 / 3, 2 / 3, 1]) {
+  for (const fraction of [1 / 3, 2 / 3, 1]) {
     pen.beginPath();
-    pen.arc(cx, cy, inner + share * (outer - inner), 0, 2 * Math.PI);
+    pen.arc(cx, cy, inner + fraction * (outer - inner), 0, 2 * Math.PI);
     pen.stroke();
-    const far = Math.round(share * most / unitIn(metric));
-    pen.fillText(share === 1 ? `${far} ${unitName(metric)}` : String(far), cx + 3, cy - inner - share * (outer - inner) + 11);
+    const far = Math.round(fraction * max / unitIn(metric));
+    pen.fillText(fraction === 1 ? `${far} ${unitName(metric)}` : String(far), cx + 3, cy - inner - fraction * (outer - inner) + 11);
   }
   if (numbered) {
     pen.textAlign = 'center';
     for (let k = 0; k < 16; k += 1) { const [x, y] = at(turn + k * Math.PI / 8, outer + 10); pen.fillText(String(k), x, y + 4); }
     pen.textAlign = 'left';
   }
+  // 1. The readings, as a polygon with its corners marked.
   if (!off) {
-    const reach = values.map((value) => inner + Math.min(value, most) / most * (outer - inner));
+    const reach = values.map((value) => inner + Math.min(value, max) / max * (outer - inner));
     pen.fillStyle = pen.strokeStyle = colour;
     pen.beginPath();
     reach.forEach((r, k) => (k ? pen.lineTo : pen.moveTo).call(pen, ...at(turn + k * Math.PI / 8, r)));
@@ -136,6 +137,7 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
     pen.stroke();
     reach.forEach((r, k) => { const [x, y] = at(turn + k * Math.PI / 8, r); pen.fillRect(x - 2, y - 2, 4, 4); });
   }
+  // 2. The robot with its steering direction.
   pen.strokeStyle = theme.actual;
   pen.lineWidth = 2;
   pen.beginPath();
@@ -143,6 +145,7 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
   pen.moveTo(cx, cy);
   pen.lineTo(...at(steer, inner - 3));
   pen.stroke();
+  // 3. The touched bumpers.
   pen.strokeStyle = theme.hit;
   pen.lineWidth = 4;
   for (let k = 0; k < bumpers; k += 1) {
@@ -154,11 +157,11 @@ function polar(canvas, theme, { values, most, colour, off, turn, steer, bumpers 
   }
 }
 
-// Sixteen strips, one a sonar, the latest at the right; as high as what was heard of late is far.
+// Plot sixteen strips, one per sonar, the latest reading at the right, scaled to the largest recent reading.
 function drawStrips(canvas, theme, samples, now_s, metric) {
   const pen = sizedPen(canvas, 1);
   if (!pen) return;
-  const reach = polarReach(samples.flatMap((sample) => sample.sonars)), left = 22, high = (pen.height - 30) / 16, wide = pen.width - left - 4;
+  const reach = polarRange(samples.flatMap((sample) => sample.sonars)), left = 22, high = (pen.height - 30) / 16, wide = pen.width - left - 4;
   pen.font = '11px system-ui, sans-serif';
   pen.fillStyle = theme.quiet;
   pen.fillText(`a strip is ${Math.round(reach / unitIn(metric))} ${unitName(metric)} high`, left, 10);

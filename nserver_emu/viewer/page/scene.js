@@ -1,14 +1,14 @@
-// What the page knows of the simulation: pictures as they come, put together. No drawing, no socket, no DOM.
-// Rules: a picture since 0 replaces everything; any other adds to the one before it.
+// The state of the simulation, assembled from the pictures that the server sends. No drawing, no socket, no DOM.
+// A picture with `since` 0 is complete; any other contains the changes since the one before.
 
 export const HISTORY_S = 60;
-const MOST_TRACE_NUMBERS = 8000;
-const MOST_SAMPLES = 1500;
+export const MAX_TRACE_NUMBERS = 8000;
+const MAX_SAMPLES = 1500;
 
 export function emptyScene() {
   return {
     frame: 0, time_s: 0, speed: 1, paused: false, lockstep_s: null, robots: {}, bodies: {}, world: null,
-    graphics: [], traces: {}, beams: {}, lasers: {}, laser_modes: {}, said: [], history: {},
+    graphics: [], traces: {}, beams: {}, lasers: {}, laser_modes: {}, speech: [], history: {},
   };
 }
 
@@ -19,57 +19,59 @@ export function applyPicture(scene, picture) {
     if (picture.time_s < scene.time_s) scene.history = {};
   }
   for (const key of ['frame', 'time_s', 'speed', 'paused', 'lockstep_s', 'robots']) scene[key] = picture[key];
-  for (const key of ['bodies', 'world', 'graphics', 'lasers', 'laser_modes', 'said']) if (key in picture) scene[key] = picture[key];
-  if ('drawn' in picture) scene.graphics = drawnOn(scene.graphics, picture.drawn);
+  for (const key of ['bodies', 'world', 'graphics', 'lasers', 'laser_modes']) if (key in picture) scene[key] = picture[key];
+  if ('said' in picture) scene.speech = picture.said;  // texts of tk: [time_s, robot, text]
+  if ('drawn' in picture) scene.graphics = updateShapes(scene.graphics, picture.drawn);
   for (const [id, both] of Object.entries(picture.traces ?? {})) {
-    const mine = scene.traces[id] ??= { actual: newTrace(), encoder: newTrace() };
-    growTrace(mine.actual, both.actual);
-    growTrace(mine.encoder, both.encoder);
+    const own = scene.traces[id] ??= { actual: newTrace(), encoder: newTrace() };
+    appendTrace(own.actual, both.actual);
+    appendTrace(own.encoder, both.encoder);
   }
-  scene.beams = beamsOn(scene.beams, picture.beams);
-  for (const [id, robot] of Object.entries(scene.robots)) remember(scene, id, robot);
+  scene.beams = updateBeams(scene.beams, picture.beams);
+  for (const [id, robot] of Object.entries(scene.robots)) addSample(scene, id, robot);
 }
 
-// What clients drew, with what went since and what came.
-export function drawnOn(shapes, { gone, come }) {
-  const went = new Set(gone);
-  return [...(went.size ? shapes.filter(([number]) => !went.has(number)) : shapes), ...come];
+// Return the client graphics without those that are `gone` and with those that `come`.
+export function updateShapes(shapes, { gone, come }) {
+  const removed = new Set(gone);
+  return [...(removed.size ? shapes.filter(([number]) => !removed.has(number)) : shapes), ...come];
 }
 
-// Beams by robot, with those that changed: each as [sonar, x, y, direction] it left; [sonar] alone takes one away.
-export function beamsOn(beams, changed = {}) {
-  const now = { ...beams };
+// Return the sonar beams by robot after changes: [sonar, x, y, direction] at the time of the ping; [sonar] removes one.
+export function updateBeams(beams, changed = {}) {
+  const updated = { ...beams };
   for (const [id, come] of Object.entries(changed)) {
-    const went = new Set(come.map(([sonar]) => sonar));
-    now[id] = [...(now[id] ?? []).filter(([sonar]) => !went.has(sonar)), ...come.filter((beam) => beam.length > 1)];
+    const replaced = new Set(come.map(([sonar]) => sonar));
+    updated[id] = [...(updated[id] ?? []).filter(([sonar]) => !replaced.has(sonar)), ...come.filter((beam) => beam.length > 1)];
   }
-  return now;
+  return updated;
 }
 
 function newTrace() { return { gone: 0, points: [] }; }
 
-function growTrace(trace, more) {
+function appendTrace(trace, more) {
   trace.points.push(...more.points);
-  if (trace.points.length > MOST_TRACE_NUMBERS) trace.points.splice(0, trace.points.length - MOST_TRACE_NUMBERS);
+  if (trace.points.length > MAX_TRACE_NUMBERS) trace.points.splice(0, trace.points.length - MAX_TRACE_NUMBERS);
   trace.gone = more.gone;
 }
 
-function remember(scene, id, robot) {
+function addSample(scene, id, robot) {
   const samples = scene.history[id] ??= [];
   const last = samples[samples.length - 1];
   if (last && scene.time_s <= last.time_s) return;
   samples.push({ time_s: scene.time_s, sonars: robot.state.slice(17, 33) });
-  while (samples.length > MOST_SAMPLES || samples[0].time_s < scene.time_s - HISTORY_S) samples.shift();
+  while (samples.length > MAX_SAMPLES || samples[0].time_s < scene.time_s - HISTORY_S) samples.shift();
 }
 
 export function sonarDirection(robot, number) { return robot.actual[3] + number * Math.PI / 8; }
 
+// Return the bounding box of walls, obstacles and robots.
 export function worldBounds(scene) {
   const xs = [], ys = [];
-  const note = (x, y) => { xs.push(x); ys.push(y); };
-  for (const [x1, y1, x2, y2] of scene.world?.walls ?? []) { note(x1, y1); note(x2, y2); }
-  for (const thing of scene.world?.obstacles ?? []) for (const [x, y] of thing.corners) note(x, y);
-  for (const robot of Object.values(scene.robots)) note(robot.actual[0], robot.actual[1]);
+  const add = (x, y) => { xs.push(x); ys.push(y); };
+  for (const [x1, y1, x2, y2] of scene.world?.walls ?? []) { add(x1, y1); add(x2, y2); }
+  for (const { corners } of scene.world?.obstacles ?? []) for (const [x, y] of corners) add(x, y);
+  for (const robot of Object.values(scene.robots)) add(robot.actual[0], robot.actual[1]);
   if (!xs.length) return [-60, -60, 60, 60];
   return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }

@@ -1,67 +1,67 @@
-// The window Time, noise, faults: what the owner of the daemon may change of it. Shown to who may act.
+// The window Time, noise, faults: settings of the running server. Hidden on read-only pages.
 
-import { element, button, choice, field, form } from './parts.js';
-import { control } from './control.js';
+import { element, button, choice, field, form } from './widgets.js';
+import { control } from './commands.js';
 
-export const NOISE_PARTS = { sensors: 'Sensors', motion: 'Motion' };
+const NOISE_PARTS = { sensors: 'Sensors', motion: 'Motion' };
 
 export const timeWindow = {
   id: 'time', title: 'Time, noise, faults', acts: true,
   build(box, app) {
-    const ask = (command, argument) => control(app, command, argument);
-    this.pause = button('Pause', () => ask(app.scene.paused ? 'resume' : 'pause'), { id: 'pause' });
+    const send = (command, argument) => control(app, command, argument);
+    this.pause = button('Pause', () => send(app.scene.paused ? 'resume' : 'pause'), { id: 'pause' });
     this.step = field('by, s', { type: 'number', min: 0.001, max: 60, step: 'any', value: 0.1, ariaLabel: 'Step, seconds' });
-    this.factor = field('', { type: 'number', min: 0.1, max: 999, step: 'any', value: 1, id: 'factor', onchange: () => this.change(ask) });
+    this.factor = field('', { type: 'number', min: 0.1, max: 999, step: 'any', value: 1, id: 'factor', onchange: () => this.change(send) });
     this.factor.label.prepend('Speed');
     this.factor.label.append('x real time');
     box.append(
-      element('div', { className: 'row' }, this.pause, form(() => ask('step', Number(this.step.input.value)),
+      element('div', { className: 'row' }, this.pause, form(() => send('step', Number(this.step.input.value)),
         element('button', { id: 'step' }, 'Step'), this.step.label)),
-      element('div', { className: 'row' }, this.factor.label, button('As fast as it can', () => ask('speed', 'max'))));
+      element('div', { className: 'row' }, this.factor.label, button('As fast as possible', () => send('speed', 'max'))));
     this.lockstep = element('p', { className: 'quiet', id: 'lockstep', hidden: true });
     box.append(this.lockstep);
-    this.buildNoise(box, app, ask);
-    this.buildFaults(box, ask);
+    this.buildNoise(box, app, send);
+    this.buildFaults(box, send);
   },
-  async change(ask) {
-    this.asking = true;
-    await ask('speed', this.factor.input.value);
-    this.asking = false;
+  async change(send) {
+    this.isSending = true;
+    await send('speed', this.factor.input.value);
+    this.isSending = false;
     this.shown = null;
   },
-  buildNoise(box, app, ask) {
+  buildNoise(box, app, send) {
     const all = element('input', { type: 'checkbox', id: 'noise-all' });
-    const whose = () => (all.checked ? {} : { robot: Number(app.robot) });
+    const target = () => (all.checked ? {} : { robot: Number(app.robot) });
     this.noise = Object.fromEntries(Object.entries(NOISE_PARTS).map(([name, title]) =>
-      [name, choice(title, { id: `noise-${name}` }, (value) => ask('noise', { [name]: value, ...whose() }))]));
-    box.append(element('div', { className: 'row', role: 'group', ariaLabel: 'Noise' }, ...Object.values(this.noise).map((one) => one.label),
+      [name, choice(title, { id: `noise-${name}` }, (value) => send('noise', { [name]: value, ...target() }))]));
+    box.append(element('div', { className: 'row', role: 'group', ariaLabel: 'Noise' }, ...Object.values(this.noise).map(({ label }) => label),
       element('label', {}, all, 'all robots')));
   },
-  buildFaults(box, ask) {
+  buildFaults(box, send) {
     const plan = element('textarea', { rows: 5, style: 'width:100%', spellcheck: false, id: 'faults',
       placeholder: '[[rule]]\ndo = "drop"\nevery = 10' });
-    plan.setAttribute('aria-label', 'Plan of faults in TOML');
+    plan.setAttribute('aria-label', 'Fault plan in TOML');
     const show = async () => {
-      const before = plan.value, answer = await ask('faults show');
-      if (answer.ok && plan.value === before) plan.value = answer.said.plan;  // what is typed meanwhile stays
+      const before = plan.value, answer = await send('faults show');
+      if (answer.ok && plan.value === before) plan.value = answer.result.plan;  // text typed meanwhile stays
     };
-    const counted = element('output', { className: 'quiet', id: 'faults-counts' });
+    const counts = element('output', { className: 'quiet', id: 'faults-counts' });
     const count = async () => {
-      const answer = await ask('faults counts');
-      if (answer.ok) counted.textContent = countsText(answer.said.counts);
+      const answer = await send('faults counts');
+      if (answer.ok) counts.textContent = countsText(answer.result.counts);
     };
     box.append(element('details', { id: 'faults-part', ontoggle: (event) => { if (event.target.open) { show(); count(); } } },
-      element('summary', {}, 'Faults on purpose'), plan, element('div', { className: 'row' },
-        button('Put in force', async () => { if ((await ask('faults set', { text: plan.value, file: 'the page' })).ok) { await show(); count(); } }, { id: 'faults-set' }),
-        button('Clear', async () => { if ((await ask('faults clear')).ok) { await show(); count(); } }, { id: 'faults-clear' }),
-        button('Count', count, { id: 'faults-count' })), counted));
+      element('summary', {}, 'Fault injection'), plan, element('div', { className: 'row' },
+        button('Apply', async () => { if ((await send('faults set', { text: plan.value, file: 'the page' })).ok) { await show(); count(); } }, { id: 'faults-set' }),
+        button('Clear', async () => { if ((await send('faults clear')).ok) { await show(); count(); } }, { id: 'faults-clear' }),
+        button('Count', count, { id: 'faults-count' })), counts));
   },
   update(app) {
     const { scene } = app, body = scene.bodies[app.robot];
     this.lockstep.hidden = scene.lockstep_s === null;
     this.lockstep.textContent = lockstepText(scene.lockstep_s);
     this.pause.textContent = scene.paused ? 'Resume' : 'Pause';
-    if (scene.speed !== this.shown && !this.asking && document.activeElement !== this.factor.input) {
+    if (scene.speed !== this.shown && !this.isSending && document.activeElement !== this.factor.input) {
       this.shown = scene.speed;
       this.factor.input.value = scene.speed === null ? '' : String(scene.speed);
     }
@@ -69,14 +69,14 @@ export const timeWindow = {
   },
 };
 
-// What the page's user is to know where time moves by what is asked.
-export function lockstepText(step_s) {
-  return step_s === null ? '' : `In lockstep each command moves time on by ${Number((step_s * 1000).toFixed(3))} ms, those of this page too:`
+// Explain lockstep mode, in which simulated time advances only with commands.
+function lockstepText(step_s) {
+  return step_s === null ? '' : `In lockstep each command advances time by ${Number((step_s * 1000).toFixed(3))} ms, also those of this page:`
     + ' driving, placing a robot, adding an obstacle. Stop and Release take no time.';
 }
 
 export function countsText(counts) {
   const rows = Object.entries(counts).flatMap(([line, rules]) => Object.entries(rules).map(([rule, tally]) =>
     `${line}, ${rule}: ${Object.entries(tally).map(([kind, count]) => `${kind} ${count}`).join(', ')}`));
-  return rows.length ? rows.join('; ') : 'no faults are in force';
+  return rows.length ? rows.join('; ') : 'no faults are active';
 }

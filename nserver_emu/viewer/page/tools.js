@@ -1,65 +1,49 @@
-// What a pointer does on the map besides moving it: one tool at a time. A tool answers down(world) with true when it
-// takes the pointer; move, up and cancel follow. Every tool has a way by keyboard in Drive, World or Localization.
-// Rules: nothing moves on the map by itself; the daemon is asked, and what it says is shown.
+// Tools for the pointer on the map, one active at a time. down(world) returns true if the tool handles the drag; then
+// move, up and cancel follow. Everything is also possible by keyboard in the windows Drive, World and Localization.
+// A tool only sends commands: the map shows the state that the server reports.
 
 import { drawRobot, polygonPath, circle, arrow } from './draw.js';
-import { tenthsOf, angleTenths } from './units.js';
-import { element } from './parts.js';
-import { cornersWrong, inside, isFree } from './ground.js';
-import { control } from './control.js';
+import { element } from './widgets.js';
+import { inside, robotFits, toScreen } from './geometry.js';
+import { addObstacle, deleteObstacle, moveObstacle, placeRobot } from './commands.js';
 
-const TOOLS = { pan: 'Move map', place: 'Robot', turn: 'Turn', add: 'Add obstacle', shift: 'Move obstacle',
-  remove: 'Delete obstacle', pose: 'Give pose', waypoint: 'Waypoints' };
-const LEAST_IN = 0.5, LEAST_PX = 4;
+const MIN_SIDE_IN = 0.5, MIN_DRAG_PX = 4, CLOSE_PX = 12;
+const TOOLS = {
+  pan: ['Move map', chooseTool], place: ['Robot', placeTool], turn: ['Turn', turnTool], add: ['Add obstacle', addTool],
+  shift: ['Move obstacle', shiftTool], remove: ['Delete obstacle', removeTool], pose: ['Give pose', poseTool],
+  waypoint: ['Waypoints', waypointTool],
+};
 
 export function setUpTools(app) {
   const bar = document.getElementById('tools'), buttons = {};
-  const makers = { pan: chooseTool, place: placeTool, turn: turnTool, add: addTool, shift: shiftTool, remove: removeTool,
-    pose: poseTool, waypoint: waypointTool };
-  app.choose = (name) => {
+  app.chooseTool = (name) => {
+    const [title, makeTool] = TOOLS[name];
     app.map.tool?.cancel?.();
-    app.map.tool = makers[name](app);
+    app.map.tool = makeTool(app);
     app.toolName = name;
-    for (const [other, made] of Object.entries(buttons)) {
-      made.setAttribute('aria-checked', String(other === name));
-      made.tabIndex = other === name ? 0 : -1;
+    for (const [other, button] of Object.entries(buttons)) {
+      button.setAttribute('aria-checked', String(other === name));
+      button.tabIndex = other === name ? 0 : -1;
     }
-    app.map.canvas.ariaDescription = `What the pointer does: ${TOOLS[name]}`;
+    app.map.canvas.ariaDescription = `Pointer tool: ${title}`;
     app.map.canvas.style.cursor = name === 'pan' ? 'grab' : 'crosshair';
-    app.map.keepDrawing();
+    app.map.requestRedraw();
   };
-  for (const [name, title] of Object.entries(TOOLS)) {
-    buttons[name] = element('button', { type: 'button', role: 'radio', id: `tool-${name}`, onclick: () => app.choose(name) }, title);
+  for (const [name, [title]] of Object.entries(TOOLS)) {
+    buttons[name] = element('button', { type: 'button', id: `tool-${name}`, onclick: () => app.chooseTool(name) }, title);
     buttons[name].setAttribute('role', 'radio');
     bar.append(buttons[name]);
   }
+  // Arrow keys select the next tool, as in any radio group.
   bar.addEventListener('keydown', (event) => {
     const names = Object.keys(TOOLS), step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
     if (!step) return;
     event.preventDefault();
     const next = names[(names.indexOf(app.toolName) + step + names.length) % names.length];
-    app.choose(next);
+    app.chooseTool(next);
     buttons[next].focus();
   });
-  app.choose('pan');
-}
-
-const NOT_POSSIBLE = { add_obstacle: 'An obstacle is not possible there: a robot stands in its way, or it reaches off the map.',
-  place_robot: 'The robot does not fit there: a wall, an obstacle or a robot is in its way.' };
-
-// Has a robot do or answer something; what was refused stands in the notice, in plain words where there are some.
-export async function tell(app, call, args, robot = Number(app.robot)) {
-  const answer = await app.link.ask({ do: 'call', robot, call, args });
-  const error = answer.ok ? '' : (answer.code !== undefined && NOT_POSSIBLE[call]) || answer.error;
-  app.notice(error);
-  return answer.ok ? answer : { ...answer, error };
-}
-
-export function placeRobot(app, id, pose) {
-  const args = ([x, y, steer, turret]) => [tenthsOf(x), tenthsOf(y), angleTenths(steer), angleTenths(turret)];
-  const before = [...app.scene.robots[id].actual];
-  return app.undo.run({ title: `place robot ${id}`, forth: () => tell(app, 'place_robot', args(pose), Number(id)),
-    back: () => tell(app, 'place_robot', args(before), Number(id)) });
+  app.chooseTool('pan');
 }
 
 function robotAt(app, [x, y]) {
@@ -69,123 +53,81 @@ function robotAt(app, [x, y]) {
   });
 }
 
+// The topmost obstacle at a point: the last one drawn.
 function obstacleAt(app, [x, y]) {
-  const things = app.scene.world?.obstacles ?? [];
-  for (let k = things.length - 1; k >= 0; k -= 1) if (inside(things[k].corners, x, y)) return things[k];
-  return null;
+  return (app.scene.world?.obstacles ?? []).findLast(({ corners }) => inside(corners, x, y)) ?? null;
 }
 
-// Moves the map; a press on a robot without moving chooses it.
+function outline(pen, view, corners, theme) {
+  pen.strokeStyle = theme.accent;
+  pen.lineWidth = 2;
+  polygonPath(pen, view, corners);
+  pen.stroke();
+}
+
+// Move the map; a click on a robot selects it.
 function chooseTool(app) {
   return {
     tap(world) { const id = robotAt(app, world); if (id) app.selectRobot(id); },
   };
 }
 
-function ghostTool(app, changed) {
-  let id = null, grip = null, ghost = null, from = null, dragged = false;
+// Drag a preview of a robot; the robot is placed there when the pointer is released.
+function previewTool(app, change) {
+  let id = null, grip = null, preview = null, start = null, isDragged = false;
   return {
     down(world) {
       id = robotAt(app, world) ?? null;
       if (id === null) return false;
       app.selectRobot(id);
-      ghost = [...app.scene.robots[id].actual];
-      grip = [world[0] - ghost[0], world[1] - ghost[1]];
-      from = world;
-      dragged = false;
+      preview = [...app.scene.robots[id].actual];
+      grip = [world[0] - preview[0], world[1] - preview[1]];
+      start = world;
+      isDragged = false;
       return true;
     },
     move(world, event) {
-      dragged ||= app.map.pixels(from, world) > LEAST_PX;
-      if (dragged) changed(ghost, world, grip, event);
+      isDragged ||= app.map.pixels(start, world) > MIN_DRAG_PX;
+      if (isDragged) change(preview, world, grip, event);
     },
-    up() { if (dragged) placeRobot(app, id, ghost); id = null; },
+    up() { if (isDragged) placeRobot(app, id, preview); id = null; },
     cancel() { id = null; },
     draw(pen, scene, view, { theme }) {
-      if (id !== null) drawRobot(pen, ghost, app.scene.bodies[id], view, { dashed: true,
-        colour: fits(app, ghost, id) ? theme.accent : theme.hit });
+      if (id !== null) drawRobot(pen, preview, app.scene.bodies[id], view, { dashed: true,
+        colour: robotFits(app.scene, id, preview) ? theme.accent : theme.hit });
     },
   };
-}
-
-// Whether a robot seems to fit there; the daemon knows better.
-function fits(app, [x, y], id) {
-  const { scene } = app, radius = scene.bodies[id].radius_in;
-  const apart = ([x1, y1], [x2, y2]) => {
-    const [dx, dy] = [x2 - x1, y2 - y1], t = Math.max(0, Math.min(1, ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)));
-    return Math.hypot(x - x1 - t * dx, y - y1 - t * dy);
-  };
-  const sides = scene.world.obstacles.flatMap(({ corners }) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]));
-  return isFree(scene.world, x, y)
-    && [...scene.world.walls.map(([a, b, c, d]) => [[a, b], [c, d]]), ...sides].every((side) => apart(...side) > radius)
-    && Object.keys(scene.robots).every((other) => other === id
-      || Math.hypot(x - scene.robots[other].actual[0], y - scene.robots[other].actual[1]) > radius + scene.bodies[other].radius_in);
 }
 
 function placeTool(app) {
-  return ghostTool(app, (ghost, [x, y], [gx, gy]) => { ghost[0] = x - gx; ghost[1] = y - gy; });
+  return previewTool(app, (preview, [x, y], [gx, gy]) => { preview[0] = x - gx; preview[1] = y - gy; });
 }
 
-// Turns steering and turret together; with Shift the turret alone.
+// Turn steering and turret together; with Shift only the turret.
 function turnTool(app) {
-  return ghostTool(app, (ghost, [x, y], grip, event) => {
-    const angle = Math.atan2(y - ghost[1], x - ghost[0]);
-    if (!event.shiftKey) ghost[2] = angle;
-    ghost[3] = angle;
+  return previewTool(app, (preview, [x, y], grip, event) => {
+    const angle = Math.atan2(y - preview[1], x - preview[0]);
+    if (!event.shiftKey) preview[2] = angle;
+    preview[3] = angle;
   });
 }
 
-function flat(corners) { return [corners.length, ...corners.flat().map(tenthsOf)]; }
-
-// Obstacles: a step is about one of them, and so is its undo, to the last digit; what others did meanwhile stays. Where
-// they changed that very one, undo says so.
-
-function obstacleStep(app, title, forth, undoing) {
-  let told = null;
-  const ask = async (wanted) => {
-    const answer = await control(app, 'obstacle', wanted);
-    return answer.ok ? answer : { ...answer, error: answer.error.replace(/^obstacle: there is none.*/, 'it has been moved or taken away meanwhile') };
-  };
-  return app.undo.run({ title, forth: async () => {
-    const answer = await forth();
-    if (answer.ok) told = answer.said ?? null;
-    return answer;
-  }, back: () => ask(undoing(told)) });
-}
-
-export async function addObstacle(app, corners) {
-  const wrong = cornersWrong(corners);
-  if (wrong) { app.notice(`Not possible: ${wrong}.`); return { ok: false, error: wrong }; }
-  const added = corners.map((corner) => corner.map((inches) => tenthsOf(inches) / 10));
-  return obstacleStep(app, 'add obstacle', () => tell(app, 'add_obstacle', flat(corners)), () => ({ corners: added }));
-}
-
-export function deleteObstacle(app, { corners }) {
-  return obstacleStep(app, 'delete obstacle', () => control(app, 'obstacle', { corners }),
-    (told) => ({ put: told.was, name: told.name, at: told.at }));
-}
-
-export function moveObstacle(app, corners, dx_in, dy_in) {
-  return obstacleStep(app, 'move obstacle', () => control(app, 'obstacle', { corners, by: [dx_in, dy_in] }),
-    (told) => ({ corners: told.is, to: told.was }));
-}
-
-export function rectangle([x1, y1], [x2, y2]) {
+function rectangle([x1, y1], [x2, y2]) {
   const [a, b, c, d] = [Math.min(x1, x2), Math.min(y1, y2), Math.max(x1, x2), Math.max(y1, y2)];
   return [[a, b], [c, b], [c, d], [a, d]];
 }
 
-// Drag a rectangle, or click corner after corner and the first once more.
+// Drag a rectangle, or click one corner after another and then the first again.
 function addTool(app) {
   let first = null, here = null, corners = [];
-  const closes = (world) => corners.length >= 3 && app.map.pixels(corners[0], world) < 12;
+  const closes = (world) => corners.length >= 3 && app.map.pixels(corners[0], world) < CLOSE_PX;
   return {
     down(world) { first = here = world; return true; },
     move(world) { here = world; },
     up(world) {
-      const dragged = Math.abs(world[0] - first[0]) > LEAST_IN && Math.abs(world[1] - first[1]) > LEAST_IN
-        && app.map.pixels(first, world) > 8;
-      if (dragged && !corners.length) addObstacle(app, rectangle(first, world));
+      const isDragged = Math.abs(world[0] - first[0]) > MIN_SIDE_IN && Math.abs(world[1] - first[1]) > MIN_SIDE_IN
+        && app.map.pixels(first, world) > 2 * MIN_DRAG_PX;
+      if (isDragged && !corners.length) addObstacle(app, rectangle(first, world));
       else if (closes(world)) { addObstacle(app, corners); corners = []; }
       else corners.push(world);
       first = here = null;
@@ -194,94 +136,88 @@ function addTool(app) {
     draw(pen, scene, view, { theme }) {
       const path = first && !corners.length ? rectangle(first, here) : [...corners, ...(here ? [here] : [])];
       if (!path.length) return;
-      pen.strokeStyle = theme.accent;
-      pen.lineWidth = 2;
-      polygonPath(pen, view, path);
-      pen.stroke();
+      outline(pen, view, path, theme);
       for (const [x, y] of path) { circle(pen, view, x, y, 4 / view.scale); pen.stroke(); }
     },
   };
 }
 
 function shiftTool(app) {
-  let thing = null, from = null, here = null;
+  let obstacle = null, start = null, here = null;
   return {
-    down(world) { thing = obstacleAt(app, world); from = here = world; return Boolean(thing); },
+    down(world) { obstacle = obstacleAt(app, world); start = here = world; return Boolean(obstacle); },
     move(world) { here = world; },
-    up() { moveObstacle(app, thing.corners, here[0] - from[0], here[1] - from[1]); thing = null; },
-    cancel() { thing = null; },
+    up() { moveObstacle(app, obstacle.corners, here[0] - start[0], here[1] - start[1]); obstacle = null; },
+    cancel() { obstacle = null; },
     draw(pen, scene, view, { theme }) {
-      if (!thing) return;
-      pen.strokeStyle = theme.accent;
-      pen.lineWidth = 2;
-      polygonPath(pen, view, thing.corners.map(([x, y]) => [x + here[0] - from[0], y + here[1] - from[1]]));
-      pen.stroke();
+      if (obstacle) outline(pen, view, obstacle.corners.map(([x, y]) => [x + here[0] - start[0], y + here[1] - start[1]]), theme);
     },
   };
 }
 
 function removeTool(app) {
-  let thing = null;
+  let obstacle = null;
   return {
-    down(world) { thing = obstacleAt(app, world); return Boolean(thing); },
-    up(world) { if (obstacleAt(app, world) === thing) deleteObstacle(app, thing); thing = null; },
-    cancel() { thing = null; },
+    down(world) { obstacle = obstacleAt(app, world); return Boolean(obstacle); },
+    up(world) { if (obstacleAt(app, world) === obstacle) deleteObstacle(app, obstacle); obstacle = null; },
+    cancel() { obstacle = null; },
   };
 }
 
-// Press at the place, drag to where it heads; answers get_robot_conf.
+// Press at the position and drag towards the heading: the reply to get_robot_conf.
 function poseTool(app) {
-  let from = null, here = null;
+  let start = null, here = null;
+  const heading = () => Math.atan2(here[1] - start[1], here[0] - start[0]);
   return {
-    down(world) { from = here = world; return true; },
+    down(world) { start = here = world; return true; },
     move(world) { here = world; },
     up() {
-      const turned = app.map.pixels(from, here) > 8 ? Math.atan2(here[1] - from[1], here[0] - from[0]) : 0;
-      app.givePose([...from, turned, turned]);
-      from = null;
+      const angle = app.map.pixels(start, here) > 2 * MIN_DRAG_PX ? heading() : 0;
+      app.givePose([...start, angle, angle]);
+      start = null;
     },
-    cancel() { from = null; },
+    cancel() { start = null; },
     draw(pen, scene, view, { theme }) {
-      if (!from) return;
+      if (!start) return;
       pen.strokeStyle = pen.fillStyle = theme.accent;
       pen.lineWidth = 2;
-      circle(pen, view, from[0], from[1], 4 / view.scale);
+      circle(pen, view, start[0], start[1], 4 / view.scale);
       pen.stroke();
-      const length = Math.hypot(here[0] - from[0], here[1] - from[1]);
-      if (length > LEAST_IN) arrow(pen, view, from[0], from[1], Math.atan2(here[1] - from[1], here[0] - from[0]), length);
+      const length = Math.hypot(here[0] - start[0], here[1] - start[1]);
+      if (length > MIN_SIDE_IN) arrow(pen, view, start[0], start[1], heading(), length);
     },
   };
 }
 
-// A press sets a way-point behind the last; one that is there is dragged elsewhere, or taken away by a press on it.
+// A click adds a waypoint at the end; an existing one can be dragged, or deleted by a click.
 function waypointTool(app) {
-  let held = -1, from = null, here = null;
+  let index = -1, start = null, here = null;
   return {
     down(world) {
-      held = pointsNow(app).findIndex((point) => app.map.pixels(point, world) < 12);
-      from = here = world;
+      index = remainingWaypoints(app).findIndex((point) => app.map.pixels(point, world) < CLOSE_PX);
+      start = here = world;
       return true;
     },
     move(world) { here = world; },
     up(world) {
-      const points = pointsNow(app).map((point) => [...point]);
-      if (held < 0) points.push(tenthed(world));
-      else if (app.map.pixels(from, world) < 6) points.splice(held, 1);
-      else points[held] = tenthed(world);
-      held = -1;
+      const points = remainingWaypoints(app).map((point) => [...point]);
+      if (index < 0) points.push(roundToTenths(world));
+      else if (app.map.pixels(start, world) < CLOSE_PX / 2) points.splice(index, 1);
+      else points[index] = roundToTenths(world);
+      index = -1;
       app.setWaypoints(points);
     },
-    cancel() { held = -1; },
+    cancel() { index = -1; },
     draw(pen, scene, view, { theme }) {
-      if (held >= 0) drawWaypoints(pen, pointsNow(app).map((point, k) => (k === held ? here : point)), view, theme);
+      if (index >= 0) drawWaypoints(pen, remainingWaypoints(app).map((point, k) => (k === index ? here : point)), view, theme);
     },
   };
 }
 
-export function tenthed(point) { return point.map((number) => Math.round(number * 10) / 10); }
+export function roundToTenths(point) { return point.map((number) => Math.round(number * 10) / 10); }
 
-// Where the chosen robot has still to go: as its localizer says, else as set at a page.
-export function pointsNow(app) {
+// The waypoints that the selected robot has not reached: from its localizer, unless a page has just changed them.
+export function remainingWaypoints(app) {
   const estimate = app.estimateOf(app.robot), set = app.waypoints[app.robot];
   return estimate && !(set && app.justSet(app.robot)) ? estimate.waypoints.slice(estimate.passed) : set ?? [];
 }
@@ -293,7 +229,7 @@ export function drawWaypoints(pen, points, view, theme) {
   points.forEach(([x, y], k) => {
     circle(pen, view, x, y, 5 / view.scale);
     pen.stroke();
-    const px = view.width / 2 + (x - view.x) * view.scale, py = view.height / 2 - (y - view.y) * view.scale;
+    const [px, py] = toScreen(view, x, y);
     pen.fillText(String(k + 1), px + 8, py - 6);
   });
 }

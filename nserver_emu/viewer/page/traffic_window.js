@@ -1,52 +1,52 @@
-// The window Traffic: what clients say and are answered, live; filtered by command or client, a row opens to its bytes.
-// Rules: what is shown is text, never markup. Nothing is asked for while the window is closed.
+// The window Traffic: requests and replies of clients, live, filtered by command or client; a row opens to its bytes. All
+// is shown as text, never as markup. The server sends nothing while the window is closed.
 
-import { element, field, button } from './parts.js';
+import { element, field, button } from './widgets.js';
 
-const MOST_ROWS = 500;
+const MAX_ROWS = 500;
 
 export const trafficWindow = {
   id: 'traffic', title: 'Traffic', closed: true, open: false,
   build(box) {
     this.rows = [];
     this.filter = field('only', { id: 'traffic-filter', placeholder: 'vm gs -get_sn', size: 16, oninput: () => this.refill() });
-    this.hold = button('Hold', () => {
-      this.held = !this.held;
-      this.hold.setAttribute('aria-pressed', String(this.held));
-      if (!this.held) this.refill();
+    this.pause = button('Pause', () => {
+      this.isPaused = !this.isPaused;
+      this.pause.setAttribute('aria-pressed', String(this.isPaused));
+      if (!this.isPaused) this.refill();
     }, { id: 'traffic-hold' });
     this.count = element('span', { className: 'quiet' });
     this.log = element('div', { className: 'log', tabIndex: 0 });
     this.log.setAttribute('role', 'log');
     this.log.setAttribute('aria-live', 'off');
-    this.log.setAttribute('aria-label', 'Requests and replies, the latest last');
-    box.append(element('div', { className: 'row' }, this.filter.label, this.hold,
+    this.log.setAttribute('aria-label', 'Requests and replies, latest last');
+    box.append(element('div', { className: 'row' }, this.filter.label, this.pause,
       button('Clear', () => { this.rows = []; this.missed = 0; this.refill(); }), this.count), this.log);
     this.missed = 0;
   },
-  toggled(open, app) { this.open = open; app.watch(); },
-  hear(message) {
+  onToggle(open, app) { this.open = open; app.watch(); },
+  onMessage(message) {
     if (message.type === 'missed') { this.missed += message.count; return; }
     if (message.type !== 'traffic') return;
     this.missed += message.missed;
     this.rows.push(...message.rows);
-    this.rows.splice(0, this.rows.length - MOST_ROWS);
-    if (!this.held) this.add(message.rows);
+    this.rows.splice(0, this.rows.length - MAX_ROWS);
+    if (!this.isPaused) this.add(message.rows);
   },
   update() {
-    this.count.textContent = `${this.rows.length} rows${this.missed ? `, ${this.missed} too fast to show` : ''}`;
+    this.count.textContent = `${this.rows.length} rows${this.missed ? `, ${this.missed} omitted` : ''}`;
   },
   add(rows) {
     const atEnd = this.log.scrollTop + this.log.clientHeight >= this.log.scrollHeight - 8;
     this.log.append(...rows.filter((row) => passes(row, this.filter.input.value)).map(rowElement));
-    while (this.log.childElementCount > MOST_ROWS) this.log.firstElementChild.remove();
+    while (this.log.childElementCount > MAX_ROWS) this.log.firstElementChild.remove();
     if (atEnd) this.log.scrollTop = this.log.scrollHeight;
   },
   refill() { this.log.replaceChildren(); this.add(this.rows); },
 };
 
-// Words of a filter: any of them in what was said, in the command it answers or who said it; with a minus before it, none
-// of them.
+// Return true if a row passes the filter: it contains one of the words, and none of those with a minus sign. Searched are
+// the command or reply, the command replied to, and the name of the client.
 export function passes(row, filter) {
   const words = filter.trim().split(/\s+/).filter(Boolean), text = `${row.what} ${row.of} ${row.who}`;
   const wanted = words.filter((word) => !word.startsWith('-'));
@@ -54,8 +54,8 @@ export function passes(row, filter) {
   return (!wanted.length || wanted.some((word) => text.includes(word))) && !unwanted.some((word) => text.includes(word));
 }
 
-// A request part by part: `vm: code 12, translation 50, steering 0, turret 0`.
-export function partsText({ what, parts }) { return `${what}: ${parts.map(([name, value]) => `${name} ${value}`).join(', ')}`; }
+// Return the parts of a request: `vm: code 12, translation 50, steering 0, turret 0`.
+function partsText({ what, parts }) { return `${what}: ${parts.map(([name, value]) => `${name} ${value}`).join(', ')}`; }
 
 function rowElement(row) {
   return element('details', {},

@@ -1,4 +1,4 @@
-// Inches and centimetres, tenths and degrees, as texts.
+// Conversions: inches and centimetres, tenths of the protocol, degrees, and their texts.
 
 export const CM_PER_IN = 2.54;
 

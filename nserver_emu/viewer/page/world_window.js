@@ -1,18 +1,17 @@
-// The window World: obstacles by their corners and by keyboard, undo, the whole world saved and loaded. Shown to who may
-// act. Rules: the daemon reads and writes world files, the page only carries them.
+// The window World: obstacles by corners and by keyboard, undo, saving and loading worlds. Hidden on read-only pages. The
+// server reads and writes the world format; the page only transfers the text.
 
-import { element, button, download, form, lengthField } from './parts.js';
-import { addObstacle, deleteObstacle, moveObstacle } from './tools.js';
-import { control } from './control.js';
+import { element, button, download, form, lengthField } from './widgets.js';
+import { addObstacle, callRobot, control, deleteObstacle, moveObstacle } from './commands.js';
 import { unitIn, unitName } from './units.js';
 
 const STEP_IN = 1, EXAMPLE = '10,10 20,10 20,20';
 
-// Corners as typed: x,y pairs with blanks between them; null for anything else.
-export function typedCorners(text) {
+// Parse corners: pairs x,y separated by blanks. Return null for any other text.
+export function parseCorners(text) {
   const pairs = text.trim().split(/\s+/).map((pair) => pair.split(','));
-  const right = pairs.every((pair) => pair.length === 2 && pair.every((part) => part.trim() && Number.isFinite(Number(part))));
-  return right ? pairs.map((pair) => pair.map(Number)) : null;
+  const isValid = pairs.every((pair) => pair.length === 2 && pair.every((part) => part.trim() && Number.isFinite(Number(part))));
+  return isValid ? pairs.map((pair) => pair.map(Number)) : null;
 }
 
 export const worldWindow = {
@@ -25,8 +24,8 @@ export const worldWindow = {
     app.onUnits(relabel);
     relabel();
     this.step = lengthField(app, 'move by', STEP_IN, { min: 0.1, id: 'move-step' });
-    this.undo = button('Undo', () => app.undo.undo(), { id: 'undo' });
-    this.redo = button('Redo', () => app.undo.redo(), { id: 'redo' });
+    this.undo = button('Undo', () => app.history.undo(), { id: 'undo' });
+    this.redo = button('Redo', () => app.history.redo(), { id: 'redo' });
     const file = element('input', { type: 'file', accept: '.toml', id: 'load-world', hidden: true, onchange: async () => {
       const [chosen] = file.files;
       if (chosen) await loadWorld(app, await chosen.text(), chosen.name);
@@ -34,8 +33,8 @@ export const worldWindow = {
     } });
     box.append(
       form(() => {
-        const typed = typedCorners(corners.value);
-        if (!typed) app.notice(`corners are such as ${EXAMPLE}`);
+        const typed = parseCorners(corners.value);
+        if (!typed) app.notice(`Corners must be pairs x,y, for example ${EXAMPLE}`);
         else addObstacle(app, typed.map((corner) => corner.map((number) => number * unitIn(app.metric))));
       }, element('div', { className: 'row' }, label, element('button', { id: 'add-corners' }, 'Add'), this.step.label)),
       element('div', { className: 'row halves' }, this.undo, this.redo),
@@ -44,63 +43,63 @@ export const worldWindow = {
       this.list);
   },
   update(app) {
-    for (const [pressed, title, word, keys] of [[this.undo, app.undo.next, 'Undo', 'Ctrl+Z'], [this.redo, app.undo.again, 'Redo', 'Ctrl+Shift+Z']]) {
-      pressed.disabled = title === null;
-      pressed.textContent = title === null ? word : `${word}: ${title}`;
-      pressed.title = title === null ? keys : `${word}: ${title} (${keys})`;
+    for (const [button_, title, word, keys] of [[this.undo, app.history.undoTitle, 'Undo', 'Ctrl+Z'], [this.redo, app.history.redoTitle, 'Redo', 'Ctrl+Shift+Z']]) {
+      button_.disabled = title === null;
+      button_.textContent = title === null ? word : `${word}: ${title}`;
+      button_.title = title === null ? keys : `${word}: ${title} (${keys})`;
     }
     if (this.shown === app.scene.world) return;
     this.shown = app.scene.world;
     const focused = document.activeElement?.dataset?.key;
-    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((thing, k) => this.row(app, thing, k)));
+    this.list.replaceChildren(...(this.shown?.obstacles ?? []).map((obstacle, k) => this.row(app, obstacle, k)));
     if (focused) this.list.querySelector(`[data-key="${focused}"]`)?.focus();
   },
-  row(app, thing, k) {
-    const name = thing.name || `obstacle ${k + 1}`, round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
-    const press = (sign, word, act) => {
-      const made = button(sign, act, { title: word, ariaLabel: `${word} ${name}` });
-      made.dataset.key = `${k} ${word}`;
-      return made;
+  row(app, obstacle, k) {
+    const name = obstacle.name || `obstacle ${k + 1}`, round = (inches) => String(Math.round(inches / unitIn(app.metric) * 10) / 10);
+    const action = (sign, word, act) => {
+      const node = button(sign, act, { title: word, ariaLabel: `${word} ${name}` });
+      node.dataset.key = `${k} ${word}`;
+      return node;
     };
     const by = (dx, dy) => () => { this.moves = this.moves.then(() => shift(app, k, dx * this.step.inches, dy * this.step.inches)); };
     return element('div', { className: 'row' },
-      element('span', {}, `${name}: ${thing.corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
-      press('←', 'move left', by(-1, 0)), press('→', 'move right', by(1, 0)), press('↑', 'move up', by(0, 1)), press('↓', 'move down', by(0, -1)),
-      press('Delete', 'delete', () => deleteObstacle(app, thing)));
+      element('span', {}, `${name}: ${obstacle.corners.map((corner) => corner.map(round).join(',')).join(' ')}`),
+      action('←', 'move left', by(-1, 0)), action('→', 'move right', by(1, 0)), action('↑', 'move up', by(0, 1)), action('↓', 'move down', by(0, -1)),
+      action('Delete', 'delete', () => deleteObstacle(app, obstacle)));
   },
 };
 
-// Moves the obstacle of that number, from where the move before it left it, though no picture of that came yet.
+// Move an obstacle. Its new corners are stored at once: the next move may come before the next picture.
 async function shift(app, k, dx_in, dy_in) {
-  const thing = app.scene.world.obstacles[k];
-  if (!thing) return;
-  const answer = await moveObstacle(app, thing.corners, dx_in, dy_in);
-  if (answer.ok) thing.corners = answer.said.is;
+  const obstacle = app.scene.world.obstacles[k];
+  if (!obstacle) return;
+  const answer = await moveObstacle(app, obstacle.corners, dx_in, dy_in);
+  if (answer.ok) obstacle.corners = answer.result.is;
 }
 
-async function worldNow(app) {
+async function worldText(app) {
   const answer = await control(app, 'world show');
-  return answer.ok ? answer.said.text : null;
+  return answer.ok ? answer.result.text : null;
 }
 
 async function saveWorld(app) {
-  const text = await worldNow(app);
+  const text = await worldText(app);
   if (text !== null) download(`${app.scene.world.name}.toml`, 'text/plain', text);
 }
 
-// Puts another world in place of this one. One step of undo brings that back, whole, unless somebody changed the new one
-// meanwhile, for that would be lost.
-function replaceWorld(app, title, forth) {
+// Replace the world. Undo restores the whole previous world, unless the new one was changed meanwhile: those changes would
+// be lost.
+function replaceWorld(app, title, apply) {
   let before = null, after = null;
-  return app.undo.run({ title, forth: async () => {
-    before = await worldNow(app);
+  return app.history.run({ title, apply: async () => {
+    before = await worldText(app);
     if (before === null) return { ok: false, error: 'the world cannot be read' };
-    const answer = await forth();
-    if (answer.ok) after = await worldNow(app);
+    const answer = await apply();
+    if (answer.ok) after = await worldText(app);
     return answer;
-  }, back: async () => (await worldNow(app) === after
+  }, revert: async () => (await worldText(app) === after
     ? control(app, 'world set', { text: before, file: 'the world before' })
-    : { ok: false, error: 'the world has been changed since, by somebody else' }) });
+    : { ok: false, error: 'the world was changed meanwhile' }) });
 }
 
 export function loadWorld(app, text, file) {
@@ -108,9 +107,5 @@ export function loadWorld(app, text, file) {
 }
 
 function clearWorld(app) {
-  return replaceWorld(app, 'remove all', async () => {
-    const answer = await app.link.ask({ do: 'call', robot: Number(app.robot), call: 'new_world', args: [] });
-    app.notice(answer.ok ? '' : answer.error);
-    return answer;
-  });
+  return replaceWorld(app, 'remove all', () => callRobot(app, 'new_world', []));
 }

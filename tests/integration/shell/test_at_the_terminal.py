@@ -11,15 +11,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from at_terminal import Terminal
 
 from nclient import connect
+from tests.integration.shell.at_terminal import Terminal
 
-NOMAD = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())"]
+NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
 WITHOUT_PROMPT_TOOLKIT = [sys.executable, "-c", (
     "import sys; import importlib.util as find; real = find.find_spec\n"
     "find.find_spec = lambda name, package=None: None if name == 'prompt_toolkit' else real(name, package)\n"
-    "from nclient.cli import main; sys.exit(main())"
+    "from nclient.cli.main import main; sys.exit(main())"
 )]
 CTRL_C, CTRL_D, TAB, UP = "\x03", "\x04", "\t", "\x1b[A"
 

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from at_terminal import Terminal
+
+from tests.integration.shell.at_terminal import Terminal
 
 BIN = str(Path(sys.executable).parent)
 TAB, TO_THE_BEGINNING = "\t", "\x01"
@@ -88,7 +89,7 @@ def test_fish_completes_the_same(tmp_path: Path) -> None:
     (["completion", "bash", "nsever"], "no program 'nsever'; there are nomad, nserver"),
 ])
 def test_what_cannot_be_completed(words: list[str], told: str) -> None:
-    command = [sys.executable, "-c", "import sys; from nclient.cli import main; sys.exit(main())", *words]
+    command = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())", *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert told in done.stderr

@@ -1,4 +1,4 @@
-"""A daemon as a program, its page in Debian's Chromium, and what the tests ask of both."""
+"""A server process, its page in Chromium, and helpers to test both."""
 
 from __future__ import annotations
 
@@ -10,53 +10,54 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from forked import Forked
 from playwright.sync_api import Browser, Page
 
 from nclient import Robot, connect
+from tests.programs.forked import Forked
 
 CHROMIUM = os.environ.get("CHROMIUM", "/usr/bin/chromium")
 FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-PATIENCE_S, PAUSE_MS = 15.0, 20
+TIMEOUT_S, PAUSE_MS = 15.0, 20
 
 
 @dataclass
-class Opened:
-    """An open page. `troubles`: errors on its console, and what it failed at."""
+class OpenPage:
+    """An open page, with the errors from its console."""
 
     page: Page
-    troubles: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
 
-    def wait(self, condition: str, patience_s: float = PATIENCE_S, doing: Callable[[], object] = lambda: None) -> None:
-        """Until this JavaScript is true, `doing` this before each look; `nserver` is the page's own application.
+    def wait(self, condition: str, timeout_s: float = TIMEOUT_S, action: Callable[[], object] = lambda: None) -> None:
+        """Wait until a JavaScript condition is true, calling `action` before each check.
 
-        Asked again and again from here: the page's policy forbids what Playwright would have it ask itself.
+        The page's application is the variable `nserver`. The condition is polled from here, because the page's content
+        security policy forbids Playwright's own polling.
         """
-        deadline = time.monotonic() + patience_s
-        doing()
+        deadline = time.monotonic() + timeout_s
+        action()
         while not self.page.evaluate(condition):
             if time.monotonic() > deadline:
-                told = self.page.inner_text("#notice")
-                raise AssertionError(f"never came true: {condition}" + (f"; the page says {told!r}" if told else ""))
+                notice = self.page.inner_text("#notice")
+                raise AssertionError(f"time-out: {condition}" + (f"; the page shows {notice!r}" if notice else ""))
             self.page.wait_for_timeout(PAUSE_MS)
-            doing()
+            action()
 
     def value(self, expression: str) -> Any:
-        """What this JavaScript comes to."""
+        """Return the value of a JavaScript expression."""
         return self.page.evaluate(expression)
 
     def at(self, x_in: float, y_in: float) -> tuple[float, float]:
-        """Where in the window a place of the world is shown."""
+        """Return the position in the window of a point of the world."""
         box = self.page.locator("#map").bounding_box()
         assert box is not None
         x, y = self.value(f"nserver.map.screenOf({x_in}, {y_in})")
         return box["x"] + x, box["y"] + y
 
     def pixel(self, x_in: float, y_in: float) -> tuple[int, int, int]:
-        """The colour drawn at a place of the world."""
+        """Return the colour drawn at a point of the world."""
         red, green, blue, _ = self.value(
             f"""(() => {{ const [x, y] = nserver.map.screenOf({x_in}, {y_in}), d = devicePixelRatio;
             const pen = nserver.map.canvas.getContext('2d');
@@ -66,41 +67,41 @@ class Opened:
 
 
 @dataclass
-class Program:
-    """A daemon that runs with its page."""
+class RunningServer:
+    """A running server with a page."""
 
     port: int
     url: str
 
     def robot(self, number: int = 1) -> Robot:
-        """A client of it."""
+        """Connect a client to a robot."""
         return connect(f"nserver://127.0.0.1:{self.port}/{number}")
 
 
 @contextmanager
-def nserver(*words: str) -> Iterator[Program]:
-    """The program with these words."""
+def nserver(*words: str) -> Iterator[RunningServer]:
+    """Run nserver with these arguments."""
     with Forked("nserver", *words, "--port", "0", "--viewer", "0") as process:
         try:
             port = int(process.stdout.readline().rpartition(":")[2])
             line = process.stdout.readline()
             found = re.fullmatch(r"listening viewer (\S+)\n", line)
             assert found, line
-            yield Program(port, found[1])
+            yield RunningServer(port, found[1])
         finally:
             process.terminate()
             assert process.wait(timeout=10) == 0
 
 
 @contextmanager
-def opened(browser: Browser, url: str, **context: Any) -> Iterator[Opened]:
-    """The page there; it must say nothing on its console."""
+def open_page(browser: Browser, url: str, **context: Any) -> Iterator[OpenPage]:
+    """Open a page; errors on its console fail the test."""
     with browser.new_context(**{"viewport": {"width": 1000, "height": 720}} | context) as made:
         page = made.new_page()
-        found = Opened(page)
-        page.on("console", lambda message: found.troubles.extend([message.text] if message.type == "error" else []))
-        page.on("pageerror", lambda error: found.troubles.append(str(error)))
+        found = OpenPage(page)
+        page.on("console", lambda message: found.errors.extend([message.text] if message.type == "error" else []))
+        page.on("pageerror", lambda error: found.errors.append(str(error)))
         page.goto(url)
         found.wait("window.nserver && nserver.scene.world && nserver.map.fitted")
         yield found
-        assert found.troubles == []
+        assert found.errors == []

@@ -1,27 +1,25 @@
-"""One browser for all pages of a worker, each page in a context of its own. Its driver has an event loop in the thread
-that began it for as long as it is open, so that thread is its own: the tests of this folder run there, and those of
-others may run loops of theirs where they are."""
+"""One browser for all tests of a worker, with a context per page.
+
+Playwright's event loop runs in the thread that started it. The tests of this folder therefore run in a thread of their
+own, so that other tests can run event loops in the main thread.
+"""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from browsing import CHROMIUM, FLAGS
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS
 
 _THREAD = ThreadPoolExecutor(1, "pages")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
-    """A test, in the thread of the browser; what it raises is raised here."""
+    """Run a test in the thread of the browser; its exceptions are raised here."""
     wanted = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
     _THREAD.submit(pyfuncitem.obj, **wanted).result()
     return True
@@ -29,7 +27,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """Debian's Chromium, without a screen."""
+    """Start Chromium without a display."""
     playwright = _THREAD.submit(sync_playwright().start).result()
     chromium = playwright.chromium
     browser = _THREAD.submit(chromium.launch, executable_path=CHROMIUM, args=FLAGS).result()

@@ -1,4 +1,4 @@
-"""Takes the pictures of docs/window anew: `scripts/window-pictures [FOLDER [light|dark]]`. A minute or so."""
+"""Take the screenshots of docs/window: `scripts/window-pictures [FOLDER [light|dark]]`. Takes about a minute."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from browsing import CHROMIUM, FLAGS, Opened, nserver, opened
 from playwright.sync_api import Browser, sync_playwright
+
+from tests.integration.viewer.browsing import CHROMIUM, FLAGS, OpenPage, nserver, open_page
 
 ROOM = ("several_walls", "--robot", "n200", "--robot", "scout", "--start", "8,8,0,0", "--start", "88,8,120,0",
         "--noisy", "--seed", "3", "--speed", "4")  # fmt: skip
 WINDOWS = ("drive", "robot", "short", "long", "time", "world", "traffic")
-LOCALIZE = "import sys; from nclient.cli import main; sys.exit(main())"
+LOCALIZE = "import sys; from nclient.cli.main import main; sys.exit(main())"
 
 
 @contextmanager
-def shown(browser: Browser, url: str, scheme: str, width: int, height: int) -> Iterator[Opened]:
-    """The page on a dense screen."""
+def open_dense(browser: Browser, url: str, scheme: str, width: int, height: int) -> Iterator[OpenPage]:
+    """Open the page with two pixels per CSS pixel."""
     viewport = {"width": width, "height": height}
-    with opened(browser, url, viewport=viewport, color_scheme=scheme, device_scale_factor=2) as page:
+    with open_page(browser, url, viewport=viewport, color_scheme=scheme, device_scale_factor=2) as page:
         yield page
 
 
-def the_map_and_the_windows(browser: Browser, folder: Path, scheme: str) -> None:
-    """Two robots, one of which has driven, drawn and touched a wall; then each window by itself, then a phone."""
-    with nserver(*ROOM) as program, shown(browser, program.url, scheme, 1280, 860) as page:
+def take_map_and_windows(browser: Browser, folder: Path, scheme: str) -> None:
+    """Take the map after a robot has driven, drawn and touched a wall, then each window, then a phone."""
+    with nserver(*ROOM) as program, open_dense(browser, program.url, scheme, 1280, 860) as page:
         page.page.click("#window-traffic > summary")
         with program.robot() as robot:
             robot.draw_arc(box_in=(60, 50, 20, 20), angles_rad=(0.0, 4.7), mode=12)
@@ -51,54 +52,57 @@ def the_map_and_the_windows(browser: Browser, folder: Path, scheme: str) -> None
             for name in WINDOWS:
                 page.page.locator(f"#window-{name}").screenshot(path=folder / f"{name}.png")
             robot.stop()
-        with shown(browser, program.url, scheme, 390, 844) as phone:
+        with open_dense(browser, program.url, scheme, 390, 844) as phone:
             phone.page.wait_for_timeout(500)
             phone.page.screenshot(path=folder / "phone.png")
 
 
 @contextmanager
-def localized(browser: Browser, scheme: str, world: str, begin: tuple[str, ...], *told: str) -> Iterator[Opened]:
-    """The page of a daemon that begins so, with a localizer of its robot beside it, told this."""
+def open_localized(
+    browser: Browser, scheme: str, world: str, begin: tuple[str, ...], *options: str
+) -> Iterator[OpenPage]:
+    """Open the page of a server with a localizer running with the given options."""
     words = (world, "--noisy", "--seed", "1", *begin)
-    with nserver(*words) as program, shown(browser, program.url, scheme, 1280, 900) as page:
-        order = ["localize", f"nserver://127.0.0.1:{program.port}/1", "--map", world, *told, "--publish", program.url]
-        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *order], stdout=subprocess.DEVNULL) as localizer:
+    with nserver(*words) as program, open_dense(browser, program.url, scheme, 1280, 900) as page:
+        address = f"nserver://127.0.0.1:{program.port}/1"
+        command = ["localize", address, "--map", world, *options, "--publish", program.url]
+        with subprocess.Popen([sys.executable, "-c", LOCALIZE, *command], stdout=subprocess.DEVNULL) as localizer:
             yield page
             localizer.terminate()
 
 
-def keep(page: Opened, file: Path) -> None:
-    """The page as it is shortly, its window Localization in view."""
+def save_screenshot(page: OpenPage, file: Path) -> None:
+    """Save a screenshot with the window Localization visible."""
     page.page.evaluate("document.querySelector('#window-localization').scrollIntoView()")
     page.page.wait_for_timeout(2500)
     page.page.screenshot(path=file)
 
 
-def the_estimate(browser: Browser, folder: Path, scheme: str) -> None:
-    """A localizer that drives a path, half-way there."""
-    with localized(browser, scheme, "several_walls", (), "--waypoints", "35,55", "90,55") as page:
+def take_estimate(browser: Browser, folder: Path, scheme: str) -> None:
+    """Take a localizer that drives a path, half-way along it."""
+    with open_localized(browser, scheme, "several_walls", (), "--waypoints", "35,55", "90,55") as page:
         page.wait("(nserver.estimateOf('1')?.pose[1] ?? 0) > 25", 60.0)
-        keep(page, folder / "localization.png")
+        save_screenshot(page, folder / "localization.png")
 
 
-def the_places(browser: Browser, folder: Path, scheme: str) -> None:
-    """A robot that was told nothing, in a room that looks the same from four places."""
+def take_alternatives(browser: Browser, folder: Path, scheme: str) -> None:
+    """Take a robot with unknown start in a room that looks the same from four poses."""
     begin = ("--start", "20,12,0,0")
-    with localized(browser, scheme, "thesis_room", begin, "--start", "unknown", "--stay") as page:
+    with open_localized(browser, scheme, "thesis_room", begin, "--start", "unknown", "--stay") as page:
         page.wait("(nserver.estimateOf('1')?.places ?? []).length > 1", 60.0)
-        keep(page, folder / "lost.png")
+        save_screenshot(page, folder / "lost.png")
 
 
 def main() -> None:
-    """Take them all."""
+    """Take all screenshots."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/window")
     scheme = sys.argv[2] if len(sys.argv) > 2 else "light"
     folder.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        the_map_and_the_windows(browser, folder, scheme)
-        the_estimate(browser, folder, scheme)
-        the_places(browser, folder, scheme)
+        take_map_and_windows(browser, folder, scheme)
+        take_estimate(browser, folder, scheme)
+        take_alternatives(browser, folder, scheme)
         browser.close()
 
 

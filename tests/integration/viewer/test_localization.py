@@ -1,4 +1,4 @@
-"""`nomad localize --publish` in a browser: the estimate is where it says, and way-points clicked there are gone to."""
+"""`nomad localize --publish` in a browser: the estimate is shown, and waypoints set there are driven to."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
-from browsing import nserver, opened
-from forked import Forked
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import nserver, open_page
+from tests.programs.forked import Forked
 
-def test_an_estimate_is_shown_and_waypoints_come_back(browser: Browser) -> None:
+
+def test_estimate_is_shown_and_waypoints_are_reached(browser: Browser) -> None:
     words = ("thesis_room", "--noisy", "--seed", "1", "--speed", "4")
-    with nserver(*words) as program, opened(browser, program.url) as page:
-        order = ("--map", "thesis_room", "--waypoints", "60,0", "--publish", program.url)
-        with Forked("nomad", "localize", f"nserver://127.0.0.1:{program.port}/1", *order) as localizer:
+    with nserver(*words) as program, open_page(browser, program.url) as page:
+        options = ("--map", "thesis_room", "--waypoints", "60,0", "--publish", program.url)
+        with Forked("nomad", "localize", f"nserver://127.0.0.1:{program.port}/1", *options) as localizer:
             page.wait("document.querySelector('#window-localization').innerText.includes('0 of 1 reached')")
             page.wait("nserver.map.shown.estimate")
             page.page.click("#pause")
@@ -33,58 +34,58 @@ def test_an_estimate_is_shown_and_waypoints_come_back(browser: Browser) -> None:
         assert re.search(r"([12]) of \1 way-points reached", out)
         x, y = page.value("nserver.scene.robots['1'].actual.slice(0, 2)")
         assert (x, y) == pytest.approx((30, 30), abs=2)
-        words = page.value("document.querySelector('#window-localization').innerText")
-        assert " used, " in words
+        text = page.value("document.querySelector('#window-localization').innerText")
+        assert " used, " in text
         axes = page.value("import('/page/localization_window.js').then((m) => m.ellipse([2, 1, 0, 1, 2, 0, 0, 0, 1]))")
         assert axes == pytest.approx([3**0.5, 1, 3.14159265 / 4])
 
 
 def publish(url: str, robot: int, **changes: Any) -> dict[str, Any]:
-    """Say what a localizer would; the answer."""
-    said = {
+    """Publish a message as a localizer does and return the response."""
+    message = {
         "robot": robot, "clock_s": 1.0, "pose": [20, 30, 0.0], "turret": 0.0, "odometry": [21, 31, 0], "passed": 0,
         "cov": [[1, 0, 0], [0, 1, 0], [0, 0, 0.01]], "truth": [23, 34, 6.2], "waypoints": [],
         "trust": "OK", "reason": "", "places": [],
         "echoes": [{"sonar": robot, "reading_in": 40, "refusal": "none", "innovation_in": 1.0, "nis": 1.0}],
     } | changes  # fmt: skip
-    request = Request(url.replace("/?", "/publish?"), json.dumps(said).encode(), method="POST")
+    request = Request(url.replace("/?", "/publish?"), json.dumps(message).encode(), method="POST")
     with urlopen(request, timeout=10) as answer:
-        told: dict[str, Any] = json.load(answer)
-        return told
+        response: dict[str, Any] = json.load(answer)
+        return response
 
 
-WORDS = "document.querySelector('#window-localization').innerText"
+TEXT = "document.querySelector('#window-localization').innerText"
 
 
-def test_each_robot_has_its_estimate_and_one_that_is_silent_grows_old(browser: Browser) -> None:
-    with nserver("thesis_room", "--robots", "2") as program, opened(browser, program.url) as page:
-        page.wait(f"{WORDS}.includes(`--publish '{program.url}'`) && {WORDS}.includes('--map thesis_room')")
+def test_estimates_per_robot_become_old(browser: Browser) -> None:
+    with nserver("thesis_room", "--robots", "2") as program, open_page(browser, program.url) as page:
+        page.wait(f"{TEXT}.includes(`--publish '{program.url}'`) && {TEXT}.includes('--map thesis_room')")
         publish(program.url, 1)
         publish(program.url, 2, clock_s=0.5, pose=[70, 80, 1])
         publish(program.url, 1, clock_s=2.0)
-        page.wait(f"{WORDS}.includes('5.00 in, 4.77°') && {WORDS}.includes('2 used')")
+        page.wait(f"{TEXT}.includes('5.00 in, 4.77°') && {TEXT}.includes('2 used')")
         page.page.select_option("#robot-choice", "2")
-        page.wait(f"{WORDS}.includes('70.00 in, 80.00 in') && {WORDS}.includes('1 used')")
-        page.wait(f"{WORDS}.includes('what is shown is old')")
+        page.wait(f"{TEXT}.includes('70.00 in, 80.00 in') && {TEXT}.includes('1 used')")
+        page.wait(f"{TEXT}.includes('the data shown is old')")
         assert page.value("nserver.estimateOf('2')") is None
-        with opened(browser, program.url) as late:
-            late.wait(f"{WORDS}.includes('what is shown is old')")
+        with open_page(browser, program.url) as late:
+            late.wait(f"{TEXT}.includes('the data shown is old')")
 
 
-def test_waypoints_are_set_moved_and_taken_away_without_a_pointer_and_with_one(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_waypoints_by_keyboard_and_by_pointer(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         for x, y in ((10, 20), (60, 40)):
             page.page.fill("#waypoint-x", str(x))
             page.page.fill("#waypoint-y", str(y))
             page.page.press("#waypoint-y", "Enter")
         page.wait("JSON.stringify(nserver.waypoints['1']) === '[[10,20],[60,40]]'")
         assert publish(program.url, 1)["waypoints"] == [[10, 20], [60, 40]]
-        with opened(browser, program.url) as late:
+        with open_page(browser, program.url) as late:
             late.wait("JSON.stringify(nserver.waypoints['1']) === '[[10,20],[60,40]]'")
         publish(program.url, 1, waypoints=[[10, 20], [60, 40]], passed=1)
         page.wait("!nserver.justSet('1')")
         page.page.click("#tool-waypoint")
-        page.page.mouse.click(*page.at(80, 80))  # what the robot has passed is not gone to again
+        page.page.mouse.click(*page.at(80, 80))  # waypoints already reached are not driven to again
         page.wait("nserver.waypoints['1'].length === 2 && nserver.waypoints['1'][0][0] === 60")
         page.page.mouse.move(*page.at(60, 40))
         page.page.mouse.down()
@@ -100,43 +101,44 @@ def test_waypoints_are_set_moved_and_taken_away_without_a_pointer_and_with_one(b
 
 LOST = {"trust": "LOST", "pose": [0, 0, 0], "cov": [[1e6, 0, 0], [0, 1e6, 0], [0, 0, 9]]}
 PLACES = [{"pose": [30, 60, 0], "share": 0.62}, {"pose": [80, 40, 1.57], "share": 0.38}]
-DRAWN = """import('/page/keeping.js').then((m) => { const text = m.svgOf(nserver), colour = nserver.theme.estimate;
+DRAWN = """import('/page/export.js').then((m) => { const text = m.svgOf(nserver), colour = nserver.theme.estimate;
     return [text.split('<path ').filter((path) => path.includes(`"${colour}"`)).length,
             [...text.matchAll(/>([^<]* %)<.text>/g)].map((found) => found[1])]; })"""
 
 
-def test_how_far_it_is_believed_is_said_in_words_and_where_it_may_be_is_drawn(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_trust_is_shown_and_alternatives_are_drawn(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         publish(program.url, 1)
-        page.wait(f"{WORDS}.includes('✓ OK') && {WORDS}.includes('there alone')")
-        known, _ = page.value(DRAWN)
-        assert known > 0
-        publish(program.url, 1, clock_s=2.0, trust="DEGRADED", reason="the position is known to 3.4 in only")
-        page.wait(f"{WORDS}.includes('! DEGRADED the position is known to 3.4 in only')")
-        assert page.value(DRAWN) == [known, []]
+        page.wait(f"{TEXT}.includes('✓ OK') && {TEXT}.includes('no other pose')")
+        stroke_count, _ = page.value(DRAWN)
+        assert stroke_count > 0
+        publish(program.url, 1, clock_s=2.0, trust="DEGRADED", reason="position uncertainty is 3.4 in")
+        page.wait(f"{TEXT}.includes('! DEGRADED position uncertainty is 3.4 in')")
+        assert page.value(DRAWN) == [stroke_count, []]
         publish(program.url, 1, clock_s=3.0, reason="searching: a guess", **LOST)
-        page.wait(f"{WORDS}.includes('✕ LOST searching: a guess') && {WORDS}.includes('anywhere')")
-        assert "3000" not in page.value(WORDS)
+        page.wait(f"{TEXT}.includes('✕ LOST searching: a guess') && {TEXT}.includes('none found yet')")
+        assert "3000" not in page.value(TEXT)
         assert page.value(DRAWN) == [0, []]
         publish(program.url, 1, clock_s=4.0, reason="2 places look alike", places=PLACES, **LOST)
-        page.wait(f"{WORDS}.includes('62 %: 30.00 in, 60.00 in, 0.0°; 38 %: 80.00 in, 40.00 in, 90.0°')")
-        assert page.value(DRAWN) == [6, ["62 %", "38 %"]], "a circle and an arrow of two strokes each"
+        page.wait(f"{TEXT}.includes('62 %: 30.00 in, 60.00 in, 0.0°; 38 %: 80.00 in, 40.00 in, 90.0°')")
+        assert page.value(DRAWN) == [6, ["62 %", "38 %"]], "each pose is a circle and an arrow of two strokes"
         publish(program.url, 1, clock_s=5.0)
-        page.wait(f"{WORDS}.includes('✓ OK')")
-        assert page.value(DRAWN) == [known, []]
+        page.wait(f"{TEXT}.includes('✓ OK')")
+        assert page.value(DRAWN) == [stroke_count, []]
 
 
-def test_a_robot_that_finds_itself_and_one_that_goes_are_shown(browser: Browser) -> None:
+def test_global_localization_and_go_are_shown(browser: Browser) -> None:
     with nserver("several_walls", "--noisy", "--seed", "3", "--speed", "4", "--start", "5,5,0,0") as program:
         address = f"nserver://127.0.0.1:{program.port}/1"
-        with opened(browser, program.url) as page:
-            lost = ("--map", "several_walls", "--start", "unknown", "--waypoints", "30,10", "--publish", program.url)
-            with Forked("nomad", "localize", address, *lost) as localizer:
-                page.wait(f"{WORDS}.includes('✕ LOST')", 60.0)
-                page.wait(f"{WORDS}.includes('✓ OK')", 60.0)
+        with open_page(browser, program.url) as page:
+            map_options = ("--map", "several_walls", "--publish", program.url)
+            with Forked(
+                "nomad", "localize", address, *map_options, "--start", "unknown", "--waypoints", "30,10"
+            ) as localizer:
+                page.wait(f"{TEXT}.includes('✕ LOST')", 60.0)
+                page.wait(f"{TEXT}.includes('✓ OK')", 60.0)
                 localizer.terminate()
-            going = ("--map", "several_walls", "--to", "30,20", "--publish", program.url)
-            with Forked("nomad", "go", address, *going) as driver:
+            with Forked("nomad", "go", address, *map_options, "--to", "30,20") as driver:
                 page.wait("nserver.estimateOf('1')?.waypoints[0]?.join() === '30,20'", 60.0)
                 page.wait("nserver.estimateOf('1')?.pose[0] + nserver.estimateOf('1').pose[1] > 47", 60.0)
                 assert driver.wait(timeout=60) == 0

@@ -1,22 +1,23 @@
-"""A page of a simulation in lockstep: what it does moves time, as it says, but for Stop and Release."""
+"""The page in lockstep mode: its commands advance time, except for Stop and Release."""
 
 from __future__ import annotations
 
 import pytest
-from browsing import nserver, opened
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import nserver, open_page
+
 TIME = "nserver.scene.time_s"
-WORDS = "document.querySelector('#lockstep')"
+TEXT = "document.querySelector('#lockstep')"
 
 
-def test_it_says_that_its_own_commands_move_time(browser: Browser) -> None:
-    with nserver("thesis_room", "--lockstep", "0.05") as program, opened(browser, program.url) as page:
-        page.wait(f"!{WORDS}.hidden && {WORDS}.innerText.includes('by 50 ms, those of this page too')")
+def test_lockstep_page_explains_time(browser: Browser) -> None:
+    with nserver("thesis_room", "--lockstep", "0.05") as program, open_page(browser, program.url) as page:
+        page.wait(f"!{TEXT}.hidden && {TEXT}.innerText.includes('by 50 ms, also those of this page')")
         page.page.click("#stop")
-        page.wait("!document.querySelector('#held').hidden")
+        page.wait("!document.querySelector('#estop-banner').hidden")
         page.page.click("#release")
-        page.wait("document.querySelector('#held').hidden")
+        page.wait("document.querySelector('#estop-banner').hidden")
         assert page.value(TIME) == 0
         page.page.fill("#corners", "60,60 70,60 70,70")
         page.page.press("#corners", "Enter")
@@ -25,7 +26,7 @@ def test_it_says_that_its_own_commands_move_time(browser: Browser) -> None:
         assert page.value(TIME) > 0
 
 
-def test_who_runs_by_the_clock_reads_nothing_of_it(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_no_lockstep_text_in_real_time(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.wait("document.querySelector('#factor').value === '1'")
-        assert page.value(f"{WORDS}.hidden")
+        assert page.value(f"{TEXT}.hidden")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from browsing import nserver, opened
 from playwright.sync_api import Browser
 
 from nclient import Pose
+from tests.integration.viewer.browsing import nserver, open_page
 
 NEAR = 40
 """How far apart two colours of the screen may be, of 255, and still be one."""
@@ -18,11 +18,11 @@ def near(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
     return all(abs(a - b) <= NEAR for a, b in zip(one, other, strict=True))
 
 
-def test_the_robot_moves_on_the_canvas_as_state_says(browser: Browser) -> None:
-    with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
+def test_robot_on_canvas_follows_state(browser: Browser) -> None:
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, open_page(browser, program.url) as page:
         for layer in ("sonar", "grid", "encoder"):
             page.page.evaluate(f"document.getElementById('layer-{layer}').click()")
-        page.wait("(nserver.map.draw(), true)")  # without them, not a frame later
+        page.wait("(nserver.map.draw(), true)")  # redraw without these layers at once
         body = page.pixel(20 - 4, 30 - 7)
         floor = page.pixel(90, 90)
         assert not near(body, (floor[0], floor[1], floor[2] - 60))
@@ -41,20 +41,20 @@ def test_the_robot_moves_on_the_canvas_as_state_says(browser: Browser) -> None:
         assert page.pixel(30, 30) != floor
 
 
-def test_beams_stay_where_they_were_heard_until_the_robot_is_put_down_elsewhere(browser: Browser) -> None:
-    beams = """import('/page/keeping.js').then((m) => m.svgOf(nserver).split('<path ').filter((path) =>
+def test_beams_stay_until_robot_is_placed(browser: Browser) -> None:
+    beams = """import('/page/export.js').then((m) => m.svgOf(nserver).split('<path ').filter((path) =>
         path.includes(`stroke="${nserver.theme.sonar}"`)).map((path) => path.split('"')[1]))"""
-    with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, open_page(browser, program.url) as page:
         assert len(page.value(beams)) == 16
         with program.robot() as robot:
             robot.configure_sonars(rate=15, order=())
             now = page.value("nserver.scene.time_s")
             page.wait(f"nserver.scene.time_s > {now} + 0.3")
-            heard = page.value(beams)
+            before = page.value(beams)
             robot.move(translation_in=40, turret_rad=1.0)
             robot.wait_until_still(timeout_s=20)
             page.wait("Math.abs(nserver.scene.robots['1'].actual[0] - 60) < 0.1")
-            assert page.value(beams) == heard
+            assert page.value(beams) == before
             robot.place(Pose(70, 70, 0, 0))
             page.wait("nserver.scene.beams['1'].length === 0")
             assert page.value(beams) == []
@@ -65,8 +65,8 @@ def test_beams_stay_where_they_were_heard_until_the_robot_is_put_down_elsewhere(
             assert [float(number) for number in drawn] == pytest.approx(start, abs=0.02)
 
 
-def test_client_graphics_are_drawn_in_their_colours_and_xor_takes_them_away(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_client_graphics_have_colours_and_xor(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         floor = page.pixel(75.3, 60)
         for _ in range(2):
             robot.draw_line(points_in=((70, 60), (90, 60)), mode=18)
@@ -80,8 +80,8 @@ def test_client_graphics_are_drawn_in_their_colours_and_xor_takes_them_away(brow
             assert page.pixel(75.3, 60) == floor
 
 
-def test_zoom_pan_fit_follow_and_units_by_pointer_and_by_key(browser: Browser) -> None:
-    with nserver("thesis_room", "--start", "20,30,0,0") as program, opened(browser, program.url) as page:
+def test_zoom_pan_fit_follow_and_units(browser: Browser) -> None:
+    with nserver("thesis_room", "--start", "20,30,0,0") as program, open_page(browser, program.url) as page:
         scale = page.value("nserver.map.view.scale")
         x, y = page.at(20, 30)
         page.page.mouse.move(x, y)
@@ -109,18 +109,18 @@ def test_zoom_pan_fit_follow_and_units_by_pointer_and_by_key(browser: Browser) -
         page.wait("document.querySelector('#window-robot').innerText.includes('50.8 cm')")
 
 
-def test_a_dense_screen_is_drawn_at_its_own_density(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url, device_scale_factor=2) as page:
+def test_canvas_has_resolution_of_dense_screen(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url, device_scale_factor=2) as page:
         assert page.value("nserver.map.canvas.width / nserver.map.canvas.clientWidth") == pytest.approx(2, abs=0.01)
 
 
 @pytest.mark.parametrize("viewport", [(800, 600), (390, 844), (360, 640)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tuple[int, int], scheme: str) -> None:
+def test_page_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tuple[int, int], scheme: str) -> None:
     width, height = viewport
     with (
         nserver("thesis_room") as program,
-        opened(browser, program.url, viewport={"width": width, "height": height}, color_scheme=scheme) as page,
+        open_page(browser, program.url, viewport={"width": width, "height": height}, color_scheme=scheme) as page,
     ):
         assert page.value("document.documentElement.scrollWidth") <= width
         box = page.page.locator("#stop").bounding_box()
@@ -132,7 +132,7 @@ def test_it_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tup
         assert min(canvas["width"], canvas["height"]) > 250
         dark = sum(page.pixel(45, 90)) < 3 * 128
         assert dark == (scheme == "dark")
-        for menu in ("layers", "keep"):
+        for menu in ("layers", "save"):
             assert not page.page.is_visible(f"#{menu}")
             page.page.click(f"[popovertarget={menu}]")
             page.page.wait_for_selector(f"#{menu}", state="visible")
@@ -153,17 +153,17 @@ def test_it_fits_small_screens_in_light_and_dark(browser: Browser, viewport: tup
         assert page.value("document.documentElement.scrollWidth") <= width
 
 
-def test_a_menu_stands_under_its_button_whole_in_the_window(browser: Browser) -> None:
+def test_menu_is_below_button_and_inside_window(browser: Browser) -> None:
     place = """import("/page/menus.js").then((m) =>
-        m.menuPlace({ left: %s, top: %s, bottom: %s }, [168, 300], [390, 844]))"""
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+        m.menuPosition({ left: %s, top: %s, bottom: %s }, [168, 300], [390, 844]))"""
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         assert page.value(place % (20, 100, 130)) == [20, 134]
         assert page.value(place % (300, 100, 130)) == [390 - 168 - 8, 134]
         assert page.value(place % (20, 700, 730)) == [20, 700 - 4 - 300]
         assert page.value(place % (20, 200, 830)) == [20, 8]
 
 
-def test_a_wrong_token_shows_nothing(browser: Browser) -> None:
+def test_wrong_token_is_rejected(browser: Browser) -> None:
     with nserver("thesis_room") as program, browser.new_context() as context:
         page = context.new_page()
         answer = page.goto(program.url[:-3] + "xxx")
@@ -172,25 +172,25 @@ def test_a_wrong_token_shows_nothing(browser: Browser) -> None:
         assert "The token in it is wrong" in page.inner_text("body")
 
 
-def test_the_page_of_another_site_cannot_open_the_websocket(browser: Browser) -> None:
-    with nserver("thesis_room") as program, nserver("thesis_room") as other, opened(browser, other.url) as page:
+def test_other_site_cannot_open_websocket(browser: Browser) -> None:
+    with nserver("thesis_room") as program, nserver("thesis_room") as other, open_page(browser, other.url) as page:
         address = program.url.replace("http", "ws").replace("/?", "/ws?")
-        opened_at_all = page.value(
+        was_opened = page.value(
             f"""new Promise((done) => {{ const socket = new WebSocket('{address}');
             socket.onopen = () => done(true); socket.onerror = () => done(false); }})"""
         )
-        assert not opened_at_all
-        assert any("Content Security Policy" in said or "403" in said for said in page.troubles)
-        page.troubles.clear()
+        assert not was_opened
+        assert any("Content Security Policy" in error or "403" in error for error in page.errors)
+        page.errors.clear()
 
 
-def test_the_view_and_the_grid_are_right_in_numbers(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
-        round_length = "import('/page/view.js').then((m) => m.roundLength(%s, %s, 1))"
+def test_view_and_grid_values(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        round_length = "import('/page/geometry.js').then((m) => m.roundLength(%s, %s, 1))"
         for scale, pixels, length in [(4, 40, 10), (4, 41, 20), (40, 40, 1), (0.1, 40, 500), (3, 60, 20)]:
             assert page.value(round_length % (scale, pixels)) == pytest.approx(length)
         back = page.value(
-            """import('/page/view.js').then((m) => { const v = {...m.newView(), x: 3, y: -7, scale: 2.5};
+            """import('/page/geometry.js').then((m) => { const v = {...m.newView(), x: 3, y: -7, scale: 2.5};
             return m.toWorld(v, ...m.toScreen(v, 11, 13)); })"""
         )
         assert back == pytest.approx([11, 13])

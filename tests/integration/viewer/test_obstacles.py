@@ -1,4 +1,4 @@
-"""Obstacles at the page: moved and deleted whatever their corners, undone to the last digit; whose laser is asked."""
+"""Obstacles at the page: moving, deleting, exact undo, with any number of corners; the laser of the selected robot."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import json
 import math
 from pathlib import Path
 
-from browsing import Opened, nserver, opened
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import OpenPage, nserver, open_page
 from worlds.files import load_world
 from worlds.writing import world_text
 
@@ -16,13 +16,13 @@ OBSTACLES = "nserver.scene.world.obstacles"
 CORNERS = 12
 
 
-def test_an_obstacle_of_twelve_corners_is_moved_deleted_and_brought_back(browser: Browser, tmp_path: Path) -> None:
+def test_obstacle_with_twelve_corners_is_restored(browser: Browser, tmp_path: Path) -> None:
     angles = [2 * math.pi * k / CORNERS for k in range(CORNERS)]
     corners = [[170.123 + 30 * math.cos(angle), 170 + 30 * math.sin(angle)] for angle in angles]
     file = tmp_path / "pillar.toml"
     pillar = f'\n[[obstacle]]\nname = "pillar"\ncorners_cm = {corners}\n'
     file.write_text(world_text(load_world("thesis_room")) + pillar)
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.set_input_files("#load-world", file)
         page.wait(f"{OBSTACLES}.length === 1")
         before = page.value(f"JSON.stringify({OBSTACLES})")
@@ -48,32 +48,36 @@ def test_an_obstacle_of_twelve_corners_is_moved_deleted_and_brought_back(browser
         page.wait(f"{OBSTACLES}[0].corners[0][0] > {left} + 2")
 
 
-def test_the_laser_is_asked_for_of_the_robot_that_is_chosen(browser: Browser) -> None:
-    with nserver("thesis_room", "--robot", "n200", "--robots", "2") as program, opened(browser, program.url) as page:
+def test_laser_of_selected_robot(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "n200", "--robots", "2") as program, open_page(browser, program.url) as page:
         page.wait("Object.keys(nserver.scene.lasers).join() === '1'")
         page.page.select_option("#robot-choice", "2")
         page.wait("Object.keys(nserver.scene.lasers).join() === '2'")
 
 
-def undone(page: Opened) -> None:
-    """Press Undo, and wait until that is through."""
-    page.value("nserver.undo.undo()")
+def undo(page: OpenPage) -> None:
+    """Undo the last step and wait for it."""
+    page.value("nserver.history.undo()")
 
 
-def test_two_viewers_undo_each_their_own_steps(browser: Browser) -> None:
+def test_viewers_undo_their_own_steps(browser: Browser) -> None:
     corners = f"JSON.stringify({OBSTACLES}.map((thing) => thing.corners[0]))"
     words = "document.querySelector('#notice').innerText"
 
-    def add(page: Opened, text: str, count: int) -> None:
+    def add(page: OpenPage, text: str, count: int) -> None:
         page.page.fill("#corners", text)
         page.page.press("#corners", "Enter")
         page.wait(f"{OBSTACLES}.length === {count}")
 
-    def press(page: Opened, word: str, number: int, corner: str) -> None:
+    def press(page: OpenPage, word: str, number: int, corner: str) -> None:
         page.wait(f"document.querySelector('#world-list').innerText.includes('obstacle {number}: {corner} ')")
         page.page.click(f"[aria-label='{word} obstacle {number}']")
 
-    with nserver("thesis_room") as program, opened(browser, program.url) as one, opened(browser, program.url) as two:
+    with (
+        nserver("thesis_room") as program,
+        open_page(browser, program.url) as one,
+        open_page(browser, program.url) as two,
+    ):
         add(one, "40,40 50,40 50,50", 1)
         two.wait(f"{OBSTACLES}.length === 1")
         add(two, "70,40 80,40 80,50", 2)
@@ -82,44 +86,44 @@ def test_two_viewers_undo_each_their_own_steps(browser: Browser) -> None:
         two.wait(f"{corners} === '[[40,41],[70,40]]'")
         press(two, "move right", 2, "70,40")
         one.wait(f"{corners} === '[[40,41],[71,40]]'")
-        undone(one)
+        undo(one)
         two.wait(f"{corners} === '[[40,40],[71,40]]'")
         press(one, "delete", 1, "40,40")
         two.wait(f"{corners} === '[[71,40]]'")
-        undone(two)
+        undo(two)
         one.wait(f"{corners} === '[[70,40]]'")
-        undone(one)
+        undo(one)
         two.wait(f"{corners} === '[[40,40],[70,40]]'")
-        undone(one)
+        undo(one)
         two.wait(f"{corners} === '[[70,40]]'")
-        one.value("nserver.undo.redo()")
+        one.value("nserver.history.redo()")
         two.wait(f"{corners} === '[[70,40],[40,40]]'")
         press(two, "move up", 2, "40,40")
         one.wait(f"{corners} === '[[70,40],[40,41]]'")
-        undone(one)
-        one.wait(f"{words}.includes('cannot undo “add obstacle”: it has been moved or taken away meanwhile')")
+        undo(one)
+        one.wait(f"{words}.includes('cannot undo “add obstacle”: ')")
         assert one.value(corners) == "[[70,40],[40,41]]"
         one.page.click("#clear-world")
         two.wait(f"{OBSTACLES}.length === 0")
         add(two, "20,60 30,60 30,70", 1)
-        undone(one)
-        one.wait(f"{words}.includes('cannot undo “remove all”: the world has been changed since')")
-        undone(two)
+        undo(one)
+        one.wait(f"{words}.includes('cannot undo “remove all”: the world was changed meanwhile')")
+        undo(two)
         one.wait(f"{OBSTACLES}.length === 0")
 
 
-def test_undo_pressed_before_the_answer_takes_back_that_step(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_undo_waits_for_running_step(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.value(
-            """(() => { const ask = nserver.link.ask; nserver.link.ask = async (message) => {
-            const answer = await ask(message);
-            await new Promise((then) => setTimeout(then, 300));
+            """(() => { const request = nserver.link.request; nserver.link.request = async (message) => {
+            const answer = await request(message);
+            await new Promise((resolve) => setTimeout(resolve, 300));
             return answer; }; })()"""
         )
         for count, corners in enumerate(("40,40 50,40 50,50", "70,40 80,40 80,50"), 1):
             page.page.fill("#corners", corners)
             page.page.press("#corners", "Enter")
             page.wait(f"{OBSTACLES}.length === {count}")
-        page.value("Promise.all([nserver.undo.undo(), nserver.undo.redo(), nserver.undo.undo()])")
+        page.value("Promise.all([nserver.history.undo(), nserver.history.redo(), nserver.history.undo()])")
         page.wait(f"{OBSTACLES}.map((thing) => thing.corners[0][0]).join() === '40'")
         page.wait("document.querySelector('#undo').innerText === 'Undo: add obstacle'")

@@ -1,4 +1,4 @@
-"""What the whole page owes its user: keys that stop, links to share, noise, worlds, undo; small parts in numbers."""
+"""The whole page: stop keys, shared links, noise, worlds, undo, connection loss; functions of its modules."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import nserver, opened
 from playwright.sync_api import Browser
 
+from tests.integration.viewer.browsing import nserver, open_page
 from worlds.files import load_world
 from worlds.writing import world_text
 
@@ -18,8 +18,8 @@ NOTICE = "document.querySelector('#notice')"
 OBSTACLES = "nserver.scene.world.obstacles"
 
 
-def test_noise_is_switched_and_a_client_hears_it(browser: Browser) -> None:
-    with nserver("thesis_room", "--robots", "2") as program, opened(browser, program.url) as page:
+def test_noise_setting_changes_client_readings(browser: Browser) -> None:
+    with nserver("thesis_room", "--robots", "2") as program, open_page(browser, program.url) as page:
         with program.robot() as robot:
             exact = robot.refresh().sonars_in[0]
             page.page.select_option("#noise-sensors", "measured")
@@ -32,13 +32,13 @@ def test_noise_is_switched_and_a_client_hears_it(browser: Browser) -> None:
             page.wait("['1', '2'].every((id) => nserver.scene.bodies[id].noise.motion === 'noisy')")
             page.page.select_option("#noise-sensors", "ideal")
             page.wait(f"nserver.scene.robots['1'].state[17] === {round(exact)}")
-        with opened(browser, program.url) as other:
+        with open_page(browser, program.url) as other:
             other.wait("document.querySelector('#noise-motion').value === 'noisy'")
 
 
-def test_faults_are_put_in_force_counted_and_cleared(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
-        page.page.click("text=Faults on purpose")
+def test_faults_are_applied_counted_and_cleared(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        page.page.click("text=Fault injection")
         page.wait("document.querySelector('#faults').value.includes('seed')")
         page.page.fill("#faults", '[[rule]]\nname = "no"\ndo = "nak"\ncommand = "vm"\ndirection = "request"\n')
         page.page.click("#faults-set")
@@ -53,8 +53,8 @@ def test_faults_are_put_in_force_counted_and_cleared(browser: Browser) -> None:
             robot.drive(translation_in_s=5)
 
 
-def test_the_link_that_only_looks_is_shown_and_copied(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_read_only_link_is_shown_and_copied(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
         page.page.click("[popovertarget=share]")
         link = page.page.input_value("#share-link")
@@ -62,27 +62,27 @@ def test_the_link_that_only_looks_is_shown_and_copied(browser: Browser) -> None:
         page.wait("document.querySelector('#share-copy').innerText === 'Copied'")
         assert page.value("navigator.clipboard.readText()") == link
         assert link != program.url
-        with opened(browser, link) as other:
-            other.wait("document.body.classList.contains('only-looks')")
+        with open_page(browser, link) as other:
+            other.wait("document.body.classList.contains('read-only')")
             assert not other.page.is_visible("[popovertarget=share]")
             assert other.value("nserver.watchToken") is None
 
 
-def test_escape_stops_from_anywhere_and_space_after_a_click(browser: Browser) -> None:
+def test_escape_and_space_stop(browser: Browser) -> None:
     moving, still = "nserver.scene.robots['1'].state[41] !== 0", "nserver.scene.robots['1'].state[41] === 0"
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
-        ways: list[tuple[Callable[[], object], str]] = [
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
+        cases: list[tuple[Callable[[], object], str]] = [
             (lambda: page.page.click("#fit"), "Space"), (lambda: page.page.focus("#corners"), "Escape"),
             (lambda: page.page.select_option("#noise-motion", "ideal"), "Escape"),
         ]  # fmt: skip
-        for prepare, key in ways:
+        for prepare, key in cases:
             robot.drive(steering_rad_s=0.5)
             page.wait(moving)
             prepare()
             page.page.keyboard.press(key)
             page.wait(still)
             page.page.click("#release")
-            page.wait("document.querySelector('#held').hidden")
+            page.wait("document.querySelector('#estop-banner').hidden")
         page.page.focus("#corners")
         page.page.keyboard.press("Space")
         assert page.page.input_value("#corners") == " "
@@ -91,17 +91,17 @@ def test_escape_stops_from_anywhere_and_space_after_a_click(browser: Browser) ->
         page.wait(moving)
         page.page.keyboard.press("Escape")
         page.wait(still)
-        page.page.keyboard.down("a")  # what a held key says again
+        page.page.keyboard.down("a")  # as a pressed key repeats
         page.page.wait_for_timeout(300)
         assert page.value(still)
         page.page.keyboard.up("a")
         page.page.click("#release")
-        page.wait("document.querySelector('#held').hidden")
+        page.wait("document.querySelector('#estop-banner').hidden")
         page.page.focus("#pad")
         page.page.keyboard.press("a", delay=200)
         page.wait(still)
-        failing = """import('/page/stopping.js').then((m) =>
-            m.stopAll({ ask: async () => ({ ok: false, error: 'not connected' }) }))"""
+        failing = """import('/page/estop.js').then((m) =>
+            m.stopAll({ request: async () => ({ ok: false, error: 'not connected' }) }))"""
         assert page.value(failing) == "NOT STOPPED — not connected"
 
 
@@ -109,11 +109,11 @@ BUTTONS = [f"JSON.stringify((({{x, width}}) => [x, width])(document.querySelecto
            for name in ("undo", "redo", "save-world", "clear-world")]  # fmt: skip
 
 
-def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp_path: Path) -> None:
+def test_loading_world_can_be_undone_and_redone(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "other.toml"
     file.write_text(world_text(load_world("several_walls")) + '\n[[obstacle]]\nname = "far"\n'
                     "corners_cm = [[1_00.0, +150], [110, 150.], [110, 160]]\n".replace("150.]", "150.0]"))
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         assert page.page.is_disabled("#undo")
         before = [page.value(where) for where in BUTTONS]
         page.page.set_input_files("#load-world", file)
@@ -124,7 +124,7 @@ def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp
         saved.value.save_as(tmp_path / "saved.toml")
         assert load_world(tmp_path / "saved.toml").paths.keys() == load_world("several_walls").paths.keys()
         page.wait("document.querySelector('#undo').innerText === 'Undo: load other.toml'")
-        assert [page.value(where) for where in BUTTONS] == before, "they stay where they are, whatever is undone next"
+        assert [page.value(where) for where in BUTTONS] == before, "the buttons do not move"
         page.page.keyboard.press("Control+z")
         page.wait("nserver.scene.world.name === 'thesis_room'")
         page.page.keyboard.press("Control+Shift+z")
@@ -143,8 +143,8 @@ def test_a_world_is_loaded_whole_taken_back_and_done_again(browser: Browser, tmp
         assert not page.page.is_visible("#notice")
 
 
-def test_obstacles_move_by_keys_in_steps_of_ones_own_and_what_cannot_be_is_said_in_words(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_obstacles_move_by_keys_and_errors_are_shown(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.fill("#corners", "60,60 70,60 70,70")
         page.page.press("#corners", "Enter")
         page.wait(f"{OBSTACLES}.length === 1")
@@ -158,7 +158,7 @@ def test_obstacles_move_by_keys_in_steps_of_ones_own_and_what_cannot_be_is_said_
             ("0,0 1,1", "3 to 10 corners, not 2"),
             (" ".join(f"{k},{k * k}" for k in range(12)), "3 to 10 corners, not 12"),
             ("60,20 70,30 70,20 60,30", "may not cross"), ("60,20 61,20 62,20", "on one line"),
-            ("-5,-5 5,-5 5,5", "a robot stands in its way"),
+            ("-5,-5 5,-5 5,5", "it overlaps a robot"),
         ):  # fmt: skip
             page.page.fill("#corners", corners)
             page.page.press("#corners", "Enter")
@@ -171,9 +171,9 @@ def test_obstacles_move_by_keys_in_steps_of_ones_own_and_what_cannot_be_is_said_
         page.wait("document.querySelector('#world-list').innerText.includes('127,127')")
 
 
-def test_a_press_chooses_a_robot_and_turns_or_places_none(browser: Browser) -> None:
+def test_click_selects_robot_and_preferences_persist(browser: Browser) -> None:
     words = ("thesis_room", "--start", "20,30,0,0", "--start", "60,60,0,0")
-    with nserver(*words) as program, opened(browser, program.url) as page:
+    with nserver(*words) as program, open_page(browser, program.url) as page:
         page.page.mouse.click(*page.at(60, 60))
         page.wait("nserver.robot === '2'")
         for tool in ("turn", "place"):
@@ -193,37 +193,38 @@ def test_a_press_chooses_a_robot_and_turns_or_places_none(browser: Browser) -> N
         page.wait("window.nserver && nserver.metric && !document.querySelector('#window-robot').open")
 
 
-SMALL: list[tuple[str, str, Any]] = [
+EXPRESSIONS: list[tuple[str, str, Any]] = [
     ("colours.js", "m.contrast('#ffffff', '#000000')", 21),
     ("colours.js", "m.contrast('#777777', '#ffffff') > 4.47 && m.contrast('#777777', '#ffffff') < 4.49", True),
     ("colours.js",
      "Object.keys(m.CLIENT_COLOURS).every((name) => [['#ffffff', '#15181d'], ['#12151a', '#e8ebf0']]"
      ".every(([paper, ink]) => m.contrast(m.clientColour(name, { paper, ink }), paper) >= 3))", True),
     ("colours.js", "m.clientColour('Red', { paper: '#ffffff', ink: '#15181d' })", "#ff0000"),
-    ("holding.js", "m.heldWords({ 1: { held: null }, 2: {} }, 'viewer 1')", None),
-    ("holding.js", "m.heldWords({ 1: { held: { by: 'viewer 1', ignored: 1 } } }, 'viewer 1')",
-     {"who": "Held: nothing moves until Release. Stopped by you (viewer 1).", "ignored": "1 command to move ignored."}),
-    ("holding.js",
-     "m.heldWords({ 1: {}, 2: { held: { by: 'b', ignored: 2 } }, 3: { held: { by: 'c', ignored: 5 } } }, 'a')",
-     {"who": "Held: robots 2, 3 do not move until Release. Stopped by b and c.",
-      "ignored": "7 commands to move ignored."}),
-    ("holding.js", "m.heldWords({ 1: {}, 2: { held: { by: 'b', ignored: 0 } } }, 'a')",
-     {"who": "Held: robot 2 does not move until Release. Stopped by b.", "ignored": ""}),
-    ("ground.js", "m.cornersWrong([[0, 0], [9, 0], [9, 9], [0, 9]])", ""),
-    ("ground.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 8, 2)", True),
-    ("ground.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 2, 8)", False),
-    ("robot_windows.js", "[[255, 255], [20, 255], [100], [200, 3]].map(m.polarReach)", [30, 30, 120, 255]),
-    ("scene.js", "m.drawnOn([[1, 'a'], [2, 'b']], { gone: [1], come: [[3, 'c']] })", [[2, "b"], [3, "c"]]),
-    ("world_window.js", "[m.typedCorners('1,2 3,-4.5'), m.typedCorners('1,2 3'), m.typedCorners('1,2 3,x')]",
+    ("estop.js", "m.bannerTexts({ 1: { held: null }, 2: {} }, 'viewer 1')", None),
+    ("estop.js", "m.bannerTexts({ 1: { held: { by: 'viewer 1', ignored: 1 } } }, 'viewer 1')",
+     {"state": "Stopped: no robot moves until Release. Stopped by you (viewer 1).",
+      "ignored": "1 motion command ignored."}),
+    ("estop.js",
+     "m.bannerTexts({ 1: {}, 2: { held: { by: 'b', ignored: 2 } }, 3: { held: { by: 'c', ignored: 5 } } }, 'a')",
+     {"state": "Stopped: robots 2, 3 do not move until Release. Stopped by b and c.",
+      "ignored": "7 motion commands ignored."}),
+    ("estop.js", "m.bannerTexts({ 1: {}, 2: { held: { by: 'b', ignored: 0 } } }, 'a')",
+     {"state": "Stopped: robot 2 does not move until Release. Stopped by b.", "ignored": ""}),
+    ("geometry.js", "m.cornersError([[0, 0], [9, 0], [9, 9], [0, 9]])", ""),
+    ("geometry.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 8, 2)", True),
+    ("geometry.js", "m.isFree({ rooms: [{ corners: [[0, 0], [9, 0], [9, 9]] }], obstacles: [] }, 2, 8)", False),
+    ("robot_windows.js", "[[255, 255], [20, 255], [100], [200, 3]].map(m.polarRange)", [30, 30, 120, 255]),
+    ("scene.js", "m.updateShapes([[1, 'a'], [2, 'b']], { gone: [1], come: [[3, 'c']] })", [[2, "b"], [3, "c"]]),
+    ("world_window.js", "[m.parseCorners('1,2 3,-4.5'), m.parseCorners('1,2 3'), m.parseCorners('1,2 3,x')]",
      [[[1, 2], [3, -4.5]], None, None]),
     ("traffic_window.js",
      "['get_bp', '-get_bp', 'state'].map((filter) => m.passes({ what: 'bumper', of: 'get_bp', who: 'x' }, filter))",
      [True, False, False]),
     ("time_window.js", "[m.countsText({}), m.countsText({ tcp: { no: { seen: 2, nak: 1 } } })]",
-     ["no faults are in force", "tcp, no: seen 2, nak 1"]),
+     ["no faults are active", "tcp, no: seen 2, nak 1"]),
     ("localization_window.js",
-     "[[0, 9], [0, 31], [5, 200]].map((ends) => m.spanOf(ends.map((time_s) => ({ time_s }))))", [15, 60, 120]),
-    ("share.js", "m.linkWith({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
+     "[[0, 9], [0, 31], [5, 200]].map((ends) => m.chartSpan(ends.map((time_s) => ({ time_s }))))", [15, 60, 120]),
+    ("menus.js", "m.linkWith({ origin: 'http://h:1', pathname: '/' }, 'a b')", "http://h:1/?token=a%20b"),
     ("localization_window.js",
      "m.errorsOf({ pose: [3, 4, 0.1], truth: [0, 0, 2 * Math.PI], cov: [1, 0, 0, 0, 4, 0, 0, 0, 0] }).turn.toFixed(3)",
      "5.730"),
@@ -231,34 +232,34 @@ SMALL: list[tuple[str, str, Any]] = [
 ]  # fmt: skip
 
 
-def test_small_parts_in_numbers(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
-        for module, script, right in SMALL:
+def test_page_functions(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
+        for module, script, right in EXPRESSIONS:
             assert page.value(f"import('/page/{module}').then((m) => {script})") == right, script
 
 
-def test_a_run_goes_on_over_a_lost_link_and_is_bounded_by_its_size(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page:
+def test_run_continues_after_reconnect_and_is_limited(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         found = page.value(
-            """import('/page/keeping.js').then((m) => { const run = m.newRun();
+            """import('/page/export.js').then((m) => { const run = m.newRun();
             const picture = (frame, since) =>
               ({ type: 'picture', frame, since, time_s: frame, traces: {}, graphics: [] });
-            m.keepMessage(run, picture(1, 0)); m.keepMessage(run, picture(2, 1), 10);
-            m.keepMessage(run, { type: 'traffic' }); m.keepMessage(run, picture(9, 0), 10);
-            const kept = run.messages.map((one) => one.frame), length = m.runLength(run);
-            m.keepMessage(run, picture(10, 9), 10, { kept: 9, size: 25 });
-            return [kept, length, run.base.frame, run.messages.length, run.size]; })"""
+            m.recordMessage(run, picture(1, 0)); m.recordMessage(run, picture(2, 1), 10);
+            m.recordMessage(run, { type: 'traffic' }); m.recordMessage(run, picture(9, 0), 10);
+            const saved = run.messages.map((one) => one.frame), length = m.runLength(run);
+            m.recordMessage(run, picture(10, 9), 10, { messages: 9, size: 25 });
+            return [saved, length, run.base.frame, run.messages.length, run.size]; })"""
         )
-        assert found == [[2, 9], "8 s of it", 2, 2, 20]
+        assert found == [[2, 9], "8 s", 2, 2, 20]
 
 
-def test_a_drawing_cancels_what_is_in_xor_where_the_canvas_does(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_svg_xor_equals_canvas(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         robot.draw_line(points_in=((60, 50), (80, 50)), mode=1)
         robot.draw_line(points_in=((70, 40), (70, 60)), mode=2)
         page.wait("nserver.scene.graphics.length === 2")
-        page.value("(Object.assign(nserver.map.view, { x: 70, y: 50, scale: 4 }), nserver.map.keepDrawing(), true)")
-        text = page.value("import('/page/keeping.js').then((m) => m.svgOf(nserver))")
+        page.value("(Object.assign(nserver.map.view, { x: 70, y: 50, scale: 4 }), nserver.map.requestRedraw(), true)")
+        text = page.value("import('/page/export.js').then((m) => m.svgOf(nserver))")
         page.page.evaluate("['sonar', 'grid'].forEach((name) => document.getElementById(`layer-${name}`).click())")
         page.wait("(nserver.map.draw(), true)")
         read = """[[70, 50], [65, 50], [70, 45]].map(([x, y]) => { const [px, py] = nserver.map.screenOf(x, y);
@@ -277,27 +278,28 @@ def test_a_drawing_cancels_what_is_in_xor_where_the_canvas_does(browser: Browser
         assert drawn[0] > max(drawn[1:]) + 200
 
 
-def test_a_daemon_started_anew_is_told_and_what_is_old_is_dimmed(browser: Browser) -> None:
+def test_restarted_server_rejects_old_token(browser: Browser) -> None:
     with nserver("thesis_room") as program, browser.new_context() as context:
         page = context.new_page()
         page.goto(program.url)
         page.wait_for_selector("#link-state:text('live')")
         found = page.evaluate(
             """import('/page/link.js').then((m) => new Promise((done) => {
-                const said = [];
-                m.openLink('wrong', { hear() {}, state(name) { said.push(name); if (said.length === 2) done(said); } });
+                const states = [], onMessage = () => {};
+                const onState = (name) => { states.push(name); if (states.length === 2) done(states); };
+                m.openLink('wrong', { onMessage, onState });
                 }))"""
         )
-        assert found == ["lost", "refused"]
+        assert found == ["lost", "rejected"]
 
 
-def test_a_lost_link_is_seen(browser: Browser) -> None:
+def test_lost_connection_is_shown(browser: Browser) -> None:
     with browser.new_context() as context:
         page = context.new_page()
         with nserver("thesis_room") as program:
             page.goto(program.url)
             page.wait_for_selector("#link-state:text('live')")
-        page.wait_for_selector("#link-state:text('last heard')")
+        page.wait_for_selector("#link-state:text('last message')")
         assert page.evaluate("document.body.classList.contains('lost')")
         page.click("#stop")
         page.wait_for_selector("#notice span:text('NOT STOPPED — not connected')")

@@ -1,19 +1,20 @@
-"""The window Traffic in a browser: what a client says stands there, filtered, and a row opens to its bytes."""
+"""The window Traffic in a browser: rows of requests and replies, filtered, and opened to their bytes."""
 
 from __future__ import annotations
 
-from browsing import nserver, opened
 from playwright.sync_api import Browser
+
+from tests.integration.viewer.browsing import nserver, open_page
 
 LOG = "document.querySelector('#window-traffic .log')"
 
 
-def test_requests_and_replies_are_shown_filtered_and_opened(browser: Browser) -> None:
-    with nserver("thesis_room") as program, opened(browser, program.url) as page, program.robot() as robot:
+def test_traffic_is_shown_and_filtered(browser: Browser) -> None:
+    with nserver("thesis_room") as program, open_page(browser, program.url) as page, program.robot() as robot:
         robot.refresh()
         page.page.click("#window-traffic > summary")
         page.wait("nserver.link && document.querySelector('#window-traffic').open")
-        page.wait(f"{LOG}.childElementCount > 0", doing=robot.refresh)
+        page.wait(f"{LOG}.childElementCount > 0", action=robot.refresh)
         robot.drive(translation_in_s=5)
         robot.refresh()
         page.wait(f"{LOG}.innerText.includes('> vm 50 0 0')")

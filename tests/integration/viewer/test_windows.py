@@ -1,78 +1,79 @@
-"""The windows Robot, Short sensors and Long sensors in a browser: State in words, in numbers and over time."""
+"""The windows Robot, Short sensors and Long sensors in a browser: State as text, as numbers and over time."""
 
 from __future__ import annotations
 
 import pytest
-from browsing import nserver, opened
 from playwright.sync_api import Browser
 
-READ_AT_ONCE = """(() => {
+from tests.integration.viewer.browsing import nserver, open_page
+
+READ_TOGETHER = """(() => {
     const state = nserver.scene.robots['1'].state, words = document.querySelector('#window-robot').innerText;
     const rings = ['long', 'short'].map((name) => document.querySelector(`#window-${name} td`).innerText);
     window.read = [state, words, rings];
     return words.includes(state.join(' ')) && rings[0] === state.slice(17, 33).join(' '); })()"""
-"""State and what the windows show of it, once they show the newest: a robot that is looked at twice may have moved."""
+"""State and the texts of the windows, read together once they agree: a robot may move between two reads."""
 
 
-def inked(window: str, number: int = 0) -> str:
-    """JavaScript: how many pixels of a window's canvas are drawn."""
+def count_drawn_pixels(window: str, number: int = 0) -> str:
+    """Return JavaScript that counts the drawn pixels of a window's canvas."""
     return f"""(() => {{ const canvas = document.querySelectorAll('#window-{window} canvas')[{number}];
         const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
         let count = 0; for (let k = 3; k < data.length; k += 4) count += data[k] > 0; return count; }})()"""
 
 
-def test_state_stands_there_in_words_and_numbers(browser: Browser) -> None:
-    with nserver("thesis_room", "--robot", "n200") as program, opened(browser, program.url) as page:
+def test_state_as_text_and_numbers(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "n200") as program, open_page(browser, program.url) as page:
         with program.robot() as robot:
             robot.drive(translation_in_s=-10)
             page.wait("document.querySelector('#window-robot').innerText.includes('touched: 10')")
-            page.wait(READ_AT_ONCE)
+            page.wait(READ_TOGETHER)
             slots, words, rings = page.value("window.read")
             assert "touched: 10" in words
             assert slots[33] == 1 << 10
             assert rings == [" ".join(map(str, slots[first : first + 16])) for first in (17, 1)]
         page.page.locator("#window-long").scroll_into_view_if_needed()
-        before = page.value(inked("long", 1))
+        before = page.value(count_drawn_pixels("long", 1))
         page.wait("nserver.scene.history['1'].length > 40")
-        page.wait(f"{inked('long', 1)} > {before}")
-        page.wait(f"{inked('long')} > 1000")
-        page.wait(f"{inked('short')} > 1000")
+        page.wait(f"{count_drawn_pixels('long', 1)} > {before}")
+        page.wait(f"{count_drawn_pixels('long')} > 1000")
+        page.wait(f"{count_drawn_pixels('short')} > 1000")
 
 
-def test_a_scout_has_wheels_and_a_second_robot_can_be_chosen(browser: Browser) -> None:
+def test_scout_wheels_and_selecting_second_robot(browser: Browser) -> None:
     words = ("thesis_room", "--robot", "scout", "--robot", "n150")
-    with nserver(*words) as program, opened(browser, program.url) as page:
+    with nserver(*words) as program, open_page(browser, program.url) as page:
         page.wait("document.querySelector('#window-robot').innerText.includes('0.0 in/s right, 0.0 in/s left')")
         page.wait("document.querySelector('#window-short').innerText.includes('this robot has none')")
         page.page.select_option("#robot-choice", "2")
         page.wait("document.querySelector('#window-robot').innerText.includes('n150')")
 
 
-def test_the_laser_shows_what_a_client_is_told_and_a_layer_can_be_left_out(browser: Browser) -> None:
-    with nserver("thesis_room", "--robot", "n200") as program, opened(browser, program.url) as page:
+def test_laser_points_follow_clients_modes(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "n200") as program, open_page(browser, program.url) as page:
         page.wait("(nserver.scene.lasers['1'] ?? []).length > 100")
         x, y = page.value("nserver.scene.lasers['1'].slice(480, 482)")
         assert (x, y) == pytest.approx((102.2, 0), abs=0.2)
         page.wait("document.querySelector('#window-robot').innerText.includes('on, as at power-on')")
-        said = "document.querySelector('#window-robot').innerText.match(/laser\\s+(o.*)/)[1]"
+        laser_row = "document.querySelector('#window-robot').innerText.match(/laser\\s+(o.*)/)[1]"
         with program.robot() as first, program.robot() as second:
             first.configure_laser(mode=0)
             second.configure_laser(mode=50)
             page.wait("nserver.scene.lasers['1'] === undefined")
-            page.wait(f"/off for .* \\(mode 0\\), .* \\(mode 50\\)/.test({said})")
+            page.wait(f"/off for .* \\(mode 0\\), .* \\(mode 50\\)/.test({laser_row})")
             second.configure_laser(mode=33)
             page.wait("nserver.scene.lasers['1']?.length > 100")
-            page.wait(f"/^on for .* \\(mode 33\\); off for .* \\(mode 0\\)$/.test({said})")
+            page.wait(f"/^on for .* \\(mode 33\\); off for .* \\(mode 0\\)$/.test({laser_row})")
         page.page.click("[popovertarget=layers]")
         page.page.click("#layer-laser")
         page.wait("!nserver.map.shown.laser")
 
 
-def test_the_bumpers_of_a_scout_turn_with_its_body(browser: Browser) -> None:
-    with nserver("thesis_room", "--robot", "scout") as program, opened(browser, program.url) as page:
-        say = "nserver.link.ask({ do: 'call', robot: 1, call: '%s', args: %s }).then((answer) => answer.ok)"
-        assert page.value(say % ("place_robot", [300, 900, 900, 900]))
-        assert page.value(say % ("vm", [100, 100, 0]))
+def test_scout_bumpers_turn_with_body(browser: Browser) -> None:
+    with nserver("thesis_room", "--robot", "scout") as program, open_page(browser, program.url) as page:
+        call = "nserver.link.request({ do: 'call', robot: 1, call: '%s', args: %s }).then((answer) => answer.ok)"
+        assert page.value(call % ("place_robot", [300, 900, 900, 900]))
+        assert page.value(call % ("vm", [100, 100, 0]))
         page.wait("nserver.scene.robots['1'].state[33] !== 0")
         page.page.locator("#window-short").scroll_into_view_if_needed()
         page.wait(

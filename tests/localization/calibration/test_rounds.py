@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from localization.calibration.rounds import Rounds
-from localization.calibration.square import Driver, Go, Spin, Task
-from localization.driving.navigation import Command
+from localization.calibration.procedure import Driver, Go, Rounds, Spin, Task
+from localization.navigation.waypoints import Command
 
 LAP: list[Task] = [Spin(0.01), Go(0.0, 0.0)]
 

@@ -8,7 +8,7 @@ from math import hypot, pi, tau
 import numpy as np
 import pytest
 
-from localization.calibration.square import (
+from localization.calibration.procedure import (
     MARGIN_IN,
     Driver,
     Go,
@@ -20,11 +20,10 @@ from localization.calibration.square import (
     tasks,
     way_to,
 )
-from localization.driving.navigation import PERIOD_S
 from localization.filters.belief import HEADING
 from localization.filters.odometry import move
-from localization.planning.clearance import clearances
-from localization.planning.roadmap import NoWayError
+from localization.navigation.roadmap import NoWayError, clearances
+from localization.navigation.waypoints import PERIOD_S
 from worlds.files import load_world, world_names
 from worlds.world import Polygon, World
 

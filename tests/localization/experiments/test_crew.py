@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from localization.experiments.crew import ClusterError, ClusterExtraMissing, _check, here, on_cluster
+from localization.experiments.execution import ClusterError, ClusterExtraMissing, _check, here, on_cluster
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

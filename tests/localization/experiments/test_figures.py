@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure as Picture
 
-from localization.experiments import figures
+from localization.experiments import output
 from localization.experiments.results import Track
-from localization.experiments.settings import FIGURES, course_of
+from localization.experiments.trial import FIGURES, course_of
 from localization.filters.belief import Floats
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -31,7 +31,7 @@ def lines(picture: Picture, row: int = 0) -> dict[str, Floats]:
 def test_the_trajectory_shows_world_way_points_truth_and_estimate() -> None:
     figure, track = FIGURES["5.8"], made_up_track()
     course = course_of(figure)
-    picture = figures.trajectory(figure, course, track)
+    picture = output.trajectory(figure, course, track)
     (axes,) = picture.axes
     drawn = lines(picture)
     assert axes.get_aspect() == 1.0
@@ -45,14 +45,14 @@ def test_the_trajectory_shows_world_way_points_truth_and_estimate() -> None:
 
 def test_without_the_filter_the_estimate_is_odometry_and_its_doubt_is_drawn() -> None:
     figure = FIGURES["5.2"]
-    drawn = lines(figures.trajectory(figure, course_of(figure), made_up_track()))
+    drawn = lines(output.trajectory(figure, course_of(figure), made_up_track()))
     assert "odometry" in drawn
     assert "3 sigma" in drawn
 
 
 def test_the_errors_are_estimate_less_truth_in_inches_and_degrees() -> None:
     track = made_up_track()
-    picture = figures.errors(FIGURES["5.4"], [track, made_up_track(1)], track)
+    picture = output.errors(FIGURES["5.4"], [track, made_up_track(1)], track)
     assert [axes.get_ylabel() for axes in picture.axes] == ["x (in)", "y (in)", "heading (deg)"]
     for row, scale in enumerate((1.0, 1.0, np.degrees(1.0))):
         expected = scale * (track.mean - track.truth)[:, row]
@@ -66,6 +66,6 @@ def test_the_errors_are_estimate_less_truth_in_inches_and_degrees() -> None:
 )
 def test_two_files_are_written_for_a_figure(name: str, files: set[str], tmp_path: Path) -> None:
     figure = FIGURES[name]
-    written = figures.draw(figure, course_of(figure), [made_up_track()], tmp_path / "new" / "folder")
+    written = output.draw(figure, course_of(figure), [made_up_track()], tmp_path / "new" / "folder")
     assert {path.name for path in written} == files
     assert all(path.read_bytes().startswith(PNG) for path in written)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.experiments import fingerprint as room
-from localization.experiments.fingerprint import fingerprint
+from localization.experiments import execution as room
+from localization.experiments.execution import fingerprint
 
 
 def test_it_is_the_same_until_code_or_numpy_change(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from localization.experiments.kept import Kept
+from localization.experiments.execution import Kept
 
 
 def test_what_is_kept_is_found_by_the_same_key_and_code_alone(tmp_path: Path) -> None:

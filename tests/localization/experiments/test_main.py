@@ -9,18 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import __main__ as command
-from localization.experiments.live import command as live
-from localization.experiments.lost import command as lost
-from localization.experiments.plan import command as plan
+from localization.experiments import __main__, lost_command, plan_command
+from localization.experiments import live_command as live
 from localization.experiments.results import Summary
-from localization.experiments.settings import FIGURES
+from localization.experiments.trial import FIGURES
 
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
 
 def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert command.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    assert __main__.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     printed, told = capsys.readouterr()
     summary = json.loads(printed)
     assert list(summary) == list(Summary.__annotations__)
@@ -31,7 +29,7 @@ def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: P
 
 
 def test_people_get_a_table_and_pictures(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert command.main(["5.6", *QUICK, "--out", str(tmp_path)]) == 0
+    assert __main__.main(["5.6", *QUICK, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "Figure 5.6: Badly chosen limits" in printed
     assert "150 in the text" in printed
@@ -40,17 +38,17 @@ def test_people_get_a_table_and_pictures(capsys: pytest.CaptureFixture[str], tmp
 
 
 def test_several_figures_give_an_object_a_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert command.main(["5.6", "5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    assert __main__.main(["5.6", "5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     first, second = capsys.readouterr().out.splitlines()
     assert json.loads(first) == json.loads(second)
 
 
 def test_all_is_every_figure_and_then_the_live_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
     driven: list[str] = []
-    monkeypatch.setattr(command, "_drive_figure", lambda figure, _: driven.append(figure.name))
-    for name, part in (("live", live), ("lost", lost), ("plan", plan)):
+    monkeypatch.setattr(__main__, "_drive_figure", lambda figure, _: driven.append(figure.name))
+    for name, part in (("live", live), ("lost", lost_command), ("plan", plan_command)):
         monkeypatch.setattr(part, "main", lambda words, name=name: driven.append(f"{name} {' '.join(words)}"))
-    assert command.main(["all", "--seeds", "3", "--no-pictures"]) == 0
+    assert __main__.main(["all", "--seeds", "3", "--no-pictures"]) == 0
     assert driven == [*FIGURES, "live --seeds 3 --no-pictures", "lost --seeds 3", "plan --seeds 3"]
 
 
@@ -65,13 +63,13 @@ def test_what_it_does_not_know_is_told_with_what_it_does(
     words: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
-        command.main(words)
+        __main__.main(words)
     assert told in capsys.readouterr().err
 
 
 def test_help_of_all_says_what_it_runs_and_where_other_options_go(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
-        command.main(["all", "--help"])
+        __main__.main(["all", "--help"])
     told = " ".join(capsys.readouterr().out.split())
     assert "5.2, 5.4, 5.6, 5.8, 5.9 (with the errors in 5.3, 5.5, 5.7), then `live`, `lost` and `plan`" in told
     assert "live --scenario exact" in told
@@ -81,7 +79,7 @@ def test_without_tqdm_there_is_no_bar_and_the_same_numbers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "tqdm", None)
-    assert command.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    assert __main__.main(["5.6", *QUICK, "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
     printed, told = capsys.readouterr()
     assert json.loads(printed)["seeds"] == 2
     assert "%" not in told
@@ -91,7 +89,7 @@ def test_without_matplotlib_it_refuses_before_it_drives(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert command.main(["5.6", "--out", str(tmp_path / "out")]) == 2
+    assert __main__.main(["5.6", "--out", str(tmp_path / "out")]) == 2
     printed, told = capsys.readouterr()
     assert printed == ""
     assert "nomad-nserver[plot]" in told
@@ -102,10 +100,10 @@ def test_without_matplotlib_it_refuses_before_it_drives(
 def test_a_folder_that_cannot_be_made_is_named_before_anything_is_run(
     words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for room in ("__main__", "live.command", "lost.command", "plan.command"):
+    for room in ("__main__", "live_command", "lost_command", "plan_command"):
         monkeypatch.setattr(f"localization.experiments.{room}.progress", lambda *_: pytest.fail("it runs"))
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    assert command.main([*words, "--out", str(tmp_path / "file")]) == 2
+    assert __main__.main([*words, "--out", str(tmp_path / "file")]) == 2
     assert f"{tmp_path / 'file'}: cannot be written: File exists; name a file" in capsys.readouterr().err
 
 
@@ -113,14 +111,14 @@ def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path, monkeypatch
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "drive", interrupted)
-    assert command.main(["5.6", "--no-pictures", "--out", str(tmp_path)]) == 130
+    monkeypatch.setattr(__main__, "drive", interrupted)
+    assert __main__.main(["5.6", "--no-pictures", "--out", str(tmp_path)]) == 130
 
 
 @pytest.mark.parametrize("arguments", [["5.5"], [], ["5.4", "--seeds", "0"], ["5.4", "--jobs", "none"]])
 def test_what_cannot_be_meant_is_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        command.main(arguments)
+        __main__.main(arguments)
     assert caught.value.code == 2
     assert "usage" in capsys.readouterr().err
 
@@ -128,7 +126,7 @@ def test_what_cannot_be_meant_is_refused(arguments: list[str], capsys: pytest.Ca
 def test_the_number_of_cores_is_known_without_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr("os.sched_getaffinity", raising=False)
     monkeypatch.setattr("os.cpu_count", lambda: None)
-    assert command._parser().parse_args(["5.4"]).jobs == 1
+    assert __main__._parser().parse_args(["5.4"]).jobs == 1
 
 
 def test_help_names_every_figure() -> None:

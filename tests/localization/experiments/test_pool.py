@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from localization.experiments.pool import drive, drive_part, parts_of
-from localization.experiments.settings import FIGURES
+from localization.experiments.execution import drive, drive_part, parts_of
+from localization.experiments.trial import FIGURES
 
 
 @pytest.mark.parametrize(

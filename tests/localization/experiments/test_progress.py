@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from localization.experiments.progress import progress
+from localization.experiments.execution import progress
 
 
 def test_a_bar_fills_up_and_never_over(capsys: pytest.CaptureFixture[str]) -> None:

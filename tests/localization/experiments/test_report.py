@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from localization.experiments.report import table
+from localization.experiments.output import table
 from localization.experiments.results import Summary
-from localization.experiments.settings import FIGURES, course_of
+from localization.experiments.trial import FIGURES, course_of
 
 
 def some_summary(name: str, *, filtered: bool = True) -> Summary:

@@ -17,8 +17,7 @@ from localization.experiments.results import (
     summarize,
     typical,
 )
-from localization.experiments.settings import FIGURES
-from localization.experiments.trial import Runs
+from localization.experiments.trial import FIGURES, Runs
 
 
 def made_up_runs(first_seed: int = 0) -> Runs:

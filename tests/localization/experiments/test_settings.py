@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from localization.experiments.settings import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
+from localization.experiments.trial import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
 from localization.filters.sonar_ray import IDEAL_SONAR
-from nserver_emu.simulation.setup import NOISY
+from nserver_emu.simulation.noise import NOISY
 
 
 def test_the_noise_is_the_one_the_experiments_were_fixed_with() -> None:

@@ -8,15 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from localization.driving.control import Gains, next_step
-from localization.experiments.consistency import mean_band
 from localization.experiments.results import Summary, outcome_of, summarize
-from localization.experiments.settings import FIGURES, Course, course_of
-from localization.experiments.streams import start_errors
-from localization.experiments.trial import Runs, run
+from localization.experiments.trial import FIGURES, Course, Runs, course_of, mean_band, run, start_errors
 from localization.filters.belief import difference
 from localization.filters.odometry import transition
 from localization.filters.sonar_ray import meet, range_jacobian, rays, sight, wall_map
+from localization.navigation.speed import Gains, next_step
 
 pytestmark = pytest.mark.long
 

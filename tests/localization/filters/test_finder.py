@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from localization.experiments.live.scenario import QUIET
+from localization.experiments.live_trial import QUIET
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.global_localization import Alternatives, GlobalLocalizer
@@ -17,8 +17,8 @@ from localization.filters.sonar_cone import ConeSonar
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from nclient import Robot, connect
-from nclient.protocol.models import DEFAULT_SONAR_ORDER
-from nclient.robot_state import Pose
+from nclient.protocol.types import DEFAULT_SONAR_ORDER
+from nclient.state import Pose
 from worlds.bodies import N150
 from worlds.files import load_world
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from localization.experiments.live.scenario import EXACT_RAYS, QUIET
+from localization.experiments.live_trial import EXACT_RAYS, QUIET
 from localization.filters.belief import Floats, difference, independent
 from localization.filters.global_localization import BETTER_NATS, EchoRecord, Hypothesis, alternatives, merged, search
 from localization.filters.range_table import RangeTable, build_range_table
@@ -17,7 +17,7 @@ from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
 from localization.filters.sonar_ray import RaySonar
 from nclient import connect
-from nclient.protocol.models import DEFAULT_SONAR_ORDER
+from nclient.protocol.types import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
 

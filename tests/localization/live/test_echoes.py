@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from localization.live.sensor_input import CLOCK_STEP_S, FiringSchedule, FiringTime
-from nclient.protocol.models import DEFAULT_SONAR_ORDER
+from nclient.protocol.types import DEFAULT_SONAR_ORDER
 
 
 def written_out(schedule: FiringSchedule, until_s: float) -> list[FiringTime]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from localization.filters.update import Refusal
-from localization.live.localizer import Echo, Fit
+from localization.live.localizer import Echo, Consistency
 
 
 def echo(refusal: Refusal, nis: float = 0.0) -> Echo:
@@ -13,7 +13,7 @@ def echo(refusal: Refusal, nis: float = 0.0) -> Echo:
 
 
 def test_sums_of_what_was_taken_in_and_refused() -> None:
-    fit = Fit(rays=True)
+    fit = Consistency(rays=True)
     assert (fit.nis, fit.refused_share, fit.good) == (0.0, 0.0, True)
     fit.add([echo(Refusal.NONE, 0.5), echo(Refusal.NONE, 1.5), echo(Refusal.LIMIT), echo(Refusal.AMBIGUOUS_WALL)])
     assert (fit.nis, fit.refused_share) == (1.0, 0.0)
@@ -22,7 +22,7 @@ def test_sums_of_what_was_taken_in_and_refused() -> None:
 
 @pytest.mark.parametrize("rays", [True, False])
 def test_many_refusals_are_not_good_of_rays(rays: bool) -> None:
-    fit = Fit(rays)
+    fit = Consistency(rays)
     fit.add([*[echo(Refusal.NONE, 1.0)] * 8, *[echo(Refusal.GATE, 20.0)] * 2])
     assert fit.refused_share == 0.2
     assert fit.good is not rays
@@ -31,7 +31,7 @@ def test_many_refusals_are_not_good_of_rays(rays: bool) -> None:
 
 
 def test_nor_is_a_large_nis() -> None:
-    fit = Fit(rays=False)
+    fit = Consistency(rays=False)
     fit.add([echo(Refusal.NONE, 1.6)])
     assert not fit.good
     assert "--odometry-noise" in fit.line()

@@ -13,7 +13,7 @@ from localization.filters.belief import Belief, independent
 from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
-from nclient.protocol.models import DEFAULT_SONAR_ORDER
+from nclient.protocol.types import DEFAULT_SONAR_ORDER
 from worlds.bodies import N150
 from worlds.files import load_world
 from worlds.raycast import cast_rays

@@ -11,7 +11,7 @@ from localization.live.sensor_input import REMEMBERED_S, EncoderPose, PoseHistor
 
 
 def pose(clock_s: float, x: float, heading: float = 0.0, turret: float = 0.0) -> EncoderPose:
-    return EncoderPose(clock_s, np.array([x, 2 * x, heading]), turret)
+    return EncoderPose.of(clock_s, np.array([x, 2 * x, heading]), turret)
 
 
 def test_between_two_polls_the_robot_went_evenly() -> None:

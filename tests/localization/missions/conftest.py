@@ -10,7 +10,7 @@ import pytest
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.missions.helm import Helm
+from localization.missions.controller import Helm
 from nclient import connect
 from worlds.bodies import BODIES
 from worlds.files import load_world

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.missions.arguments import check, points
 from localization.missions.mission import Mission
+from localization.missions.settings import check, points
 from nclient.errors import MissionFileError
 
 

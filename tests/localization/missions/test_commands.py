@@ -12,27 +12,16 @@ from typing import Any
 
 import pytest
 
-from localization.command_line.readers import (
-    MOST_NOISE,
-    constants,
-    noise,
-    numbers,
-    point,
-    pose,
-    positive,
-    seconds,
-    stds,
-)
-from localization.driving.navigation import standing_after
-from localization.keeping import kept_file
-from localization.missions import command, go
-from localization.missions.failures import StepFailed
+from localization.cli import go, mission
+from localization.cli.options import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
+from localization.live import saved_estimate
 from localization.missions.mission import Mission
-from localization.missions.report import Report, Step
-from localization.missions.running import run_mission
-from nclient.cli import main
+from localization.missions.report import Report, Step, StepFailed
+from localization.missions.runner import run_mission
+from localization.navigation.waypoints import standing_after
+from nclient.cli.main import main
+from nclient.common.process import Left
 from nclient.errors import ConnectionLost, MissionFileError
-from nclient.leaving import Left
 from worlds.calibration import Calibration, calibration_text
 
 ROOT = Path(__file__).parents[3]
@@ -95,7 +84,7 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
 def test_a_report_that_cannot_be_written_after_all_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = argparse.Namespace(report=tmp_path / "no" / "r.json", json=False)
     with pytest.raises(MissionFileError, match="the report cannot be written"):
-        command.tell(Report("T", ending="done"), options)
+        mission.tell(Report("T", ending="done"), options)
     assert "done" in capsys.readouterr().out
 
 
@@ -110,7 +99,7 @@ def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
     assert main([*words, "--to", "40,10", "--save", str(kept)]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["pose"]["x_in"] == pytest.approx(report["truth"]["x_in"], abs=0.5)
-    assert len(kept_file.load(kept).belief.mean) == 6
+    assert len(saved_estimate.load(kept).belief.mean) == 6
     assert main([*words, "--to", "40,10", "--resume", str(kept), "--start", "0,0,0"]) == 1
     assert "--start begins anew" in capsys.readouterr().err
     there = "{x_in},{y_in},{heading_deg},{heading_deg}".format(**report["truth"])
@@ -128,7 +117,7 @@ def test_what_cannot_be_saved_in_the_end_is_told_and_the_ending_stays(
 ) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
-    monkeypatch.setattr("localization.missions.setting_out.check_writable", lambda *_: folder.rmdir())
+    monkeypatch.setattr("localization.cli.driving.check_writable", lambda *_: folder.rmdir())
     assert main(["go", SIM, "--to", "5,0", "--save", str(folder / "kept")]) == 1
     told = capsys.readouterr()
     assert "done at (" in told.out
@@ -272,7 +261,7 @@ def numbers_of_two(text: str) -> list[float]:
 
 
 def test_the_commands_have_help(capsys: pytest.CaptureFixture[str]) -> None:
-    for name, module in (("go", go), ("mission", command)):
+    for name, module in (("go", go), ("mission", mission)):
         with pytest.raises(SystemExit):
             main([name, "--help"])
         assert (module.__doc__ or "").splitlines()[0] in capsys.readouterr().out
@@ -293,7 +282,7 @@ def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not tell its setup."""
-    monkeypatch.setattr("localization.taken.sonars.rays_told_by", lambda _: None)
+    monkeypatch.setattr("localization.cli.assumptions.rays_told_by", lambda _: None)
     words = ["go", "sim:thesis_room?setup=measured&seed=1", "--to", "60,40", "--method", "ekf", "--speed", "8"]
     main([*words, "--json"])
     told = capsys.readouterr()

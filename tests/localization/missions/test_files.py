@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.missions.files import MOST_BYTES, load_mission, parse_list
 from localization.missions.mission import Seen
 from localization.missions.settings import OnLost, Settings
+from localization.missions.steps import MOST_BYTES, load_mission, parse_list
 from nclient.errors import MissionFileError
 
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from localization.missions.helm import Helm
-from localization.planning.following import Velocities
+from localization.missions.controller import Helm
+from localization.navigation.path_follower import Velocities
 from nclient.errors import BumperHit, ConnectionLost
 
 MakeHelm = Callable[..., Helm]

@@ -8,16 +8,15 @@ from math import hypot, pi
 
 import pytest
 
-from localization.driving.groping import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
-from localization.driving.navigation import PERIOD_S
 from localization.filters.health import FilterHealth, HealthStatus
-from localization.missions.failures import MissionOver
-from localization.missions.helm import Helm, Sight
-from localization.missions.lost import _searching
-from localization.missions.mission import Mission
+from localization.missions.controller import Helm, Sight
+from localization.missions.mission import Mission, _searching
+from localization.missions.report import MissionOver
 from localization.missions.settings import OnLost, Settings
-from localization.planning.following import Velocities
-from nclient.robot_state import Pose
+from localization.navigation.path_follower import Velocities
+from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
+from localization.navigation.waypoints import PERIOD_S
+from nclient.state import Pose
 
 pytestmark = pytest.mark.long
 

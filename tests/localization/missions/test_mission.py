@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-from localization.missions.failures import MissionOver, StepFailed
-from localization.missions.helm import Helm
+from localization.missions.controller import Helm
 from localization.missions.mission import Mission
-from localization.missions.running import run_mission
+from localization.missions.report import MissionOver, StepFailed
+from localization.missions.runner import run_mission
 from localization.missions.settings import Settings
-from localization.planning.course import turn_between
+from localization.navigation.path import turn_between
+from nclient.common.process import Left
 from nclient.errors import ConnectionLost, NomadError
-from nclient.leaving import Left
 
 pytestmark = pytest.mark.long
 
@@ -133,7 +133,7 @@ def test_a_robot_that_somebody_holds_is_told_of_and_goes_on_once_released(
     drive = helm.robot.drive
 
     def held(**velocities: float) -> Any:
-        """What would move it is taken for st (nserver_emu.server.stage.holds)."""
+        """What would move it is taken for st (nserver_emu.server.ownership)."""
         return helm.robot.stop() if helm.clock_s < until_s else drive(**velocities)
 
     monkeypatch.setattr(helm.robot, "drive", held)

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from localization.missions.failures import MissionOver, StepFailed
 from localization.missions.mission import Mission
-from localization.missions.programs import parse_program
+from localization.missions.report import MissionOver, StepFailed
+from localization.missions.steps import parse_program
+from nclient.common.process import Left
 from nclient.errors import MissionFileError, RobotRefused
-from nclient.leaving import Left
 
 
 class Told:
@@ -137,7 +137,7 @@ def test_signals_and_the_end_of_the_mission_are_no_mistake_of_a_program(error: B
 
 def test_a_signal_while_a_program_is_read_is_no_mistake_of_it() -> None:
     with pytest.raises(Left):
-        parse_program("from nclient.leaving import Left\nraise Left('SIGTERM')", "m.py")
+        parse_program("from nclient.common.process import Left\nraise Left('SIGTERM')", "m.py")
 
 
 def test_what_a_verb_or_settings_refuse_is_told_with_the_line_that_says_it() -> None:

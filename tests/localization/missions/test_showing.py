@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from published_to import page_that
 
-from nclient.cli import main
+from nclient.cli.main import main
 from nserver_emu.viewer.localization import published
+from tests.localization.published_to import page_that
 
 SIM = "sim:thesis_room?noisy=1&seed=1"
 

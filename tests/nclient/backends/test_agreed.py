@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.backends.agreed import Agreed
+from nclient.backends.wrappers import Agreed
 from nclient.protocol.commands import Call
 
 ORDER = tuple(range(16))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pickle
 
 import pytest
-from robot_line import Answer, ScriptedLine, direct_on
 
-from nclient.backends.backend import Backend
-from nclient.backends.bumper_stop import BumperStop
-from nclient.backends.feeding import Feeding
+from nclient.backends.base import Backend
+from nclient.backends.keep_alive import Feeding
+from nclient.backends.wrappers import BumperStop
 from nclient.errors import BumperHit
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150, N200, SCOUT, Model
+from nclient.protocol.types import N150, N200, SCOUT, Model
+from tests.nclient.robot_line import Answer, ScriptedLine, direct_on
 
 GS, VM = Call("gs"), Call("vm", (100, 0, 0))
 

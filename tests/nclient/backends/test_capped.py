@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from robot_line import Answer, ScriptedLine, direct_on
 
-from nclient.backends.capped import Capped
+from nclient.backends.wrappers import Capped
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150, N200, SCOUT
-from nclient.protocol.units import SCOUT_WHEEL_IN_PER_DEG
+from nclient.protocol.types import N150, N200, SCOUT, SCOUT_WHEEL_IN_PER_DEG
 from nclient.transports.memory import MemoryStream
+from tests.nclient.robot_line import Answer, ScriptedLine, direct_on
 
 BOTH: dict[str, Any] = {"max_speed_in_s": 8, "max_turn_deg_s": 30}
 

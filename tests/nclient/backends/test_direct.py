@@ -6,23 +6,20 @@ import random
 from typing import Any
 
 import pytest
-from recorded import LINE_SESSIONS, model_of
-from robot_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled
 
-from nclient.backends.direct import DirectBackend
-from nclient.backends.line import QUIET_S
-from nclient.backends.retrying import Retrying
+from nclient.backends.direct import QUIET_S, DirectBackend
+from nclient.backends.wrappers import Retrying
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
+from nclient.protocol.client_state import HeldState, Hello, build_hello
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.hello import Hello, build_hello
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, N200, SCOUT, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import build_frame
-from nclient.protocol.state import HeldState
-from nclient.protocol.terms import line_terms
-from nclient.transports.byte_stream import Deadline
+from nclient.protocol.serial_framing import build_frame
+from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model
+from nclient.protocol.wire_state import line_terms
 from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import Deadline
+from tests.nclient.protocol.recorded import LINE_SESSIONS, model_of
+from tests.nclient.robot_line import NAK, Late, RecordedRobot, ScriptedLine, direct_on, spoiled
 
 GS, ST, RV = Call("gs"), Call("st"), Call("get_rv")
 VM = Call("vm", (100, -50, 0))
@@ -268,7 +265,7 @@ def test_a_line_that_is_never_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(ReplyTimeout):
             backend.execute(GS)
     monkeypatch.setattr(robot, "receive", lambda: b"\x55")
-    monkeypatch.setattr("nclient.backends.line._LONGEST_QUIET_S", 0.05)
+    monkeypatch.setattr("nclient.backends.direct._LONGEST_QUIET_S", 0.05)
     with pytest.raises(ReplyTimeout, match="never quiet"):
         backend.execute(GS)
 

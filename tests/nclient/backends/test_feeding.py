@@ -7,17 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from answering import ScriptedServer, error
-from robot_line import ScriptedLine, direct_on, spoiled
 
-from nclient.backends.bumper_stop import BumperStop
-from nclient.backends.feeding import Feeding
+from nclient.backends.keep_alive import Feeding
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.retrying import Retrying
+from nclient.backends.wrappers import BumperStop, Retrying
 from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N200
+from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
+from tests.nclient.answering import ScriptedServer, error
+from tests.nclient.robot_line import ScriptedLine, direct_on, spoiled
 
 GS, VM = Call("gs"), Call("vm", (100, 0, 0))
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 import socket
 
 import pytest
-from answering import ScriptedServer, by_script, error, on_socket, simple
 
+from nclient.backends.base import LinkStatistics
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.statistics import LinkStatistics
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, SCOUT
 from nclient.protocol.replies import Reply
-from nclient.transports.byte_stream import Deadline
+from nclient.protocol.types import EVERYTHING, N150, SCOUT
 from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import Deadline
 from nclient.transports.tcp import TcpStream
+from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
 
 GS = Call("gs")
 VM = Call("vm", (100, -50, 0))
@@ -99,7 +98,7 @@ def test_silence_closes_so_that_a_late_answer_is_nobodys() -> None:
 @pytest.mark.parametrize(
     "answer",
     [
-        pytest.param(language.tcp_reply(language.row_named("get_rc"), Reply("configuration", {34: 1}),
+        pytest.param(codec.tcp_reply(codec.row_named("get_rc"), Reply("configuration", {34: 1}),
                                         ScriptedServer().terms), id="another call's answer"),
         pytest.param(bytes.fromhex("04d2 0001 00000000"), id="an unknown type"),
         pytest.param(bytes.fromhex("0050 ffff"), id="a count that no state has"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.backends.pieces import in_pieces, is_wait
+from nclient.backends.base import in_pieces, is_wait
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from nclient.backends.plausible import Plausibility
+from nclient.backends.validation import Plausibility
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150, SCOUT, Model
 from nclient.protocol.replies import Reply
+from nclient.protocol.types import N150, SCOUT, Model
 
 
 def state(clock: int = 1000, volts: tuple[int, int] = (200, 200), **changed: Any) -> Reply:

@@ -5,20 +5,18 @@ from __future__ import annotations
 import threading
 
 import pytest
-from answering import ScriptedServer
-from robot_line import ScriptedLine
 
-from nclient.backends.backend import Backend
+from nclient.backends.base import Backend, LinkStatistics
 from nclient.backends.direct import DirectBackend
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.reconnecting import Reconnecting
-from nclient.backends.statistics import LinkStatistics
+from nclient.backends.wrappers import Reconnecting
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N200
-from nclient.protocol.terms import line_terms
+from nclient.protocol.types import EVERYTHING, N200
+from nclient.protocol.wire_state import line_terms
 from nclient.transports.memory import MemoryStream
+from tests.nclient.answering import ScriptedServer
+from tests.nclient.robot_line import ScriptedLine
 
 GS = Call("gs")
 

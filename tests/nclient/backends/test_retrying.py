@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import pytest
-from answering import ScriptedServer
-from robot_line import NAK, ScriptedLine, direct_on, spoiled
 
+from nclient.backends.base import Wrapper
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.retrying import Retrying, may_be_repeated
-from nclient.backends.wrapper import Wrapper
+from nclient.backends.wrappers import Retrying, may_be_repeated
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N200
+from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
+from tests.nclient.answering import ScriptedServer
+from tests.nclient.robot_line import NAK, ScriptedLine, direct_on, spoiled
 
 
 def test_which_commands_may_be_repeated() -> None:
@@ -23,9 +23,9 @@ def test_which_commands_may_be_repeated() -> None:
 
 
 @pytest.mark.parametrize("trouble", [None, NAK, "spoiled"])
-def test_a_question_is_asked_again(trouble: object) -> None:
+def test_a_question_is_asked_again(trouble: str | bytes | None) -> None:
     robot = ScriptedLine()
-    bad = spoiled(robot.frame("gs")) if trouble == "spoiled" else trouble
+    bad = spoiled(robot.frame("gs")) if isinstance(trouble, str) else trouble
     robot.answers["gs"] = [bad, bad]
     backend = Retrying(direct_on(robot), 2)
     assert backend.execute(Call("gs")).slots[17] == 57

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from nclient.backends.statistics import BUCKETS_S, LinkStatistics
+from nclient.backends.base import BUCKETS_S, LinkStatistics
 
 
 def test_buckets_double_from_a_tenth_of_a_millisecond() -> None:

@@ -5,18 +5,16 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.faults.faulty_line import FaultyLine, InTransit
-from nclient.faults.injector import LINE_NAK, Delivery, Injector
-from nclient.faults.kinds import Delay, Drop, DropByte, Fault, Nak
-from nclient.faults.language import Language, LineLanguage, TcpLanguage
-from nclient.faults.plan import Direction, Plan, Rule, When
-from nclient.protocol import language
+from nclient.faults.frames import LINE_NAK, Delivery, Injector, Language, LineLanguage, TcpLanguage
+from nclient.faults.inject import FaultyLine, InTransit
+from nclient.faults.plan import Delay, Direction, Drop, DropByte, Fault, Nak, Plan, Rule, When
+from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import build_frame
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nclient.protocol.terms import line_terms, tcp_terms
+from nclient.protocol.serial_framing import build_frame
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import line_terms, tcp_terms
 
 REQUEST, REPLY = Direction.REQUEST, Direction.REPLY
 
@@ -43,14 +41,14 @@ def drained(transit: InTransit, now_s: float) -> list[int]:
 
 
 def line_request(name: str, *args: int) -> bytes:
-    return language.line_request(Call(name, args), line_terms(N150))
+    return codec.line_request(Call(name, args), line_terms(N150))
 
 
 def tcp_reply(kind: str = "simple", wide: bool = False) -> bytes:
     terms = tcp_terms(N150)
     terms.wide = wide
     row = BY_NAME["place_robot" if kind == "simple" else "gs"]
-    return language.tcp_reply(row, Reply(kind, values=(0,)), terms)
+    return codec.tcp_reply(row, Reply(kind, values=(0,)), terms)
 
 
 def test_on_the_line_a_request_and_a_reply_name_their_command() -> None:
@@ -83,7 +81,7 @@ def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
     injector = Injector(Plan(rules), "nserver")
     line = FaultyLine(spoken, lambda: injector)
     for name, args in (("st", ()), ("vm", (1, 2, 3)), ("gs", ()), ("lp", ())):
-        line.request(language.tcp_request(Call(name, args)), 0.0)
+        line.request(codec.tcp_request(Call(name, args)), 0.0)
     answered = [line.reply(tcp_reply(), 0.0) for _ in range(3)]
     assert [bool(found) for found in answered] == [True, False, True]
     assert told(line.reply(tcp_reply(), 0.0)) == tcp_reply()
@@ -94,9 +92,9 @@ def test_over_tcp_replies_are_those_of_the_requests_that_went_through() -> None:
 def test_over_tcp_a_nak_is_an_error_reply_as_wide_as_the_client() -> None:
     for wide in (False, True):
         line = faulty(Nak(), "vm", TcpLanguage(), REQUEST)
-        connect = language.tcp_request(Call("connect_robot", (1, 77)), wide=wide)
+        connect = codec.tcp_request(Call("connect_robot", (1, 77)), wide=wide)
         assert told(line.request(connect, 0.0)) == connect
-        (refusal,) = line.request(language.tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
+        (refusal,) = line.request(codec.tcp_request(Call("vm", (1, 2, 3)), wide=wide), 0.0)
         assert refusal.back
         (frame,) = TcpFramer(reply_bounds, wide).receive(refusal.data)
         assert frame == TcpFrame(91, (5).to_bytes(4, "big"))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import cuts, in_pieces
 
 from nclient.faults.frames import Frames, LineFrames, Piece, TcpFrames
-from nclient.protocol import tcp_frame
-from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
+from nclient.protocol import tcp_framing
+from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer, build_frame
+from tests.nclient.protocol.strategies import cuts, in_pieces
 
 quick = settings(max_examples=80)
 sent_frames = st.lists(st.builds(build_frame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
@@ -88,7 +88,7 @@ def test_what_is_kept_of_a_frame_is_given_up_when_asked() -> None:
 def test_the_messages_of_a_connection(
     sent: list[tuple[int, bytes]], places: list[int], wide: bool, replies: bool
 ) -> None:
-    built = [tcp_frame.build_frame(number, payload, wide=wide, reply=replies) for number, payload in sent]
+    built = [tcp_framing.build_frame(number, payload, wide=wide, reply=replies) for number, payload in sent]
     frames = TcpFrames(wide)
     found = pieces_of(frames, b"".join(built), places)
     assert found == [Piece(data, number) for data, (number, _) in zip(built, sent, strict=True)]
@@ -97,8 +97,8 @@ def test_the_messages_of_a_connection(
 @pytest.mark.parametrize("wide", [False, True])
 @given(cuts)
 def test_a_connect_tells_the_width(wide: bool, places: list[int]) -> None:
-    connect = tcp_frame.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
-    gs = tcp_frame.build_frame(15, b"", wide=wide)
+    connect = tcp_framing.build_frame(102, (1).to_bytes(4, "big") + (77).to_bytes(4, "big"), wide=wide)
+    gs = tcp_framing.build_frame(15, b"", wide=wide)
     frames = TcpFrames(None)
     frames.receive(b"")
     assert frames.pending == 0

@@ -9,23 +9,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.faults.injector import LINE_NAK, Delivery, Injector, total
-from nclient.faults.kinds import (
+from nclient.faults.frames import LINE_NAK, Delivery, Injector, total
+from nclient.faults.plan import (
     BIT,
+    BOTH,
     Corrupt,
     Cut,
     Delay,
+    Direction,
     Drop,
     DropByte,
     Fault,
     HangUp,
     Nak,
     Noise,
+    Plan,
+    Rule,
     Silence,
     Stray,
+    When,
 )
-from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
-from nclient.protocol.serial_frame import build_frame
+from nclient.protocol.serial_framing import build_frame
 
 REQUEST, REPLY = Direction.REQUEST, Direction.REPLY
 FRAME = bytes.fromhex("01080005640032800000245c")

@@ -7,14 +7,14 @@ import logging
 from pathlib import Path
 
 import pytest
-from answering import ScriptedServer
 
 from nclient import connect
 from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
-from nclient.protocol.serial_frame import build_frame
-from nclient.transports.byte_stream import Deadline
+from nclient.protocol.serial_framing import build_frame
 from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import Deadline
+from tests.nclient.answering import ScriptedServer
 
 schemes = importlib.import_module("nclient.schemes")
 

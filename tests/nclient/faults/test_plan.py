@@ -11,25 +11,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nclient.errors import FaultPlanError
-from nclient.faults import plan_file
-from nclient.faults.kinds import (
+from nclient.faults import plan as plan_file
+from nclient.faults.plan import (
     BIT,
+    BOTH,
     BYTE,
     KINDS,
     Corrupt,
     Cut,
     Delay,
+    Direction,
     Drop,
     DropByte,
     Fault,
     HangUp,
     Nak,
     Noise,
+    Plan,
+    Rule,
     Silence,
     Stray,
+    When,
+    load_plan,
+    parse_plan,
+    plan_text,
 )
-from nclient.faults.plan import BOTH, Direction, Plan, Rule, When
-from nclient.faults.plan_file import load_plan, parse_plan, plan_text
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "faults.toml"
 

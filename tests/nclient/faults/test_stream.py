@@ -8,14 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.faults.faulty_line import FaultyLine
-from nclient.faults.injector import LINE_NAK, Injector
-from nclient.faults.kinds import Corrupt, Delay, Drop, Fault, HangUp, Nak, Silence
-from nclient.faults.language import LineLanguage
-from nclient.faults.plan import Direction, Plan, Rule, When
-from nclient.faults.stream import NAP_S, FaultyStream
-from nclient.protocol.serial_frame import build_frame
-from nclient.transports.byte_stream import Deadline
+from nclient.faults.frames import LINE_NAK, Injector, LineLanguage
+from nclient.faults.inject import NAP_S, FaultyLine, FaultyStream
+from nclient.faults.plan import Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, Silence, When
+from nclient.protocol.serial_framing import build_frame
+from nclient.transports.stream import Deadline
 
 GS, VM = build_frame(7), build_frame(5, bytes(6))
 REQUEST, REPLY = Direction.REQUEST, Direction.REPLY

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.mask import EVERYTHING, Mask
-from nclient.protocol.models import MODELS, Model
+from nclient.protocol.types import EVERYTHING, MODELS, Mask, Model
 
 VECTORS = Path(__file__).parents[2] / "vectors"
 PACKET_TYPE_OF_THE_RECORDER = 200

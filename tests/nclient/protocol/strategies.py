@@ -12,11 +12,9 @@ from typing import Any
 from hypothesis import strategies as st
 
 from nclient.protocol.commands import COMMANDS, Call, Command
-from nclient.protocol.mask import EVERYTHING, Mask
-from nclient.protocol.models import MODELS, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import INFRARED_KEYS, SONAR_KEYS, Stamp
-from nclient.protocol.terms import Terms, line_terms, tcp_terms
+from nclient.protocol.types import EVERYTHING, INFRARED_KEYS, MODELS, SONAR_KEYS, Mask, Model, Stamp
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
 
 ALL_STAMPS = (*INFRARED_KEYS, *SONAR_KEYS, "bumper", "laser", "compass")
 TCP_ROWS = tuple(row for row in COMMANDS if row.tcp_type is not None)

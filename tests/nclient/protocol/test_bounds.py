@@ -6,11 +6,11 @@ import pytest
 from construct import ConstructError
 
 from nclient.errors import WireError
-from nclient.protocol import language
-from nclient.protocol.bounds import beyond_line, line_bounds, within_line
+from nclient.protocol import codec
+from nclient.protocol.codec import beyond_line, line_bounds, within_line
 from nclient.protocol.commands import COMMANDS, Call, Command
-from nclient.protocol.models import N150, N200
-from nclient.protocol.terms import line_terms
+from nclient.protocol.types import N150, N200
+from nclient.protocol.wire_state import line_terms
 
 BOUNDED = [row for row in COMMANDS if row.line_type is not None and line_bounds(row.name)]
 
@@ -51,6 +51,6 @@ def test_brought_within(asked: Call, sent: Call) -> None:
 
 def test_who_sends_too_much_is_told_what_and_how_far() -> None:
     with pytest.raises(WireError, match="pr: steering is -32768, and a robot's own line carries -32767 to 32767"):
-        language.line_request(Call("pr", (32767, -32768, 0)), line_terms(N150))
+        codec.line_request(Call("pr", (32767, -32768, 0)), line_terms(N150))
     with pytest.raises(WireError, match=r"conf_tm: timeout_s is 300, .* 0 to 255 .*in several steps"):
-        language.line_request(Call("conf_tm", (300,)), line_terms(N200))
+        codec.line_request(Call("conf_tm", (300,)), line_terms(N200))

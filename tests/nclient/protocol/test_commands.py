@@ -16,7 +16,7 @@ from nclient.protocol.commands import (
     Command,
     on_line,
 )
-from nclient.protocol.models import MODELS, N150, N200, SCOUT
+from nclient.protocol.types import MODELS, N150, N200, SCOUT
 
 TCP_TYPES = {
     "ac": 10, "sp": 11, "pr": 13, "vm": 12, "mv": 43, "pa": 14, "gs": 15, "st": 17, "lp": 18, "zr": 20, "ct": 16,

@@ -7,15 +7,9 @@ import struct
 import pytest
 from construct import ConstructError, FormatFieldError, StreamError
 from hypothesis import given, settings
-from strategies import masks, signed16, word
 
 from nclient.protocol.fields import (
-    WordLaser,
-    Words,
-    WordSlots,
-    WordStamps,
-)
-from nclient.protocol.line_fields import (
+    BYTES,
     LINE_LONG,
     LINE_SIGNED,
     BumperBytes,
@@ -23,12 +17,14 @@ from nclient.protocol.line_fields import (
     LineNibbles,
     LineSlots,
     LineStamps,
+    WordLaser,
+    Words,
+    WordSlots,
+    WordStamps,
 )
-from nclient.protocol.mask import EVERYTHING, LASER_SLOT, Mask, Position
-from nclient.protocol.models import N150, N200, SCOUT, Model
-from nclient.protocol.runs import BYTES
-from nclient.protocol.stamps import NO_STAMP, Stamp
-from nclient.protocol.terms import Terms, line_terms, tcp_terms
+from nclient.protocol.types import EVERYTHING, LASER_SLOT, N150, N200, NO_STAMP, SCOUT, Mask, Model, Position, Stamp
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from tests.nclient.protocol.strategies import masks, signed16, word
 
 STAMP = Stamp(-1, 2, -3, 4, -5, 6, -7, 2**32 - 1, 9)
 quick = settings(max_examples=40)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import line_masks
 
 from nclient.errors import WireError
-from nclient.protocol.hello import HELLO_SIZE, Hello, adopt, build_hello, read_hello
-from nclient.protocol.mask import Mask
-from nclient.protocol.models import N200
-from nclient.protocol.terms import line_terms
+from nclient.protocol.client_state import HELLO_SIZE, Hello, adopt, build_hello, read_hello
+from nclient.protocol.types import N200, Mask
+from nclient.protocol.wire_state import line_terms
+from tests.nclient.protocol.strategies import line_masks
 
 
 def test_where_the_bits_are() -> None:

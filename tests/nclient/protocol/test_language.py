@@ -7,16 +7,19 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 from nclient.errors import WireError
-from nclient.protocol import language, serial_frame, tcp_frame
+from nclient.protocol import (
+    codec,
+    serial_framing,
+    tcp_framing,
+)
 from nclient.protocol.commands import BY_TCP_TYPE, Call, Command
-from nclient.protocol.mask import Mask
-from nclient.protocol.models import MODELS, N150, N200, Model
-from nclient.protocol.serial_frame import HOST_LIMIT, SerialFrame
-from nclient.protocol.tcp_frame import TcpFrame
-from nclient.protocol.terms import line_terms, tcp_terms
+from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame
+from nclient.protocol.tcp_framing import TcpFrame
+from nclient.protocol.types import MODELS, N150, N200, Mask, Model
+from nclient.protocol.wire_state import line_terms, tcp_terms
+from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 quick = settings(max_examples=8)
 
@@ -27,9 +30,9 @@ quick = settings(max_examples=8)
 def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=False))
     wide = data.draw(st.booleans())
-    built = language.tcp_request(call, wide=wide)
-    frame = tcp_frame.only_frame(built, tcp_frame.request_bounds, wide)
-    assert language.tcp_call(frame) == call
+    built = codec.tcp_request(call, wide=wide)
+    frame = tcp_framing.only_frame(built, tcp_framing.request_bounds, wide)
+    assert codec.tcp_call(frame) == call
     assert len(built) == 4 + len(frame.payload) * (1 + wide)
 
 
@@ -39,21 +42,21 @@ def test_calls_over_tcp_come_back_from_their_bytes(row: Command, data: st.DataOb
 def test_calls_on_the_line_come_back_from_their_bytes(row: Command, model: Model, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=True))
     terms = line_terms(model)
-    built = language.line_request(call, terms)
+    built = codec.line_request(call, terms)
     assert len(built) <= HOST_LIMIT
-    assert language.line_call(serial_frame.only_frame(built), terms) == call
+    assert codec.line_call(serial_framing.only_frame(built), terms) == call
 
 
 @settings(max_examples=120)
 @given(st.sampled_from(sorted(BY_TCP_TYPE)), st.lists(st.integers(-(2**31), 2**31 - 1), max_size=20))
 def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> None:
     try:
-        call = language.tcp_call(TcpFrame(kind, struct.pack(f">{len(words)}i", *words)))
+        call = codec.tcp_call(TcpFrame(kind, struct.pack(f">{len(words)}i", *words)))
     except WireError:
         return
-    language.note(call, tcp_terms(N150))
-    again = language.tcp_request(call)
-    assert language.tcp_call(TcpFrame(kind, again[4:])) == call
+    codec.note(call, tcp_terms(N150))
+    again = codec.tcp_request(call)
+    assert codec.tcp_call(TcpFrame(kind, again[4:])) == call
 
 
 @settings(max_examples=120)
@@ -61,11 +64,11 @@ def test_any_words_are_a_call_or_a_wire_error(kind: int, words: list[int]) -> No
 def test_any_bytes_on_the_line_are_a_call_or_a_wire_error(kind: int, data: bytes, model: str) -> None:
     terms = line_terms(MODELS[model])
     try:
-        call = language.line_call(SerialFrame(kind, data), terms)
+        call = codec.line_call(SerialFrame(kind, data), terms)
     except WireError:
         return
-    again = language.line_request(call, terms)
-    assert language.line_call(SerialFrame(kind, again[4:-2]), terms) == call
+    again = codec.line_request(call, terms)
+    assert codec.line_call(SerialFrame(kind, again[4:-2]), terms) == call
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0" * 3, b"\0" * 12])
@@ -73,34 +76,34 @@ def test_payloads_that_no_framer_lets_through(payload: bytes) -> None:
     for kind in (*BY_TCP_TYPE, 9999):
         if kind == 9999:
             with pytest.raises(WireError, match="unknown message type 9999"):
-                language.tcp_call(TcpFrame(kind, payload))
+                codec.tcp_call(TcpFrame(kind, payload))
         elif BY_TCP_TYPE[kind].tcp_words[0] > 3:
             with pytest.raises(WireError):
-                language.tcp_call(TcpFrame(kind, payload))
+                codec.tcp_call(TcpFrame(kind, payload))
 
 
 @pytest.mark.parametrize("kind", [0, 4, 8, 99, 255])
 def test_types_that_an_n150_does_not_have(kind: int) -> None:
     with pytest.raises(WireError, match=f"type {kind} does not exist on the line of a n150"):
-        language.line_call(SerialFrame(kind, b""), line_terms(N150))
+        codec.line_call(SerialFrame(kind, b""), line_terms(N150))
     if kind != 8:
         with pytest.raises(WireError, match=f"no answer of type {kind} comes from a n150"):
-            language.read_line_reply(SerialFrame(kind, b""), line_terms(N150))
+            codec.read_line_reply(SerialFrame(kind, b""), line_terms(N150))
 
 
 def test_a_mask_is_noted_by_both_ends_alike() -> None:
     call = Call("ct", (9, *[k % 2 for k in range(43)]))
     sender, taker = tcp_terms(N150), tcp_terms(N150)
-    language.note(call, sender)
-    language.note(language.tcp_call(TcpFrame(16, language.tcp_request(call)[4:])), taker)
+    codec.note(call, sender)
+    codec.note(codec.tcp_call(TcpFrame(16, codec.tcp_request(call)[4:])), taker)
     assert sender.mask == taker.mask == Mask(call.args)
 
 
 def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
-    row = language.row_named("get_rv")
+    row = codec.row_named("get_rv")
     frame = TcpFrame(90, struct.pack(">3i", 1, -2, 3))
-    assert language.read_tcp_reply(row, frame, tcp_terms(N150)).slots == {38: 1, 39: -2, 40: 3}
-    error = language.read_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_terms(N150))
+    assert codec.read_tcp_reply(row, frame, tcp_terms(N150)).slots == {38: 1, 39: -2, 40: 3}
+    error = codec.read_tcp_reply(row, TcpFrame(91, struct.pack(">i", 4)), tcp_terms(N150))
     assert (error.kind, error.values) == ("error", (4,))
 
 
@@ -113,11 +116,11 @@ def test_a_reply_of_any_type_answers_but_an_error_is_one() -> None:
 ])
 def test_what_cannot_be_sent_is_told_in_words_of_ours(call: Call, told: str) -> None:
     with pytest.raises(WireError) as refused:
-        language.tcp_request(call)
+        codec.tcp_request(call)
     assert str(refused.value) == told
 
 
 def test_what_cannot_be_sent_on_the_line_names_the_number() -> None:
     with pytest.raises(WireError) as refused:
-        language.line_request(Call("ws", (1, 1, 1, 300)), line_terms(N200))
+        codec.line_request(Call("ws", (1, 1, 1, 300)), line_terms(N200))
     assert str(refused.value).startswith("ws(1, 1, 1, 300): timeout_s: ")

@@ -9,16 +9,20 @@ import pytest
 from construct import Construct, Int8ub, Sequence, Struct
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 from nclient.errors import WireError
-from nclient.protocol import language, layouts, serial_frame, tcp_frame
+from nclient.protocol import (
+    codec,
+    requests,
+    serial_framing,
+    tcp_framing,
+)
+from nclient.protocol.client_state import Hello, build_hello, read_hello
 from nclient.protocol.commands import Command
-from nclient.protocol.hello import Hello, build_hello, read_hello
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, Model
 from nclient.protocol.replies import STATE, Reply
-from nclient.protocol.terms import line_terms, tcp_terms
+from nclient.protocol.types import EVERYTHING, N150, Model
+from nclient.protocol.wire_state import line_terms, tcp_terms
+from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 few = settings(max_examples=3)
 
@@ -43,8 +47,8 @@ def test_a_request_over_tcp(row: Command, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=False))
 
     def there_and_back() -> None:
-        frame = tcp_frame.only_frame(language.tcp_request(call), tcp_frame.request_bounds, False)
-        assert language.tcp_call(frame) == call
+        frame = tcp_framing.only_frame(codec.tcp_request(call), tcp_framing.request_bounds, False)
+        assert codec.tcp_call(frame) == call
 
     assert garbage_of(there_and_back) == 0
 
@@ -56,7 +60,7 @@ def test_a_request_on_the_line(row: Command, model: Model, data: st.DataObject) 
     call, terms = data.draw(calls(row, line=True)), line_terms(model)
 
     def there_and_back() -> None:
-        assert language.line_call(serial_frame.only_frame(language.line_request(call, terms)), terms) == call
+        assert codec.line_call(serial_framing.only_frame(codec.line_request(call, terms)), terms) == call
 
     assert garbage_of(there_and_back) == 0
 
@@ -73,7 +77,7 @@ def test_a_hello() -> None:
 def test_bytes_that_are_no_request() -> None:
     def refused() -> None:
         with pytest.raises(WireError):
-            language.tcp_call(tcp_frame.TcpFrame(language.row_named("vm").tcp_type or 0, b"12345"))
+            codec.tcp_call(tcp_framing.TcpFrame(codec.row_named("vm").tcp_type or 0, b"12345"))
 
     assert garbage_of(refused) == 0
 
@@ -82,5 +86,5 @@ def test_bytes_that_are_no_request() -> None:
 def test_it_says_what_construct_says(layout: Construct) -> None:
     data = bytes(range(layout.sizeof()))
     value = layout.parse(data)
-    assert layouts.parse(layout, data) == value
-    assert layouts.build(layout, value) == layout.build(value) == data
+    assert requests.parse(layout, data) == value
+    assert requests.build(layout, value) == layout.build(value) == data

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.protocol.likeness import is_it_another, model_like
-from nclient.protocol.models import MODELS, N150, N200, SCOUT, Model
+from nclient.protocol.decode import is_it_another, model_like
 from nclient.protocol.replies import LINE_STATE, Reply
-from nclient.protocol.terms import line_terms
+from nclient.protocol.types import MODELS, N150, N200, SCOUT, Model
+from nclient.protocol.wire_state import line_terms
 
 
 def packet(

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import pytest
 from hypothesis import given, settings
-from strategies import line_masks, masks
 
 from nclient.errors import WireError
-from nclient.protocol.mask import EVERYTHING, NO_MASK_MODELS, Mask, Position, mask_from_line, mask_from_tcp
+from nclient.protocol.types import (
+    EVERYTHING,
+    NO_MASK_MODELS,
+    Mask,
+    Position,
+    mask_from_line,
+    mask_from_tcp,
+)
+from tests.nclient.protocol.strategies import line_masks, masks
 
 
 def only(slot: int, position: int = 0) -> Mask:

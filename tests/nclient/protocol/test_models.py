@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nclient.errors import AddressError
-from nclient.protocol.models import MODELS, N200, model_named
+from nclient.protocol.types import MODELS, N200, model_named
 
 
 def test_models_by_name() -> None:

@@ -7,7 +7,20 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import (
+
+from nclient.errors import WireError
+from nclient.protocol import (
+    codec,
+    serial_framing,
+    tcp_framing,
+)
+from nclient.protocol import replies as shape
+from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, MAX_REPLY_WORDS, REPLY_TYPES, Command
+from nclient.protocol.replies import Reply
+from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame
+from nclient.protocol.types import MODELS, N150, N200, NO_STAMP, Model
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from tests.nclient.protocol.strategies import (
     ALL_STAMPS,
     FULL,
     LINE_CASE_NAMES,
@@ -20,16 +33,6 @@ from strategies import (
     tcp_agreements,
     tcp_reply_of,
 )
-
-from nclient.errors import WireError
-from nclient.protocol import language, serial_frame, tcp_frame
-from nclient.protocol import replies as shape
-from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, MAX_REPLY_WORDS, REPLY_TYPES, Command
-from nclient.protocol.models import MODELS, N150, N200, Model
-from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import ROBOT_LIMIT, SerialFrame
-from nclient.protocol.stamps import NO_STAMP
-from nclient.protocol.terms import Terms, line_terms, tcp_terms
 
 quick = settings(max_examples=6)
 _TCP_VALUES = {"prediction": 44, "simple": 1, "truth": 8, "control": 4, "configuration": 4, "special": 9}
@@ -58,13 +61,13 @@ def test_the_reply_to_every_command_over_tcp(row: Command, wide: bool, data: st.
     kind = row.tcp_reply.kind
     count = 4 if row.tcp_reply is shape.COLLISION else _TCP_VALUES.get(kind, 0)
     sent = tcp_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), tcp_width(row, terms)), count)
-    built = language.tcp_reply(row, sent, terms)
-    frame = tcp_frame.only_frame(built, tcp_frame.reply_bounds, wide)
-    parsed = language.read_tcp_reply(row, frame, terms)
+    built = codec.tcp_reply(row, sent, terms)
+    frame = tcp_framing.only_frame(built, tcp_framing.reply_bounds, wide)
+    parsed = codec.read_tcp_reply(row, frame, terms)
     assert frame.type == REPLY_TYPES[row.tcp_reply]
     check_carried(parsed, sent)
     assert parsed.slots or parsed.laser or parsed.values
-    assert language.tcp_reply(row, parsed, terms) == built
+    assert codec.tcp_reply(row, parsed, terms) == built
 
 
 @settings(max_examples=30)
@@ -92,11 +95,11 @@ def test_the_reply_to_every_command_on_the_line(row: Command, model: Model, data
     values = {"special": 12}.get(kind, 3 if row.name == "conf_cp" else 0)
     signed = row.name != "get_cp"
     sent = line_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), width), values, signed)
-    built = language.line_reply(row, sent, terms)
-    parsed = language.read_line_reply(serial_frame.only_frame(built), terms)
+    built = codec.line_reply(row, sent, terms)
+    parsed = codec.read_line_reply(serial_framing.only_frame(built), terms)
     check_carried(parsed, sent)
     assert parsed.slots or parsed.laser or parsed.values or row.name == "get_ra"
-    assert language.line_reply(BY_NAME[row.name], parsed, terms) == built
+    assert codec.line_reply(BY_NAME[row.name], parsed, terms) == built
 
 
 @settings(max_examples=40)
@@ -131,9 +134,9 @@ def test_the_longest_replies_fit_the_bounds_of_the_framers() -> None:
     longest = shape.STATE.build(tcp_reply_of("state", 1, (482, 4), 0), terms)
     assert len(longest) == 4 * MAX_REPLY_WORDS[80]
     packet = shape.LINE_STATE.build(line_reply_of("state", 1, (482, 4), 0, True), terms)
-    built = serial_frame.build_frame(7, packet)
+    built = serial_framing.build_frame(7, packet)
     assert len(built) == ROBOT_LIMIT
-    assert serial_frame.SerialFramer().receive(built) == [SerialFrame(7, packet)]
+    assert serial_framing.SerialFramer().receive(built) == [SerialFrame(7, packet)]
 
 
 _FIXED_WORDS = {
@@ -174,12 +177,12 @@ def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, terms: Te
 @given(st.binary(max_size=200), st.sampled_from([row.line_type for row, _ in LINE_CASES]), line_agreements(N200))
 def test_any_bytes_are_an_answer_on_the_line_or_a_wire_error(data: bytes, kind: int, terms: Terms) -> None:
     try:
-        reply = language.read_line_reply(SerialFrame(kind, data), terms)
+        reply = codec.read_line_reply(SerialFrame(kind, data), terms)
     except WireError:
         return
     row = BY_LINE_TYPE.get(kind, BY_NAME["gs"])
-    again = serial_frame.only_frame(language.line_reply(row, reply, terms))
-    assert language.read_line_reply(again, terms) == reply
+    again = serial_framing.only_frame(codec.line_reply(row, reply, terms))
+    assert codec.read_line_reply(again, terms) == reply
 
 
 def test_truncated_and_overlong_replies() -> None:
@@ -209,15 +212,15 @@ def test_what_a_state_packet_cannot_carry(reply: Reply) -> None:
 
 
 def test_a_nak_and_an_error_go_by_their_own_layouts() -> None:
-    nak = language.line_reply(BY_NAME["vm"], Reply("nak"), line_terms(N150))
+    nak = codec.line_reply(BY_NAME["vm"], Reply("nak"), line_terms(N150))
     assert nak.hex() == "010200080b5c"
-    assert language.read_line_reply(serial_frame.only_frame(nak), line_terms(N150)) == Reply("nak")
-    error = language.tcp_reply(BY_NAME["vm"], Reply("error", values=(4,)), tcp_terms(N150))
+    assert codec.read_line_reply(serial_framing.only_frame(nak), line_terms(N150)) == Reply("nak")
+    error = codec.tcp_reply(BY_NAME["vm"], Reply("error", values=(4,)), tcp_terms(N150))
     assert error == struct.pack(">hHi", 91, 1, 4)
     with pytest.raises(WireError, match="no nak reply"):
-        language.read_line_reply(SerialFrame(8, b"\0"), line_terms(N150))
+        codec.read_line_reply(SerialFrame(8, b"\0"), line_terms(N150))
 
 
 def test_a_row_without_a_line_has_no_answer_there() -> None:
     with pytest.raises(WireError, match="get_rpx does not exist on a robot's own line"):
-        language.line_reply(BY_NAME["get_rpx"], Reply("state"), line_terms(N200))
+        codec.line_reply(BY_NAME["get_rpx"], Reply("state"), line_terms(N200))

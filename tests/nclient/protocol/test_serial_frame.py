@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import cuts, in_pieces
 
 from nclient.errors import WireError
-from nclient.protocol.serial_frame import ROBOT_LIMIT, SerialFrame, SerialFramer, build_frame, only_frame
+from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame, SerialFramer, build_frame, only_frame
+from tests.nclient.protocol.strategies import cuts, in_pieces
 
 frames = st.lists(st.builds(SerialFrame, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
 noise_without_start = st.binary(max_size=30).map(lambda data: data.replace(b"\x01", b"\x02"))

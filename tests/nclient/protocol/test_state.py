@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from nclient.protocol.client_state import HeldState
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import NO_STAMP, Stamp
-from nclient.protocol.state import HeldState
+from nclient.protocol.types import NO_STAMP, Stamp
 
 STATE = Reply(
     "state", {slot: -slot for slot in range(45)}, laser=(1, -5), stamps={"bumper": Stamp(-1, *NO_STAMP[1:])},

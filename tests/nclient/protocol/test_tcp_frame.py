@@ -7,11 +7,10 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import cuts, in_pieces
 
 from nclient.errors import WireError
 from nclient.protocol.commands import BY_TCP_TYPE, MAX_REPLY_WORDS
-from nclient.protocol.tcp_frame import (
+from nclient.protocol.tcp_framing import (
     UNKNOWN_TYPE,
     WRONG_COUNT,
     Bounds,
@@ -23,6 +22,7 @@ from nclient.protocol.tcp_frame import (
     reply_bounds,
     request_bounds,
 )
+from tests.nclient.protocol.strategies import cuts, in_pieces
 
 quick = settings(max_examples=60)
 GS = build_frame(15, b"")

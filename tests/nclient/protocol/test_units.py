@@ -9,41 +9,41 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nclient.protocol import units
+from nclient.protocol import types
 
 
 @settings(max_examples=100)
 @given(st.integers(-(10**7), 10**7))
 def test_tenths_round_to_the_nearest_and_ties_away_from_zero(hundredths: int) -> None:
     exact = Decimal(hundredths).scaleb(-1).quantize(Decimal(1), ROUND_HALF_UP)
-    assert units.tenths(hundredths / 100) == int(exact)
+    assert types.tenths(hundredths / 100) == int(exact)
 
 
 @pytest.mark.parametrize(("degrees", "tenths"), [(0, 0), (90, 900), (-90, 2700), (360, 0), (-0.04, 0), (359.96, 0)])
 def test_a_heading_is_0_to_3599(degrees: float, tenths: int) -> None:
-    assert units.heading_tenths(math.radians(degrees)) == tenths
+    assert types.heading_tenths(math.radians(degrees)) == tenths
 
 
 @settings(max_examples=50)
 @given(st.integers(-36000, 36000))
 def test_tenths_to_radians_and_back(tenths: int) -> None:
-    assert units.tenths_from_rad(units.rad_from_tenths(tenths)) == tenths
-    assert units.rad_from_tenths(tenths) == pytest.approx(tenths * math.pi / 1800, abs=1e-12)
+    assert types.tenths_from_rad(types.rad_from_tenths(tenths)) == tenths
+    assert types.rad_from_tenths(tenths) == pytest.approx(tenths * math.pi / 1800, abs=1e-12)
 
 
-@pytest.mark.parametrize("full_range_v", [units.CPU_RANGE_V, units.MOTOR_RANGE_V])
+@pytest.mark.parametrize("full_range_v", [types.CPU_RANGE_V, types.MOTOR_RANGE_V])
 def test_volts_of_every_byte_and_back(full_range_v: float) -> None:
-    assert units.volts(0, full_range_v) == pytest.approx(0.4 * full_range_v)
-    assert units.volts(255, full_range_v) == pytest.approx(full_range_v)
-    assert [units.raw_volts(units.volts(raw, full_range_v), full_range_v) for raw in range(256)] == list(range(256))
-    assert units.raw_volts(0.0, full_range_v) == 0
-    assert units.raw_volts(99.0, full_range_v) == 255
+    assert types.volts(0, full_range_v) == pytest.approx(0.4 * full_range_v)
+    assert types.volts(255, full_range_v) == pytest.approx(full_range_v)
+    assert [types.raw_volts(types.volts(raw, full_range_v), full_range_v) for raw in range(256)] == list(range(256))
+    assert types.raw_volts(0.0, full_range_v) == 0
+    assert types.raw_volts(99.0, full_range_v) == 255
 
 
 @given(st.integers(-(2**40), 2**40))
 def test_words_are_clamped_or_go_round(value: int) -> None:
-    clamped, wrapped = units.clamped_word(value), units.wrapped_word(value)
+    clamped, wrapped = types.clamped_word(value), types.wrapped_word(value)
     assert -(2**31) <= clamped < 2**31
     assert clamped == value or abs(value) >= 2**31
     assert int.from_bytes((value % 2**32).to_bytes(4, "big"), "big", signed=True) == wrapped
-    assert units.unwrapped_word(wrapped) == value % 2**32
+    assert types.unwrapped_word(wrapped) == value % 2**32

@@ -5,18 +5,25 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
 
-from nclient.protocol import language
+from nclient.protocol import codec
+from nclient.protocol.client_state import HeldState
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N200
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import SerialFramer
-from nclient.protocol.state import HeldState
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds, request_bounds
-from nclient.protocol.terms import Terms, line_terms, tcp_terms
-from nclient.protocol.units import CPU_RANGE_V, MOTOR_RANGE_V, volts
+from nclient.protocol.serial_framing import SerialFramer
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MOTOR_RANGE_V, N200, volts
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from tests.nclient.protocol.recorded import (
+    LINE_SESSIONS,
+    LP64,
+    SERIAL,
+    TCP,
+    TCP_SESSIONS,
+    Exchange,
+    exchanges,
+    model_of,
+)
 
 STAMP_NAMES = {f"pos_{key}": key for key in ("sonar_0", "sonar_15", "ir_0", "bumper", "laser", "compass")}
 
@@ -76,12 +83,12 @@ def test_a_tcp_session_both_ways(session: str) -> None:
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=False)
     count = 0
     for exchange in exchanges(TCP[session], model=None):
-        built = language.tcp_request(exchange.call)
+        built = codec.tcp_request(exchange.call)
         assert with_leftovers_of(exchange.call, built, exchange.request) == exchange.request, exchange.call
         (frame,) = requests.receive(exchange.request)
         assert isinstance(frame, TcpFrame)
-        assert language.tcp_call(frame) == exchange.call
-        language.note(exchange.call, terms)
+        assert codec.tcp_call(frame) == exchange.call
+        codec.note(exchange.call, terms)
         if exchange.reply:
             check_tcp_reply(exchange, answers, terms, held)
         count += 1
@@ -93,11 +100,11 @@ def check_tcp_reply(exchange: Exchange, answers: TcpFramer, terms: Terms, held: 
     row = BY_NAME[exchange.call.name]
     (frame,) = answers.receive(exchange.reply)
     assert isinstance(frame, TcpFrame)
-    reply = language.read_tcp_reply(row, frame, terms)
+    reply = codec.read_tcp_reply(row, frame, terms)
     held.absorb(reply)
     if exchange.decoded:
         check_held(held, reply, exchange.decoded)
-    assert language.tcp_reply(row, reply, terms) == exchange.reply
+    assert codec.tcp_reply(row, reply, terms) == exchange.reply
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
@@ -107,17 +114,17 @@ def test_a_session_on_the_robots_own_line_both_ways(session: str) -> None:
     host, robot = SerialFramer(), SerialFramer()
     count = 0
     for exchange in exchanges(SERIAL[session], model):
-        assert language.line_request(exchange.call, terms) == exchange.request, exchange.call
+        assert codec.line_request(exchange.call, terms) == exchange.request, exchange.call
         (frame,) = host.receive(exchange.request)
-        assert language.line_call(frame, terms) == as_the_line_has_it(exchange.call)
-        language.note(exchange.call, terms)
+        assert codec.line_call(frame, terms) == as_the_line_has_it(exchange.call)
+        codec.note(exchange.call, terms)
         (answer,) = robot.receive(exchange.reply)
-        reply = language.read_line_reply(answer, terms)
+        reply = codec.read_line_reply(answer, terms)
         assert (reply.kind == "nak") == ("Nak" in exchange.prints)
         held.absorb(reply)
         if exchange.decoded:
             check_held(held, reply, exchange.decoded)
-        assert language.line_reply(BY_NAME[exchange.call.name], reply, terms) == exchange.reply
+        assert codec.line_reply(BY_NAME[exchange.call.name], reply, terms) == exchange.reply
         count += 1
     assert count > 4
 
@@ -136,16 +143,16 @@ def test_a_64_bit_client_both_ways() -> None:
     ]
     decoded = [None, LP64["decoded"][0], *LP64["decoded"][1:]]
     for call, (request, answer), after in zip(calls, wire, decoded, strict=True):
-        assert language.tcp_request(call, wide=True) == request
+        assert codec.tcp_request(call, wide=True) == request
         (frame,) = requests.receive(request)
         assert isinstance(frame, TcpFrame)
-        assert language.tcp_call(frame) == call
+        assert codec.tcp_call(frame) == call
         if answer:
             (frame,) = answers.receive(answer)
             assert isinstance(frame, TcpFrame)
-            reply = language.read_tcp_reply(BY_NAME[call.name], frame, terms)
+            reply = codec.read_tcp_reply(BY_NAME[call.name], frame, terms)
             held.absorb(reply)
-            assert language.tcp_reply(BY_NAME[call.name], reply, terms) == answer
+            assert codec.tcp_reply(BY_NAME[call.name], reply, terms) == answer
         if after:
             assert [value or 0 for value in held.slots] == after["State"]
             assert held.clock == after["time"]

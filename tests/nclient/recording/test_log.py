@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import RecordingError
-from nclient.recording import log
-from nclient.recording.log import Entry, LogWriter, parse_recording, read_recording
+from nclient.recording import format as log
+from nclient.recording.format import Entry, LogWriter, parse_recording, read_recording
 
 HEADER = '{"format": "nomad recording", "version": 1, "seed": 7}\n'
 GS = '{"t": 0.25, "dir": "out", "bytes": "000f0000"}\n'

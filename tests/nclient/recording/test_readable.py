@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from nclient.errors import RecordingError
-from nclient.recording.log import Entry
+from nclient.recording.format import Entry
 from nclient.recording.readable import lines_of
 
 

@@ -5,29 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.protocol import language
+from nclient.protocol import codec
+from nclient.protocol.client_state import Hello, build_hello
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.hello import Hello, build_hello
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, N200
+from nclient.protocol.decode import Transcript
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import build_frame
-from nclient.protocol.terms import line_terms, tcp_terms
-from nclient.protocol.transcript import Transcript
-from nclient.recording.follower import Follower
-from nclient.recording.log import LogWriter, Recording, read_recording
-from nclient.recording.recorder import OFF, Recorder
-from nclient.recording.stream import RecordingStream
-from nclient.transports.byte_stream import Deadline
+from nclient.protocol.serial_framing import build_frame
+from nclient.protocol.types import EVERYTHING, N150, N200
+from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.recording.format import LogWriter, Recording, read_recording
+from nclient.recording.recorder import OFF, Follower, Recorder, RecordingStream
 from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import Deadline
+from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
-GS = language.tcp_request(Call("gs"))
-LINE_GS = language.line_request(Call("gs"), line_terms(N150))
-STATE = language.tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_terms(N150))
-LINE_STATE = language.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), line_terms(N150))
+GS = codec.tcp_request(Call("gs"))
+LINE_GS = codec.line_request(Call("gs"), line_terms(N150))
+STATE = codec.tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_terms(N150))
+LINE_STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), line_terms(N150))
 
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)

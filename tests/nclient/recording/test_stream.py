@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from answering import ScriptedServer, by_script, on_socket
 
 from nclient import RecordingError, connect
-from nclient.protocol.models import N150
-from nclient.recording.log import read_recording
-from nclient.recording.stream import ProgramsRecording, Recorded
+from nclient.protocol.types import N150
+from nclient.recording.format import read_recording
+from nclient.recording.recorder import ProgramsRecording, Recorded
 from nclient.schemes import Wanted, opening_of
-from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import Deadline
+from tests.nclient.answering import ScriptedServer, by_script, on_socket
 
 
 def drive(address: str) -> tuple[int, ...]:

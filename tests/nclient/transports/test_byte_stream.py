@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.transports.byte_stream import Deadline
+from nclient.transports.stream import Deadline
 
 
 def test_a_deadline_counts_down_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import ConnectionLost, ReplyTimeout
-from nclient.transports.byte_stream import Deadline
-from nclient.transports.door import TcpDoor, TerminalDoor
+from nclient.transports.listener import TcpDoor, TerminalDoor
+from nclient.transports.stream import Deadline
 from nclient.transports.tcp import TcpStream
 
 
@@ -86,7 +86,7 @@ def test_peers_come_and_go_at_a_pseudo_terminal(tmp_path: Path) -> None:
 
 
 def test_a_peer_that_does_not_read_loses_what_is_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nclient.transports.door._TAKING_S", 0.05)
+    monkeypatch.setattr("nclient.transports.listener._TAKING_S", 0.05)
     door = TerminalDoor(tmp_path / "robot")
     try:
         fd = opened(tmp_path / "robot")

@@ -11,9 +11,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from nclient.transports.byte_stream import Deadline
-from nclient.transports.door import TcpDoor
-from nclient.transports.lobby import CROWDED, MOST_WAITING
+from nclient.transports.listener import CROWDED, MOST_WAITING, TcpDoor
+from nclient.transports.stream import Deadline
 
 Call = Callable[..., socket.socket]
 

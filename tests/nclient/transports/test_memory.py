@@ -5,21 +5,21 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint
 
 import pytest
-from answering import ScriptedServer
 
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.transports import memory
-from nclient.transports.byte_stream import Deadline
 from nclient.transports.memory import MemoryStream, open_in_process, schemes
+from nclient.transports.stream import Deadline
+from tests.nclient.answering import ScriptedServer
 
 NOW = Deadline.after(0)
 
 
 def test_bytes_go_to_the_peer_and_back() -> None:
     stream = MemoryStream(ScriptedServer())
-    stream.send(language.tcp_request(Call("connect_robot", (1, 2))))
+    stream.send(codec.tcp_request(Call("connect_robot", (1, 2))))
     assert stream.receive(NOW) == bytes.fromhex("0052000100001b6b")
 
 

@@ -9,26 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from wire_client import ORIGIN, WireClient
-
-from nclient.backends.backend import Backend
-from nclient.backends.statistics import LinkStatistics
+from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import ConnectionLost, RobotRefused
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150, Model, model_named
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import SerialFramer
-from nclient.protocol.terms import Terms, line_terms, tcp_terms
-from nserver_emu.gateway.gateway import Gateway
-from nserver_emu.gateway.side import RealSide
-from nserver_emu.server.conversation.line_session import LineSession
-from nserver_emu.server.conversation.session import Session
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.stage.pace import Pace
+from nclient.protocol.serial_framing import SerialFramer
+from nclient.protocol.types import N150, Model, model_named
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nserver_emu.gateway.gateway import Gateway, RealSide
+from nserver_emu.server.context import Pace
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.serial_session import LineSession
+from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import MODELS
-from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.server.wire_client import ORIGIN, WireClient
 from worlds.files import load_world
 from worlds.world import StartPose
 
@@ -95,8 +92,8 @@ class EmulatedLine:
         self._session = LineSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
 
     def execute(self, call: Call) -> Reply:
-        request = language.line_request(call, self.terms)
-        language.note(call, self.terms)
+        request = codec.line_request(call, self.terms)
+        codec.note(call, self.terms)
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
         answer = self._session.answers(most=1)
@@ -104,7 +101,7 @@ class EmulatedLine:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
         (frame,) = self._framer.receive(answer)
-        reply = language.read_line_reply(frame, self.terms)
+        reply = codec.read_line_reply(frame, self.terms)
         if reply.kind == "nak":
             raise RobotRefused(call.name, None)
         return reply

@@ -6,20 +6,19 @@ from __future__ import annotations
 import math
 
 import pytest
-from real_robots import LINE_STATE, EmulatedLine, House, ScriptedRobot, emulated, line_of
 
-from nclient.backends.capped import Capped
+from docs.generate.commands import examples
+from nclient.backends.wrappers import Capped
 from nclient.connect import Wanted, open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N200
 from nclient.protocol.replies import Reply
-from nserver_emu.gateway.side import TIMEOUT_S
-from nserver_emu.server.handling.command_table import examples
-from nserver_emu.server.stage.pace import Pace
-from nserver_emu.simulation.setup import NOISY
+from nclient.protocol.types import EVERYTHING, N200
+from nserver_emu.gateway.gateway import TIMEOUT_S
+from nserver_emu.server.context import Pace
+from nserver_emu.simulation.noise import NOISY
+from tests.nserver_emu.gateway.real_robots import LINE_STATE, EmulatedLine, House, ScriptedRobot, emulated, line_of
 from worlds.world import StartPose
 
 SERVERS = ("quit_server", "simulated_robot")
@@ -234,7 +233,7 @@ def test_ws_is_asked_for_again_and_again_and_a_stop_comes_between() -> None:
     house, robot = scripted()
     robot.state = moving
     waiter, other = house.guest(), house.guest()
-    waiter.session.receive(language.tcp_request(Call("ws", (1, 0, 0, 1))))
+    waiter.session.receive(codec.tcp_request(Call("ws", (1, 0, 0, 1))))
     assert waiter.session.answers(1) == b""
     assert waiter.session.tick() == b""
     house.work()
@@ -269,7 +268,7 @@ def test_who_asks_for_the_state_during_zr_gets_the_last_one() -> None:
     watcher.ask("gs")
     robot.names()
     house.side.robot.saying = "zr"
-    watcher.session.receive(language.tcp_request(Call("gs")))
+    watcher.session.receive(codec.tcp_request(Call("gs")))
     (state,) = watcher.client.read("gs", watcher.session.answers(1))
     assert (state.slots[34], state.clock) == (100, 5000)
     assert robot.names() == []
@@ -340,7 +339,7 @@ def test_an_owner_gone_dumb_has_its_robot_stopped_however_much_others_ask(caplog
         owner.ask("gs")
         house.gateway.tick()
     robot.state = Reply("state", {**LINE_STATE.slots, 41: 1}, clock=0)
-    owner.session.receive(language.tcp_request(Call("ws", (1, 1, 1, 200))))
+    owner.session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
     owner.session.answers(1)
     for _ in range(50):
         house.now_s += 0.1
@@ -481,14 +480,18 @@ def test_a_shadow_begins_with_the_robot_what_takes_long_and_is_not_waited_for() 
     guest = house.guest()
     guest.ask("gs")
     shadow = house.emulator.simulation.robots[1]
-    guest.session.receive(language.tcp_request(Call("zr")))
+
+    def is_zeroing() -> bool:
+        return shadow.zeroing
+
+    guest.session.receive(codec.tcp_request(Call("zr")))
     assert guest.session.answers(1) == b""
-    assert shadow.zeroing
+    assert is_zeroing()
     house.emulator.simulation.step(60.0)
-    assert not shadow.zeroing
+    assert not is_zeroing()
     house.work()
     assert guest.client.read("zr", guest.session.tick())[0].slots[36] == 0
-    assert not shadow.zeroing
+    assert not is_zeroing()
     assert house.side.follower is not None
     assert house.side.follower.shadow.quantities["steering_deg"].last == 0.0
 

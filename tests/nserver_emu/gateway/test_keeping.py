@@ -11,20 +11,18 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import pytest
-from daemon_house import serving
-from real_robots import ScriptedRobot, emulated
 
 from nclient import connect
 from nclient.errors import AddressError, ConnectionLost, RobotRefused
 from nclient.opening import Opening
 from nclient.protocol.commands import Call
 from nserver_emu import cli
-from nserver_emu.gateway import options as gateway_options
-from nserver_emu.gateway.gateway import Gateway
-from nserver_emu.gateway.keeping import kept
-from nserver_emu.gateway.options import model_of, reached
-from nserver_emu.gateway.side import RealSide
-from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.gateway import run as gateway_options
+from nserver_emu.gateway.gateway import Gateway, RealSide
+from nserver_emu.gateway.run import kept, model_of, reached
+from nserver_emu.server.daemon import Daemon
+from tests.nserver_emu.gateway.real_robots import ScriptedRobot, emulated
+from tests.nserver_emu.server.daemon_house import serving
 
 WHOLE_S = 30
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from nclient.protocol.commands import COMMANDS, Call
-from nserver_emu.gateway.ownership import Ownership, changes
-from nserver_emu.server.conversation.session import Visit
-from nserver_emu.server.stage.holds import moves
+from nserver_emu.gateway.gateway import Ownership, changes
+from nserver_emu.server.ownership import moves
+from nserver_emu.server.session import Visit
 
 VM = Call("vm", (100, 0, 0))
 

@@ -7,12 +7,12 @@ import threading
 from collections.abc import Iterable
 
 import pytest
-from real_robots import LINE_STATE, ScriptedRobot
 
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import Call
-from nserver_emu.gateway.real_robot import FIRST_PAUSE_S, LONGEST_PAUSE_S, NO_ANSWER, Outcome, RealRobot, Ticket
-from nserver_emu.gateway.robot_state import Link
+from nserver_emu.gateway.robot_worker import FIRST_PAUSE_S, LONGEST_PAUSE_S, NO_ANSWER, Outcome, RealRobot, Ticket
+from nserver_emu.gateway.translate import Link
+from tests.nserver_emu.gateway.real_robots import LINE_STATE, ScriptedRobot
 
 GS, ST, VM = Call("gs"), Call("st"), Call("vm", (50, 0, 0))
 
@@ -161,7 +161,8 @@ def zeroing_robots() -> tuple[RealRobot, ScriptedRobot, Ticket]:
         zeroing.closed = True
         broken_off.set()
 
-    zeroing.first, zeroing.close = zero, close
+    zeroing.first = zero
+    zeroing.close = close  # type: ignore[method-assign]  # a scripted robot is made to answer otherwise
     robot.start()
     ticket = robot.submit((Call("zr"),), moves=True)
     assert begun.wait(10)

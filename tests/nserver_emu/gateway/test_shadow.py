@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nclient.errors import RecordingError
-from nclient.protocol.models import N150, N200, SCOUT
-from nserver_emu.gateway import report
+from nclient.protocol.types import N150, N200, SCOUT
+from nserver_emu.gateway import shadow as report
 from nserver_emu.gateway.shadow import ALL_SONARS, Running, Shadow, short_way_deg
 
 

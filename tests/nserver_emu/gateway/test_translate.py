@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from real_robots import LINE_STATE
 
+from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, COMMANDS, Call, on_line
-from nclient.protocol.mask import EVERYTHING, Mask
-from nclient.protocol.models import MODELS, N150, N200, SCOUT, Model
 from nclient.protocol.replies import Reply
-from nclient.protocol.stamps import Stamp
-from nclient.protocol.terms import LINES, PIXELS, POINTS, line_terms, tcp_terms
-from nserver_emu.gateway.laser_shape import in_shape
-from nserver_emu.gateway.robot_state import Link, moving_axes, state_for, whole_state
-from nserver_emu.gateway.translate import Plan, plan, stays_here
-from nserver_emu.server.conversation.session import Visit
-from nserver_emu.server.handling.command_table import examples
+from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Mask, Model, Stamp
+from nclient.protocol.wire_state import LINES, PIXELS, POINTS, line_terms, tcp_terms
+from nserver_emu.gateway.translate import Link, Plan, in_shape, moving_axes, plan, state_for, stays_here, whole_state
+from nserver_emu.server.session import Visit
 from nserver_emu.simulation.laser import ANGLES_RAD, LineFit, pixels, points
+from tests.nserver_emu.gateway.real_robots import LINE_STATE
 from worlds.bodies import N200 as N200_BODY
 
 LINE, SERVER = Link(N150, own_line=True), Link(N150, own_line=False)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import cast
 
-from wire_client import simulation
-
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import tcp_terms
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from tests.nserver_emu.server.wire_client import simulation
 
 
 class Client:
@@ -23,14 +23,15 @@ class Client:
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
+        self.transport = cast(asyncio.Transport, writer.transport)
         self.terms = tcp_terms(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._frames: list[TcpFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
         call = Call(name, args)
-        language.note(call, self.terms)
-        self.writer.write(language.tcp_request(call))
+        codec.note(call, self.terms)
+        self.writer.write(codec.tcp_request(call))
         return await self.reply(name)
 
     async def reply(self, name: str) -> Reply:
@@ -38,7 +39,7 @@ class Client:
             data = await self.reader.read(65536)
             assert data, "the daemon closed the connection"
             self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
-        return language.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
+        return codec.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
 
 
 class House:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.models import Model, model_named
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_frame import SerialFrame, SerialFramer
-from nclient.protocol.terms import line_terms
-from nserver_emu.server.conversation.line_session import LineSession
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.stage.pace import Pace
+from nclient.protocol.serial_framing import SerialFrame, SerialFramer
+from nclient.protocol.types import Model, model_named
+from nclient.protocol.wire_state import line_terms
+from nserver_emu.server.context import Pace
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.serial_session import LineSession
 from nserver_emu.simulation.models import MODELS
-from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
 from worlds.world import StartPose
@@ -33,13 +33,13 @@ class LineHost:
 
     def ask(self, name: str, *args: int | str) -> Reply:
         """One call, one reply."""
-        return language.read_line_reply(self.frame(name, *args), self.terms)
+        return codec.read_line_reply(self.frame(name, *args), self.terms)
 
     def frame(self, name: str, *args: int | str) -> SerialFrame:
         """One call, the frame that answers it."""
         call = Call(name, args)
-        request = language.line_request(call, self.terms)
-        language.note(call, self.terms)
+        request = codec.line_request(call, self.terms)
+        codec.note(call, self.terms)
         (frame,) = self.raw(request)
         return frame
 

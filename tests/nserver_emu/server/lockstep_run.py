@@ -10,10 +10,10 @@ from __future__ import annotations
 import hashlib
 import sys
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import EVERYTHING
-from nserver_emu.server.in_process import open_address
+from nclient.protocol.types import EVERYTHING
+from nserver_emu.server.inprocess import open_address
 
 ORDER = (0, 2, 15, 1, 14, 3, 13, 4, 12, 5, 11, 6, 10, 7, 9, 8)
 
@@ -44,9 +44,9 @@ def run(seed: int, replies: int, options: str = "noisy=1") -> str:
     """The hash of so many replies."""
     end = open_address(f"sim:thesis_room?{options}&seed={seed}&start=20,20,30,0&step_s=0.05")
     whole = hashlib.sha256()
-    end.send(language.tcp_request(Call("connect_robot", (1, 1))))
+    end.send(codec.tcp_request(Call("connect_robot", (1, 1))))
     for number in range(replies):
-        end.send(language.tcp_request(request(number)))
+        end.send(codec.tcp_request(request(number)))
         answered = end.receive()
         assert answered, number
         whole.update(answered)

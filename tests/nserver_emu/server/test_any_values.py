@@ -7,17 +7,17 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from wire_client import ORIGIN, meet
 
 from nclient.errors import WireError
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import COMMANDS, Call
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.stage.stage import Allowed
-from nserver_emu.server.stage.state_reply import clock_ms
+from nserver_emu.server.context import Allowed
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.state_encoder import clock_ms
 from nserver_emu.simulation.models import MODELS
-from nserver_emu.simulation.setup import NOISY
+from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.server.wire_client import ORIGIN, meet
 from worlds.world import World
 
 EDGES = (0, 1, -1, 2, 3, 10, 3600, 32767, -32768, 10**6, 2**31 - 1, -(2**31))
@@ -100,4 +100,4 @@ def test_clocks_go_round_after_their_longest_time(days: int) -> None:
 
 def test_a_request_that_cannot_be_built_is_no_fault_of_the_servers() -> None:
     with pytest.raises(WireError):
-        language.tcp_request(Call("vm", (2**31, 0, 0)))
+        codec.tcp_request(Call("vm", (2**31, 0, 0)))

@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from lockstep_run import run
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import EVERYTHING
+from nclient.protocol.types import EVERYTHING
+from tests.nserver_emu.server.lockstep_run import run
 
 pytestmark = pytest.mark.long
 
@@ -69,7 +69,7 @@ def talk(port: int) -> bytes:
         for number in range(60):
             for robot_id, client in enumerate(clients, start=1):
                 call = Call("connect_robot", (robot_id, 1)) if number == 0 else question(number)
-                client.sendall(language.tcp_request(call))
+                client.sendall(codec.tcp_request(call))
                 answer = whole_reply(client)
                 heard += b"" if number == 0 else answer
     assert len(heard) > 10_000

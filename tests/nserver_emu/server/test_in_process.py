@@ -6,13 +6,13 @@ import re
 from pathlib import Path
 
 import pytest
-from wire_client import WireClient
 
 from nclient.errors import AddressError, StartError, WorldFileError
-from nclient.protocol import models
-from nserver_emu.server.in_process import OPTIONS, InProcess, open_address
+from nclient.protocol import types
+from nserver_emu.server.inprocess import OPTIONS, InProcess, open_address
 from nserver_emu.simulation import sonar
-from nserver_emu.simulation.instants import PS_PER_S
+from nserver_emu.simulation.segments import PS_PER_S
+from tests.nserver_emu.server.wire_client import WireClient
 
 
 def connected(address: str) -> tuple[WireClient, InProcess]:
@@ -162,8 +162,8 @@ def test_models_and_models_of_a_file_for_each(tmp_path: Path) -> None:
 
 
 def test_the_ring_starts_in_the_order_that_clients_count_on() -> None:
-    assert (sonar.DEFAULT_ORDER, sonar.DEFAULT_RATE) == (models.DEFAULT_SONAR_ORDER, models.DEFAULT_SONAR_RATE)
-    assert pytest.approx(models.SONAR_RATE_STEP_S) == sonar.TICK_PS / PS_PER_S
+    assert (sonar.DEFAULT_ORDER, sonar.DEFAULT_RATE) == (types.DEFAULT_SONAR_ORDER, types.DEFAULT_SONAR_RATE)
+    assert pytest.approx(types.SONAR_RATE_STEP_S) == sonar.TICK_PS / PS_PER_S
 
 
 @pytest.mark.parametrize(("name", "args"), [("ws", (1, 1, 1, 5)), ("zr", ())])

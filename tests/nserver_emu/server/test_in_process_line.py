@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import pytest
-from line_host import LineHost
-from wire_client import WireClient
 
 from nclient.errors import AddressError
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.mask import EVERYTHING
-from nclient.protocol.models import N150, N200, Model
-from nclient.protocol.terms import line_terms
-from nserver_emu.server.in_process import InProcess, InProcessLine, open_address
+from nclient.protocol.types import EVERYTHING, N150, N200, Model
+from nclient.protocol.wire_state import line_terms
+from nserver_emu.server.inprocess import InProcess, InProcessLine, open_address
+from tests.nserver_emu.server.line_host import LineHost
+from tests.nserver_emu.server.wire_client import WireClient
 
 
 def opened(address: str) -> InProcessLine:
@@ -62,7 +61,7 @@ def test_a_n200_is_told_its_mask_and_says_no_hello() -> None:
 def test_silence_takes_a_step_and_a_broken_frame_is_given_up_by_it() -> None:
     end = opened("sim:?line=1&step_s=0.1")
     client = watcher(end)
-    question = language.line_request(Call("gs"), line_terms(N150))
+    question = codec.line_request(Call("gs"), line_terms(N150))
     assert exchange(end, question[:-1]) == b""
     assert client.ask("sim_truth").values[1] == 100
     for _ in range(6):

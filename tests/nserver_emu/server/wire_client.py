@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.models import N150
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_frame import TcpFrame, TcpFramer, reply_bounds
-from nclient.protocol.terms import tcp_terms
-from nserver_emu.server.conversation.session import Session
-from nserver_emu.server.handling.handlers import Emulator
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import tcp_terms
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import N150 as SIMULATED_N150
-from nserver_emu.simulation.setup import IDEAL, NOISY
+from nserver_emu.simulation.noise import IDEAL, NOISY
 from nserver_emu.simulation.simulation import Simulation
 from worlds.files import load_world
 from worlds.world import StartPose
@@ -33,8 +33,8 @@ class WireClient:
     def ask(self, name: str, *args: int) -> Reply:
         """One call, one reply."""
         call = Call(name, args)
-        language.note(call, self.terms)
-        (reply,) = self.send(name, language.tcp_request(call, wide=self.terms.wide))
+        codec.note(call, self.terms)
+        (reply,) = self.send(name, codec.tcp_request(call, wide=self.terms.wide))
         return reply
 
     def send(self, name: str, data: bytes) -> list[Reply]:
@@ -46,7 +46,7 @@ class WireClient:
         found = self._framer.receive(data)
         frames = [frame for frame in found if isinstance(frame, TcpFrame)]
         assert len(frames) == len(found)
-        return [language.read_tcp_reply(BY_NAME[name], frame, self.terms) for frame in frames]
+        return [codec.read_tcp_reply(BY_NAME[name], frame, self.terms) for frame in frames]
 
 
 def simulation(world: str = "thesis_room", start: StartPose = ORIGIN, noisy: bool = False, seed: int = 0) -> Simulation:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
+from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import Polygon, StartPose, World
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.angles import once_round, short_way
+from nserver_emu.simulation.segments import once_round, short_way
 
 
 @given(st.floats(-1e3, 1e3))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nserver_emu.simulation.battery import battery_v
+from nserver_emu.simulation.robot import battery_v
 
 
 @pytest.mark.parametrize(("hours", "volts"), [(0.0, 12.0), (3.0, 11.4), (6.0, 10.8), (9.0, 10.8)])

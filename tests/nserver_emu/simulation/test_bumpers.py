@@ -7,7 +7,7 @@ from math import radians
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.bumpers import pressed
+from nserver_emu.simulation.collision import pressed
 from worlds.bodies import N150, SCOUT
 
 RING = N150.bumper_angles_rad

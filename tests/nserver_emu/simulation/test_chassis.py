@@ -7,9 +7,9 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.chassis import Chassis
-from nserver_emu.simulation.contact import Ground
-from nserver_emu.simulation.stretch import Stretch
+from nserver_emu.simulation.collision import Ground
+from nserver_emu.simulation.drive import Chassis
+from nserver_emu.simulation.segments import Stretch
 from worlds.bodies import N150
 
 WALLS = np.array(

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from nclient.errors import StartError
-from nserver_emu.simulation.company import SLACK_IN, TICK_PS, discs_of, near, neighbours
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
-from nserver_emu.simulation.noise import MotionNoise
+from nserver_emu.simulation.multi_robot import SLACK_IN, TICK_PS, discs_of, near, neighbours
+from nserver_emu.simulation.noise import IDEAL, NOISY, MotionNoise, RobotSetup
 from nserver_emu.simulation.odometry import Odometry
-from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.world import Polygon, StartPose, World

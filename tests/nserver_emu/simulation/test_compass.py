@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.compass import INTERVAL_PS, TRUE_NEEDLE, Compass, CompassMode, CompassNoise, last_reading_ps
-from nserver_emu.simulation.instants import to_ps
+from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import IDEAL, RobotSetup
+from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import StartPose
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nserver_emu.simulation.contact import TOUCH_IN, Contact, Course, Ground, Thing, first_contact
-from nserver_emu.simulation.stretch import Stretch
+from nserver_emu.simulation.collision import TOUCH_IN, Contact, Course, Ground, Thing, first_contact
+from nserver_emu.simulation.segments import Stretch
 
 RADIUS = 9.72
 WALL = np.array([[50.0, -40.0, 50.0, 40.0]])

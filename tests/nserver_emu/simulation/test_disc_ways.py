@@ -9,12 +9,10 @@ from math import asin, cos, hypot, inf, log10, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.echo_ways import Scene
-from nserver_emu.simulation.instants import to_ps
+from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
 from nserver_emu.simulation.models import N150 as N150_MODEL
-from nserver_emu.simulation.noise import NO_NOISE
-from nserver_emu.simulation.polaroid import Cry, Polaroid
-from nserver_emu.simulation.setup import MEASURED
+from nserver_emu.simulation.noise import MEASURED, NO_NOISE
+from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
 from worlds.bodies import N150
 from worlds.geometry import FloatArray

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from nserver_emu.simulation.drive import DifferentialDrive, SynchroDrive
 from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN
-from nserver_emu.simulation.stretch import Stretch
+from nserver_emu.simulation.segments import Stretch
 
 
 def drive(ramps: bool = False) -> SynchroDrive:

@@ -6,8 +6,8 @@ from math import pi
 
 import pytest
 
-from nserver_emu.simulation.encoders import Encoders
-from nserver_emu.simulation.stretch import Stretch
+from nserver_emu.simulation.odometry import Encoders
+from nserver_emu.simulation.segments import Stretch
 
 AHEAD = Stretch(2.0, 5.0, 0.0, 0.0, 0.0)
 

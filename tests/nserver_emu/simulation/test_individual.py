@@ -8,12 +8,9 @@ from math import radians, tau
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.individual import setup_of
-from nserver_emu.simulation.model_files import parse_models
-from nserver_emu.simulation.models import MODELS, N150, RobotModel
-from nserver_emu.simulation.noise import Identity
+from nserver_emu.simulation.models import MODELS, N150, RobotModel, parse_models
+from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, Identity, setup_of
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import IDEAL, MEASURED, WORN
 from worlds.calibration import Calibration
 from worlds.files import load_world
 from worlds.world import StartPose

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
-from nserver_emu.simulation.instants import NEVER_PS
-from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sighting import Eye, Sighting
+from nserver_emu.simulation.segments import NEVER_PS, Pose, Stamp
+from nserver_emu.simulation.visibility import Eye, Sighting
 from worlds.bodies import N200
 
 pytestmark = pytest.mark.long

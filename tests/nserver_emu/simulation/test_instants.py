@@ -8,7 +8,7 @@ from operator import add
 
 import pytest
 
-from nserver_emu.simulation.instants import to_ps, to_s
+from nserver_emu.simulation.segments import to_ps, to_s
 
 
 def test_ten_tenths_are_one_second() -> None:

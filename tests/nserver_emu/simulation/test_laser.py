@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, thinned
-from nserver_emu.simulation.sighting import Eye, Sighting
+from nserver_emu.simulation.visibility import Eye, Sighting
 from worlds.bodies import N200
 
 RADIUS = N200.radius_in

@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 from nserver_emu.simulation import sonar
-from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
+from nserver_emu.simulation.noise import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.raycast import CompiledKernel
 from worlds.world import Polygon, StartPose, World

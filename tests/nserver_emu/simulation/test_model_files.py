@@ -9,8 +9,7 @@ import pytest
 
 from nclient.errors import WorldFileError
 from nserver_emu.simulation.drive import DifferentialDrive
-from nserver_emu.simulation.model_files import load_models, parse_models
-from nserver_emu.simulation.models import MODELS, N150, N200, SCOUT
+from nserver_emu.simulation.models import MODELS, N150, N200, SCOUT, load_models, parse_models
 
 GOOD = """
 [[model]]

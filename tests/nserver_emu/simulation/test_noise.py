@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.noise import Identity, MotionNoise, Purpose
-from nserver_emu.simulation.stretch import Stretch
+from nserver_emu.simulation.segments import Stretch
 
 NOISE = MotionNoise.walk(along=0.1, turn=0.1, drift=0.005)
 

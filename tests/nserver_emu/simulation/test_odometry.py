@@ -8,10 +8,9 @@ from math import pi, radians, sin
 import pytest
 
 from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN, RobotModel
-from nserver_emu.simulation.noise import NO_NOISE, MotionNoise
+from nserver_emu.simulation.noise import NO_NOISE, WORN, MotionNoise, RobotSetup
 from nserver_emu.simulation.odometry import Odometry
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import WORN, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.world import StartPose, World

@@ -8,13 +8,13 @@ from math import remainder, tau
 
 import pytest
 
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.keeping.snapshot import dumps, loads
+from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.axis import Axis
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
-from nserver_emu.simulation.poses import Pose
+from nserver_emu.simulation.noise import IDEAL, NOISY, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import IDEAL, NOISY, RobotSetup
+from nserver_emu.simulation.segments import Pose
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.world import StartPose, World

@@ -8,12 +8,10 @@ from math import cos, erf, inf, pi, radians, sin, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.echo_ways import Scene
-from nserver_emu.simulation.instants import to_ps
-from nserver_emu.simulation.polaroid import Cry, Polaroid
-from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sighting import Eye
+from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
+from nserver_emu.simulation.segments import Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import SonarRing
+from nserver_emu.simulation.visibility import Eye
 from worlds.bodies import N150
 from worlds.geometry import FloatArray, nearest_points
 

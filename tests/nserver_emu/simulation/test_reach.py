@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.models import N150, SCOUT, RobotModel
-from nserver_emu.simulation.reach import STAYS, Reach
-from nserver_emu.simulation.setup import IDEAL, WORN, RobotSetup
+from nserver_emu.simulation.noise import IDEAL, WORN, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.spatial_hash import STAYS, Reach
 from worlds.world import StartPose, World
 
 RAMPS = replace(IDEAL, name="ramps", ramps=True)

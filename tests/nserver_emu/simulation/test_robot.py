@@ -8,8 +8,8 @@ from math import cos, pi, radians, remainder, sin, tau
 import numpy as np
 import pytest
 
+from nserver_emu.simulation.noise import NOISY, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import NOISY, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.world import StartPose

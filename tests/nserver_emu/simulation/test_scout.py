@@ -7,8 +7,8 @@ from math import cos, pi, radians, sin
 import pytest
 
 from nserver_emu.simulation.models import SCOUT, SCOUT_TRACK_IN
+from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import StartPose, World
 

@@ -6,10 +6,20 @@ from dataclasses import replace
 
 import pytest
 
-from nserver_emu.simulation.individual import setup_of
 from nserver_emu.simulation.models import N150, N200
-from nserver_emu.simulation.setup import IDEAL, MEASURED, NOISY, SETUPS, WORN, RobotSetup
-from nserver_emu.simulation.setup_parts import PARTS, part_choices, part_name, with_part
+from nserver_emu.simulation.noise import (
+    IDEAL,
+    MEASURED,
+    NOISY,
+    PARTS,
+    SETUPS,
+    WORN,
+    RobotSetup,
+    part_choices,
+    part_name,
+    setup_of,
+    with_part,
+)
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from worlds.calibration import Calibration

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from nclient.errors import StartError
+from nserver_emu.simulation.noise import IDEAL, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.setup import IDEAL, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from worlds.world import Polygon, StartPose, World
 

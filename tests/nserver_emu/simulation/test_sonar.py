@@ -7,10 +7,9 @@ from math import cos, inf, radians, sin
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.instants import NEVER_PS, to_ps
-from nserver_emu.simulation.poses import Pose, Stamp
-from nserver_emu.simulation.sighting import FARTHEST_IN, Eye, Sighting, on_lines
+from nserver_emu.simulation.segments import NEVER_PS, Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
+from nserver_emu.simulation.visibility import FARTHEST_IN, Eye, Sighting, on_lines
 from worlds.bodies import N150
 from worlds.raycast import cast_discs
 

@@ -10,7 +10,7 @@ import pytest
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.simulation.standing import Standing
+from nserver_emu.simulation.spatial_hash import Standing
 from worlds.world import StartPose, World
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from nserver_emu.simulation.stretch import GAUSS_POINTS, Stretch
+from nserver_emu.simulation.segments import GAUSS_POINTS, Stretch
 
 rates = st.floats(-2.0, 2.0)
 stretches = st.builds(Stretch, st.floats(1e-3, 3.0), st.floats(-20, 20), st.floats(-60, 60), rates, rates)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 
-from viewed_daemon import served
-from wire_client import simulation
-
-from nserver_emu.server.conversation.session import Visit
-from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import Visit
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import served
 
 
 def test_that_a_program_waits_for_a_pose_is_told_once_and_that_it_waits_no_more() -> None:

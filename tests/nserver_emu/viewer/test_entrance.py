@@ -10,16 +10,16 @@ from pathlib import Path
 
 import aiohttp
 import pytest
-from viewed_daemon import HOST, served
-from wire_client import simulation
 
-from nclient.access import is_loopback
+from nclient.common.allowlist import is_loopback
 from nserver_emu import cli
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
-from nserver_emu.viewer import entrance
-from nserver_emu.viewer.entrance import TokenFileError, Tokens, address, new_tokens, tokens_of
-from nserver_emu.viewer.web import served as page_served
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer import auth
+from nserver_emu.viewer.auth import TokenFileError, Tokens, address, new_tokens, tokens_of
+from nserver_emu.viewer.server import served as page_served
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import HOST, served
 
 ACT, WATCH = "a" * 16, "b" * 200
 
@@ -172,4 +172,4 @@ def test_a_page_on_a_name_prints_that_name_and_is_known_by_it(caplog: pytest.Log
 
     asyncio.run(scenario())
     assert not caplog.records
-    assert entrance.known_host("Robots.Example:1", "robots.example")
+    assert auth.known_host("Robots.Example:1", "robots.example")

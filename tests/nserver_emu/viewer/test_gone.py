@@ -10,11 +10,11 @@ import types
 from collections.abc import Awaitable, Callable
 
 import pytest
-from viewed_daemon import HOST, Served, served
-from wire_client import simulation
 
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.viewer import desk, outlet, web
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer import controller, server
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import HOST, Served, served
 
 SHORT_S = 0.4
 HANDSHAKE = (
@@ -53,11 +53,11 @@ async def forgotten(here: Served) -> float:
 
 
 def test_the_time_that_is_promised_is_the_longest_there_is() -> None:
-    assert max(1.5 * web.HEARTBEAT_S + 1.0, outlet.STALLED_S + 1.0) <= web.FORGOTTEN_S
+    assert max(1.5 * server.HEARTBEAT_S + 1.0, server.STALLED_S + 1.0) <= server.FORGOTTEN_S
 
 
 def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web, "HEARTBEAT_S", SHORT_S)
+    monkeypatch.setattr(server, "HEARTBEAT_S", SHORT_S)
 
     async def scenario() -> None:
         async with served(Emulator(simulation())) as here:
@@ -70,7 +70,7 @@ def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pyte
 
 
 def test_a_page_that_goes_on_talking_and_takes_nothing_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outlet, "STALLED_S", SHORT_S)
+    monkeypatch.setattr(server, "STALLED_S", SHORT_S)
 
     async def scenario() -> None:
         async with served(Emulator(simulation())) as here:
@@ -111,7 +111,7 @@ def test_what_is_told_to_a_page_that_just_left_is_told_to_nobody(caplog: pytest.
 def test_who_says_much_at_once_leaves_the_others_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     turns: list[int] = []
     turn = 0
-    monkeypatch.setitem(desk._DOES, "seen", lambda *_: turns.append(turn))
+    monkeypatch.setitem(controller._DOES, "seen", lambda *_: turns.append(turn))
 
     async def scenario() -> None:
         nonlocal turn
@@ -145,7 +145,7 @@ def test_a_daemon_ends_at_once_though_pages_are_open_that_say_no_goodbye() -> No
             loop = asyncio.get_running_loop()
             began = loop.time()
             await here.viewing.close()
-            assert loop.time() - began < web.CLOSING_S + 0.5
+            assert loop.time() - began < server.CLOSING_S + 0.5
             for end in ends:
                 end.close()
 

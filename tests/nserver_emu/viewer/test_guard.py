@@ -7,15 +7,15 @@ import logging
 from typing import Any
 
 import pytest
-from viewed_daemon import served
-from wire_client import simulation
 
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.viewer import desk, picture
-from nserver_emu.viewer.guard import Guard
-from nserver_emu.viewer.hand import Hand
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer import controller, scene
+from nserver_emu.viewer.controller import Hand
+from nserver_emu.viewer.error_boundary import Guard
 from nserver_emu.viewer.hub import Hub
-from nserver_emu.viewer.picture import Album
+from nserver_emu.viewer.scene import Album
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import served
 
 
 class Trouble(Exception):
@@ -51,7 +51,7 @@ def test_pictures_that_fail_end_neither_the_dead_man_nor_answers_nor_later_pictu
         async with served(Emulator(simulation())) as here, here.page() as page, here.page() as other:
             robot = here.daemon.emulator.simulation.robots[1]
             with monkeypatch.context() as broken:
-                broken.setattr(picture, "_now", trouble)
+                broken.setattr(scene, "_now", trouble)
                 await page.say(do="drive", id=1, robot=1, args=[50, 0, 0])
                 assert (await page.answer(1))["ok"]
                 async with asyncio.timeout(5):
@@ -102,7 +102,7 @@ def test_a_word_that_nobody_thought_of_is_answered_and_ends_no_connection(
 ) -> None:
     async def scenario() -> None:
         async with served(Emulator(simulation())) as here, here.page() as page:
-            monkeypatch.setitem(desk._DOES, "control", trouble)
+            monkeypatch.setitem(controller._DOES, "control", trouble)
             await page.say(do="control", id=9, command="pause")
             answer = await page.answer(9)
             assert not answer["ok"]

@@ -6,13 +6,13 @@ import json
 from typing import Any
 
 import pytest
-from wire_client import simulation
 
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.setting_up.setting import Setting
+from nserver_emu.server.config import Setting
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.viewer.hub import AHEAD, MOST_NEWS, Hub, Viewer
-from nserver_emu.viewer.picture import LASER_EVERY, Album
+from nserver_emu.viewer.scene import LASER_EVERY, Album
+from tests.nserver_emu.server.wire_client import simulation
 from worlds.world import StartPose
 
 

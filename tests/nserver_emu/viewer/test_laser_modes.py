@@ -5,14 +5,12 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from viewed_daemon import Page, served
-
 from nclient import connect
-from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.viewer.laser_modes import MOST_NAMED, is_shown, laser_modes
-from nserver_emu.viewer.picture import LASER_EVERY, Album
+from nserver_emu.viewer.scene import LASER_EVERY, MOST_NAMED, Album, is_shown, laser_modes
+from tests.nserver_emu.viewer.viewed_daemon import Page, served
 from worlds.files import load_world
 from worlds.world import StartPose
 

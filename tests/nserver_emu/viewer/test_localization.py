@@ -7,18 +7,18 @@ import json
 from typing import Any
 
 import pytest
-from viewed_daemon import served
-from wire_client import simulation
 
 from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
-from nserver_emu.viewer.desk import STALE_S, Desk
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.controller import STALE_S, Desk
 from nserver_emu.viewer.hub import Hub
 from nserver_emu.viewer.localization import MOST_PLACES, MOST_REASON, REFUSALS, TRUSTS, published
-from nserver_emu.viewer.picture import Album
-from nserver_emu.viewer.protocol import BadMessage
+from nserver_emu.viewer.messages import BadMessage
+from nserver_emu.viewer.scene import Album
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import served
 
 GOOD: dict[str, Any] = {
     "robot": 1, "clock_s": 1.5, "pose": [1, 2, 0.1], "turret": 0.2, "cov": [[1, 0, 0], [0, 2, 0], [0, 0, 3]],

@@ -6,14 +6,14 @@ import asyncio
 import re
 
 import pytest
-from viewed_daemon import elsewhere, served
-from wire_client import simulation
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
-from nserver_emu.viewer.numbers import STUCK_S, health, metrics, numbers
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.metrics import STUCK_S, health, metrics, numbers
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import elsewhere, served
 
 LINE = re.compile(r"# HELP [a-z_]+ \S.*|# TYPE [a-z_]+ (gauge|counter)|[a-z_]+ -?\d+(\.\d+)?(e[+-]?\d+)?")
 
@@ -52,8 +52,8 @@ def test_what_clients_did_is_counted_after_they_are_gone() -> None:
     async def scenario() -> None:
         async with served(Emulator(simulation())) as here:
             reader, writer = await asyncio.open_connection("127.0.0.1", here.daemon.emulator.port)
-            writer.write(language.tcp_request(Call("connect_robot", (1, 1))) + language.tcp_request(Call("gs")))
-            writer.write(language.tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
+            writer.write(codec.tcp_request(Call("connect_robot", (1, 1))) + codec.tcp_request(Call("gs")))
+            writer.write(codec.tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
             await reader.readexactly(8 + 4 + 4 * 49 + 8)
             for connections in (1, 0):
                 async with here.web.get(f"{here.origin}/metrics") as answer:
@@ -81,7 +81,7 @@ def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.MonkeyP
                 assert answer.status == 200  # on loopback all addresses are this machine's
             async with here.web.get(here.origin + path, headers={"Host": "evil.example"}) as answer:
                 assert answer.status == 403
-            monkeypatch.setattr("nclient.access.is_loopback", lambda _host: False)
+            monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
             async with here.web.get(here.origin + path) as answer:
                 assert answer.status == 200  # from the address that he asks
             async with outsider.get(here.origin + path) as answer:

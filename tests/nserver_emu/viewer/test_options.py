@@ -8,12 +8,12 @@ import importlib.util
 import re
 
 import pytest
-from wire_client import simulation
 
 from nserver_emu import cli
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.options import DEFAULT_PORT, Place, ViewerMissing, add_options, viewed
+from tests.nserver_emu.server.wire_client import simulation
 
 
 def options(*words: str) -> argparse.Namespace:

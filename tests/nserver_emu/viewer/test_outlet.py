@@ -10,12 +10,11 @@ from typing import cast
 import pytest
 from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
-from viewed_daemon import served
-from wire_client import simulation
 
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.viewer.outlet import MEDIUM, SHORT, STALLED_S, Outlet, frame
-from nserver_emu.viewer.web import _transport
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.server import MEDIUM, SHORT, STALLED_S, Outlet, _transport, frame
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import served
 
 
 class Line(asyncio.Transport):

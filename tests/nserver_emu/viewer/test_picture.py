@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from wire_client import meet, simulation
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.handling.switches import switch_noise
-from nserver_emu.server.stage.graphics import MOST_GONE, Figure
+from nserver_emu.server.graphics import MOST_GONE, Figure
+from nserver_emu.server.handlers.runtime_settings import switch_noise
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200, SCOUT, RobotModel
-from nserver_emu.simulation.setup import NOISY
+from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.viewer.picture import LASER_EVERY, MOST_NEW, REMEMBERED, Album
+from nserver_emu.viewer.scene import LASER_EVERY, MOST_NEW, REMEMBERED, Album
+from tests.nserver_emu.server.wire_client import meet, simulation
 from worlds.files import load_world
 from worlds.world import StartPose
 
@@ -107,7 +107,7 @@ def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
     album.take()
     album.take()
     assert not (CHANGING | DRAWN) & set(album.since(1))
-    client.send("tk", language.tcp_request(Call("tk", ("hi",))))
+    client.send("tk", codec.tcp_request(Call("tk", ("hi",))))
     client.ask("new_world")
     client.ask("draw_line", 0, 0, 100, 200, 3)
     client.ask("create_robot", 2, 0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nserver_emu.viewer.protocol import (
+from nserver_emu.viewer.messages import (
     FIELDS,
     MOST_ARGS,
     MOST_POINTS,

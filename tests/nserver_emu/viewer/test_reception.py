@@ -7,12 +7,12 @@ import logging
 from collections.abc import Awaitable, Callable
 
 import pytest
-from viewed_daemon import HOST, Served, served
-from wire_client import simulation
 
-from nserver_emu.server.admission.limits import FOR_A_PAGE, Limits
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.viewer.reception import HTTP_LOG
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.limits import FOR_A_PAGE, Limits
+from nserver_emu.viewer.auth import HTTP_LOG
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import HOST, Served, served
 
 HALF = b"GET / HTTP/1.1\r\n"
 ICON = b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n"

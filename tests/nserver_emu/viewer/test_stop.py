@@ -7,14 +7,14 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from viewed_daemon import HOST, Message, Page, served
-from wire_client import simulation
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N150
-from nserver_emu.simulation.setup import IDEAL
+from nserver_emu.simulation.noise import IDEAL
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import HOST, Message, Page, served
 from worlds.world import StartPose
 
 
@@ -24,9 +24,9 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
-        writer.write(language.tcp_request(Call("connect_robot", (robot_id, 1))))
+        writer.write(codec.tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
-            writer.write(language.tcp_request(Call("vm", (40, 0, 0))))
+            writer.write(codec.tcp_request(Call("vm", (40, 0, 0))))
             await asyncio.sleep(0.02)
 
     driving, reading = asyncio.create_task(drive()), asyncio.create_task(reader.read())

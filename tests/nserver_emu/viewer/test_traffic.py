@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from wire_client import WireClient, simulation
 
-from nclient.protocol import language
+from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nclient.protocol.models import N150, N200, Model
-from nclient.protocol.terms import Terms, line_terms
-from nclient.recording.follower import HELLO_FIRST, TCP, Decoded
-from nclient.recording.recorder import OFF, Tape
-from nserver_emu.server.conversation.session import Session
-from nserver_emu.server.handling.handlers import Emulator
+from nclient.protocol.types import N150, N200, Model
+from nclient.protocol.wire_state import Terms, line_terms
+from nclient.recording.recorder import HELLO_FIRST, OFF, TCP, Decoded, Tape
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import Session
 from nserver_emu.viewer.traffic import MOST_HEX, MOST_ROWS, Listening, parts
+from tests.nserver_emu.server.wire_client import WireClient, simulation
 
 
 class Inner:
@@ -125,7 +124,7 @@ def test_a_connection_in_the_middle_of_a_request_waits_for_the_next() -> None:
     terms: list[Terms | None] = [None, agreed]
     listening = Listening(OFF, lambda _: terms[0], lambda: 0.0)
     tape = listening.open("line", HELLO_FIRST, N200)
-    frame = language.line_request(Call("vm", (100, -50, 0)), agreed)
+    frame = codec.line_request(Call("vm", (100, -50, 0)), agreed)
     tape.to_robot(frame)
     listening.watched = True
     tape.to_robot(frame)

@@ -6,10 +6,10 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from viewed_daemon import served
-from wire_client import simulation
 
-from nserver_emu.server.handling.handlers import Emulator
+from nserver_emu.server.handlers.table import Emulator
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import served
 
 UNCLEAN = Path(__file__).parents[3] / "docs" / "unclean_line.toml"
 RULE = '[[rule]]\nname = "a"\nevery = 1\n'

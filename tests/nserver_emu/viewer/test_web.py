@@ -8,18 +8,17 @@ import socket
 
 import aiohttp
 import pytest
-from viewed_daemon import HOST, elsewhere, served
-from wire_client import simulation
 
-from nclient.access import Access
+from nclient.common.allowlist import Access
 from nclient.errors import ConnectionLost
-from nserver_emu.server.admission.limits import Limits
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
-from nserver_emu.viewer.entrance import from_here, known_host
-from nserver_emu.viewer.protocol import DEAD_MAN_S
-from nserver_emu.viewer.reception import HTTP_LOG
-from nserver_emu.viewer.web import PERIOD_S, Viewing, next_due
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.limits import Limits
+from nserver_emu.viewer.auth import HTTP_LOG, from_here, known_host
+from nserver_emu.viewer.messages import DEAD_MAN_S
+from nserver_emu.viewer.server import PERIOD_S, Viewing, next_due
+from tests.nserver_emu.server.wire_client import simulation
+from tests.nserver_emu.viewer.viewed_daemon import HOST, elsewhere, served
 
 
 def an_emulator() -> Emulator:
@@ -361,7 +360,7 @@ def test_who_only_asks_for_a_websocket_takes_no_place() -> None:
 
 
 def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nclient.access.is_loopback", lambda _host: False)
+    monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
 
     async def scenario() -> None:
         async with served(an_emulator()) as here, elsewhere() as outsider:

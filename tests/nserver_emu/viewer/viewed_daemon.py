@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import aiohttp
 
-from nserver_emu.server.handling.handlers import Emulator
-from nserver_emu.server.ports.daemon import Daemon
-from nserver_emu.viewer.web import Viewing
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.viewer.server import Viewing
 
 HOST = "127.0.0.1"
 PATIENCE_S = 10.0

@@ -1,0 +1,1 @@
+"""The `nomad` subcommands of localization: one module per subcommand."""

@@ -1,1 +1,0 @@
-"""What commands that localize a robot begin with: outset > readers; resuming (--save, --resume), publishing."""

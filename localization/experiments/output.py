@@ -1,0 +1,200 @@
+"""The figures of the thesis: a run in its world, and its errors step by step.
+
+Rules: draws what it is given with the brushes of localization.live.plot and computes nothing.
+
+A summary as a table for people.
+
+Rules: text in, text out; what the numbers are worth is said beside them, never worked into them.
+
+Options that all commands of the experiments have, and the crew that they ask for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import numpy as np
+
+from localization.experiments import execution
+from localization.experiments.execution import fingerprint
+from localization.experiments.results import Summary, Track, typical
+from localization.experiments.trial import Course, Figure
+from localization.filters.belief import Floats, difference
+from localization.live.plot import (
+    ESTIMATE,
+    FAINT,
+    TRUTH,
+    blank,
+    draw_body,
+    draw_ellipses,
+    draw_points,
+    draw_walls,
+    save,
+)
+from worlds.bodies import N150
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Picture
+
+
+def draw(figure: Figure, course: Course, tracks: Sequence[Track], folder: Path) -> list[Path]:
+    """Write the trajectory and the errors of a figure as PNG files into `folder`; where they are."""
+    track = typical(tracks)
+    errors_name = figure.errors_figure or f"{figure.name}_errors"
+    pictures = {
+        folder / f"figure_{figure.name}.png": trajectory(figure, course, track),
+        folder / f"figure_{errors_name}.png": errors(figure, tracks, track),
+    }
+    for path, picture in pictures.items():
+        save(picture, path)
+    return list(pictures)
+
+
+def trajectory(figure: Figure, course: Course, track: Track) -> Picture:
+    """The world with its way-points, the true way and the estimated one; without the filter 3-sigma ellipses."""
+    picture = blank(7.2, 7.0)
+    axes = picture.add_subplot(aspect="equal")
+    draw_walls(axes, course.walls.segments)
+    draw_points(axes, course.start, course.goals_in)
+    draw_body(axes, course.start, N150, FAINT)
+    draw_body(axes, track.truth[-1], N150, TRUTH)
+    axes.plot(*_from(course.start, track.truth).T, color=TRUTH, linewidth=1.8, label="truth")
+    axes.plot(*track.mean[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label=_estimate_name(figure))
+    if not figure.filtered:
+        draw_ellipses(axes, track.mean, track.cov)
+    end = np.hypot(*(track.mean[-1] - track.truth[-1])[:2])
+    axes.set_title(f"Figure {figure.name}: {figure.title}\n{len(track.mean)} steps, {end:.2f} in off at the end")
+    axes.set(xlabel="x (in)", ylabel="y (in)")
+    picture.legend(loc="outside lower center", ncols=5, frameon=False)
+    return picture
+
+
+def errors(figure: Figure, tracks: Sequence[Track], drawn: Track) -> Picture:
+    """Errors of the estimate in x, y and heading against the step: one run with its 3-sigma band, the others faint."""
+    picture = blank(8.0, 7.0)
+    rows = picture.subplots(3, 1, sharex=True)
+    scales = (1.0, 1.0, np.degrees(1.0))
+    for axes, row, scale, name in zip(rows, range(3), scales, ("x (in)", "y (in)", "heading (deg)"), strict=True):
+        for track in tracks:
+            axes.plot(scale * difference(track.mean, track.truth)[:, row], color=FAINT, linewidth=0.5, alpha=0.4)
+        band = 3.0 * scale * np.sqrt(drawn.cov[:, row, row])
+        steps = np.arange(len(band))
+        axes.fill_between(steps, -band, band, color=ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
+        axes.plot(scale * difference(drawn.mean, drawn.truth)[:, row], color=ESTIMATE, linewidth=1.2, label="this run")
+        axes.axhline(0.0, color=TRUTH, linewidth=0.6)
+        axes.set_ylabel(name)
+        axes.margins(x=0.0)
+    rows[0].plot([], [], color=FAINT, label=f"{len(tracks)} seeds")
+    rows[0].legend(loc="upper left", ncols=3, framealpha=0.95)
+    number = figure.errors_figure or figure.name
+    rows[0].set_title(f"Figure {number}: {figure.title}, errors of the {_estimate_name(figure)}")
+    rows[-1].set_xlabel("step")
+    return picture
+
+
+def _from(start: Floats, states: Floats) -> Floats:
+    return np.vstack([start[:2], states[:, :2]])
+
+
+def _estimate_name(figure: Figure) -> str:
+    return "estimate" if figure.filtered else "odometry"
+
+
+def table(figure: Figure, course: Course, summary: Summary) -> str:
+    """The summary, a line a number, each beside what it is measured against."""
+    thesis = summary["steps_thesis"]
+    rows = [
+        ("seeds", f"{summary['seeds']}", ""),
+        ("every goal reached", f"{summary['reached']}", f"of {summary['seeds']}, by the estimate"),
+        ("steps, median", f"{summary['steps_median']:g}", f"{thesis} in the text" if thesis else ""),
+        ("end error, median", f"{summary['end_error_median_in']:.3f} in", "between estimate and truth"),
+        ("position RMSE", f"{summary['rmse_position_in']:.4f} in", _beside_bound(summary)),
+        ("heading RMSE", f"{summary['rmse_heading_deg']:.3f} deg", ""),
+    ]
+    if summary["nees_mean"] is not None and summary["nees_band95"] is not None:
+        low, high = summary["nees_band95"]
+        rows.append(("NEES, mean", f"{summary['nees_mean']:.2f}", f"3 is right, 95 % band {low:.2f} to {high:.2f}"))
+    if summary["nis_mean"] is not None:
+        rows.append(("NIS a beam, mean", f"{summary['nis_mean']:.3f}", "1 is right"))
+    lines = [f"Figure {figure.name}: {figure.title}"]
+    lines += [f"  {name:20}{value:>12}  {note}".rstrip() for name, value, note in rows]
+    return "\n".join([*lines, *_step_note(course, summary)])
+
+
+def _beside_bound(summary: Summary) -> str:
+    bound = summary["pcrb_position_in"]
+    if bound is None:
+        return ""
+    return f"{summary['rmse_position_in'] / bound:.3f} x the Cramer-Rao bound of {bound:.4f} in"
+
+
+def _step_note(course: Course, summary: Summary) -> list[str]:
+    """Where the text counts fewer steps than the printed law needs, say so."""
+    thesis = summary["steps_thesis"]
+    stride = course.gains.drho_max_in
+    if thesis is None or thesis >= course.least_steps:
+        return []
+    near = math.ceil((course.length_in - course.waypoint_radius_in) / stride)
+    return [
+        f"  The text's {thesis} steps cannot be: {course.length_in:.1f} in at {stride:g} in a step take"
+        f" {course.least_steps} at least",
+        f"  ({near} to come within {course.waypoint_radius_in:g} in). The law is as printed; the count is ours.",
+    ]
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+NO_PICTURES: Final = "--no-pictures"
+
+
+def add_shared(parser: argparse.ArgumentParser, out: Path, unit: str) -> None:
+    """--seeds, --jobs, --cluster, --out, --json, --no-pictures; `unit` is what one JSON object is about."""
+    parser.add_argument("--seeds", type=positive, default=100, metavar="N", help=f"runs a {unit} (default 100)")
+    add_work(parser)
+    parser.add_argument("--out", type=Path, default=out, metavar="DIR", help=f"for PNG and numbers ({out})")
+    parser.add_argument("--json", action="store_true", help=f"print JSON, an object a {unit}, alone on stdout")
+    parser.add_argument(
+        NO_PICTURES, dest="pictures", action="store_false", help="numbers only; needs no matplotlib"
+    )
+
+
+def add_work(parser: argparse.ArgumentParser) -> None:
+    """--jobs, --cluster: who does the work."""
+    who = parser.add_mutually_exclusive_group()
+    who.add_argument(
+        "--jobs", type=positive, default=cores(), metavar="N", help="processes; the numbers are the same (all cores)"
+    )
+    who.add_argument(
+        "--cluster", metavar="ADDRESS", help="work on the Dask cluster whose scheduler is there, host:port (extra "
+        "`cluster`); the numbers are the same"
+    )
+
+
+def crew_for(
+    work: Callable[[Item], Result], options: argparse.Namespace
+) -> Callable[[Sequence[Item]], Iterator[Result]]:
+    """Who does this work with items, as the options of `add_work` say."""
+    if options.cluster:
+        return partial(execution.on_cluster, work, address=options.cluster, code=fingerprint)
+    return partial(execution.here, work, jobs=options.jobs)
+
+
+def positive(text: str) -> int:
+    """A whole number of 1 or more."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"a whole number of 1 or more, not {text!r}")
+    return int(text)
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

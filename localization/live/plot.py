@@ -1,0 +1,158 @@
+"""Pictures of runs: what all of them share, and the picture of a live one.
+
+Rules: draws what it is given and computes nothing but ellipses; never touches the screen (figures of their own, no
+pyplot, so no backend is chosen and no state is shared). matplotlib is the extra `plot`: imported where it is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from localization.filters.belief import Floats
+from localization.live.run import Run
+from nclient.common.files import unwritable
+from nclient.errors import ExtraMissing, OutputFileError
+from worlds.bodies import Body
+from worlds.world import World
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Picture
+
+SUFFIX: Final = ".png"
+TRUTH: Final = "#1b1b1b"
+ESTIMATE: Final = "#d1495b"
+ODOMETRY: Final = "#3d7ea6"
+GOAL: Final = "#2e8b57"
+WALL: Final = "#52616b"
+FAINT: Final = "#9fb4c7"
+
+ELLIPSES: Final = 8
+"""Ellipses along a run."""
+ELLIPSE_POINTS: Final = 60
+DPI: Final = 140
+
+
+class PlotExtraMissing(ExtraMissing):
+    """A picture was asked for and matplotlib is not installed; the message names the extra."""
+
+
+def require_matplotlib() -> None:
+    """Raise PlotExtraMissing if no picture can be drawn: before a long run rather than after it."""
+    try:
+        import matplotlib.figure  # noqa: F401  # the import is the question
+    except ImportError as error:
+        message = "pictures need matplotlib: pip install 'nomad-nserver[plot]', or ask for none"
+        raise PlotExtraMissing(message) from error
+
+
+def check_picture(path: Path) -> None:
+    """Likewise, and whether it is a PNG's name. Raises OutputFileError."""
+    if path.is_dir() or path.suffix.lower() != SUFFIX:
+        raise OutputFileError(f"{str(path)!r}: pictures are written as PNG: name a file that ends in {SUFFIX}")
+    require_matplotlib()
+
+
+def blank(width_in: float, height_in: float) -> Picture:
+    """An empty picture of that size on paper."""
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+    return MatplotlibFigure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
+
+
+def save(picture: Picture, path: Path) -> None:
+    """Write a PNG file, and the folders it stands in. Raises OutputFileError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        picture.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise OutputFileError(unwritable(path, error)) from error
+
+
+def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:
+    """Wall segments (m, 4) in inches."""
+    for x1, y1, x2, y2 in np.asarray(walls):
+        axes.plot([x1, x2], [y1, y2], color=WALL, linewidth=3, solid_capstyle="round")
+
+
+def draw_points(axes: Axes, start: Floats, goals: npt.ArrayLike) -> None:
+    """The start and the way-points (k, 2)."""
+    axes.plot(start[0], start[1], marker="o", color=GOAL, markersize=7, linestyle="", label="start")
+    axes.plot(*np.asarray(goals).T, marker="X", color=GOAL, markersize=10, linestyle="", label="way-points")
+
+
+def draw_ellipses(axes: Axes, means: Floats, covs: Floats, sigmas: float = 3.0) -> None:
+    """Ellipses along a run of means (k, 3) and covariances (k, 3, 3)."""
+    rows = np.linspace(len(means) / ELLIPSES, len(means) - 1, ELLIPSES).astype(int)
+    for k, row in enumerate(rows):
+        outline = ellipse(means[row], covs[row], sigmas)
+        label = f"{sigmas:g} sigma" if k == 0 else None
+        axes.plot(*outline.T, color=ESTIMATE, linewidth=0.8, alpha=0.8, label=label)
+
+
+def draw_body(axes: Axes, pose: Floats, body: Body, color: str) -> None:
+    """The outline of a robot at a pose (3,), and where it heads."""
+    axes.plot(*(pose[:2] + body.radius_in * circle()).T, color=color, linewidth=1, alpha=0.7)
+    nose = pose[:2] + body.radius_in * np.array([math.cos(pose[2]), math.sin(pose[2])])
+    axes.plot([pose[0], nose[0]], [pose[1], nose[1]], color=color, linewidth=1, alpha=0.7)
+
+
+def ellipse(mean: Floats, cov: Floats, sigmas: float) -> Floats:
+    """The outline (k, 2) of the positions `sigmas` standard deviations from `mean` (3,) under `cov` (3, 3)."""
+    values, axes = np.linalg.eigh(cov[:2, :2])
+    spread = axes * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(mean[:2] + sigmas * circle() @ spread.T, dtype=np.float64)
+
+
+def circle() -> Floats:
+    """Points (k, 2) of the unit circle."""
+    angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def draw_run(path: Path, world: World, done: Run, body: Body) -> None:
+    """The picture of a live run as a PNG file: the way, true and estimated, and the error over time if it is known."""
+    known = done.moments[-1].truth is not None
+    picture = blank(12.0 if known else 7.2, 7.0)
+    columns = picture.subplots(1, 2 if known else 1, squeeze=False, width_ratios=[3, 2] if known else None)[0]
+    _draw_way(columns[0], world, done, body)
+    if known:
+        _draw_errors(columns[1], done)
+    save(picture, path)
+
+
+def _draw_way(axes: Axes, world: World, done: Run, body: Body) -> None:
+    axes.set_aspect("equal")
+    draw_walls(axes, world.walls)
+    beliefs = [moment.estimate.belief for moment in done.moments]
+    means = np.array([belief.mean for belief in beliefs])
+    draw_points(axes, means[0], done.waypoints)
+    odometry = np.array([moment.odometry for moment in done.moments])
+    axes.plot(*odometry[:, :2].T, color=ODOMETRY, linewidth=1.2, linestyle=":", label="odometry")
+    truth = np.array([moment.truth for moment in done.moments if moment.truth])
+    if len(truth):
+        axes.plot(*truth[:, :2].T, color=TRUTH, linewidth=1.8, label="truth")
+    axes.plot(*means[:, :2].T, color=ESTIMATE, linewidth=1.4, linestyle=(0, (4, 2)), label="estimate")
+    draw_ellipses(axes, means, np.array([belief.cov for belief in beliefs]))
+    draw_body(axes, (truth if len(truth) else means)[-1], body, TRUTH)
+    axes.set(xlabel="x (in)", ylabel="y (in)")
+    axes.set_title(f"{world.title or world.name}: {done.reached} of {len(done.waypoints)} way-points reached")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)
+
+
+def _draw_errors(axes: Axes, done: Run) -> None:
+    first_s = done.moments[0].estimate.clock_s
+    times = [moment.estimate.clock_s - first_s for moment in done.moments]
+    axes.plot(times, done.errors_in(), color=ESTIMATE, linewidth=1.4, label="estimate")
+    axes.plot(times, done.odometry_errors_in(), color=ODOMETRY, linewidth=1.2, linestyle=":", label="odometry")
+    sigma = [3.0 * max(moment.estimate.belief.std[:2]) for moment in done.moments]
+    axes.fill_between(times, 0, sigma, color=ESTIMATE, alpha=0.15, linewidth=0, label="3 sigma")
+    axes.set(xlabel="robot's clock (s)", ylabel="distance from the truth (in)", ylim=(0, None))
+    axes.margins(x=0.0)
+    axes.set_title(f"{done.errors_in()[-1]:.2f} in off at the end")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=3, frameon=False)

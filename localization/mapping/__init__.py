@@ -1,0 +1,1 @@
+"""Maps: where a map makes a robot localizable."""

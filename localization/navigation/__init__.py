@@ -1,0 +1,1 @@
+"""Path planning and path following."""

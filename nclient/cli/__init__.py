@@ -1,0 +1,1 @@
+"""The command `nomad`: one module per subcommand."""

@@ -1,0 +1,348 @@
+"""The words that the shell has besides the C names: a table.
+
+Rules: pure; what they do is session.py's.
+
+The language of the shell: a line of text to orders, as one types them or as C has them.
+
+    pr 240 0 0                    words, or commas, or the whole call of C: pr(240, 0, 0); ws(1, 1, 1, 20);
+    conf_sn 15 {0, 2, 15}         a list for a C array, in braces or brackets
+    tk "good morning"             a text, in quotes where it is more than words
+    Smask[17] = 0                 a number of the mask that ct sends next; State[34] and Laser[0] are shown
+    help pr   # a comment         words of the shell's own (own_words.py)
+
+Rules: text in, orders out; nothing is known here of commands or robots. A line that cannot be read is a ShellError.
+
+Usage and help of every command: read off the table, with the units of its numbers.
+
+    pr translation steering turret           usage: the arguments as C has them, lists as name[16]
+
+Rules: pure. What the C call does not have (pid, and Smask, which ct takes from the array) is left out.
+
+What may come next on a line that is being typed: names, each with what it is for; and a hint to the arguments.
+
+Rules: pure. Only commands that there are with this robot are offered.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from nclient.cli import state_text
+from nclient.errors import ShellError
+from nclient.protocol.codec import line_bounds
+from nclient.protocol.commands import BY_NAME, COMMANDS, Argument, Command, on_line
+from nclient.protocol.requests import FLAG_WORD
+from nclient.protocol.types import MODELS, Model
+from nclient.protocol.wire_state import Terms
+
+
+class OwnWord(NamedTuple):
+    """A row: its name, how it is used, what it does."""
+
+    name: str
+    usage: str
+    summary: str
+
+
+OWN: Final = {word.name: word for word in (
+    OwnWord("help", "help [NAME]", "list all commands, or say all about one"),
+    OwnWord("state", "state [PART ...]", "ask gs and show all that is known, or parts of it, in words"),
+    OwnWord("wait", "wait [SECONDS]", "wait until the robot stands still, 60 s at most; an error if it does not"),
+    OwnWord("sleep", "sleep SECONDS", "let so much of the robot's time pass, simulated or real"),
+    OwnWord("quit", "quit", "stop the robot and leave; so do exit and Ctrl-D"),
+    OwnWord("exit", "exit", "the same as quit"),
+)}  # fmt: skip
+ARRAYS_HELP: Final = {
+    "State[34]": "a number as C has it, from the last answer; State shows all 45, Laser the laser's",
+    "Smask[17] = 0": "a number of the mask that ct sends; Smask shows all 44",
+}
+
+
+ARRAYS = ("State", "Smask", "Laser")
+"""The C library's arrays, by which numbers are looked at and the mask is set."""
+Value = int | float | str | tuple[int | float, ...]
+
+_TOKEN = re.compile(
+    r"""\s*(?:(?P<comment>\#.*)
+    |"(?P<double>(?:[^"\\]|\\.)*)"|'(?P<single>[^']*)'
+    |(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.]))
+    |(?P<word>[^\s,;(){}\[\]="'\#]+)
+    |(?P<mark>[,;(){}\[\]=]))""",
+    re.VERBOSE,
+)
+_MOST_DIGITS = 9
+_OPENS = {"(": ")", "{": "}", "[": "]"}
+
+
+class Order(NamedTuple):
+    """A command and its values, as they were written: whole numbers, others, texts, lists."""
+
+    name: str
+    values: tuple[Value, ...] = ()
+
+
+class Element(NamedTuple):
+    """Smask[17] = 0, State[34]: an element of one of the arrays, or all of it; what to set it to, if anything."""
+
+    array: str
+    place: int | None = None
+    value: int | None = None
+
+
+class _Token(NamedTuple):
+    kind: str
+    text: str
+
+
+def parse(text: str) -> tuple[Order | Element, ...]:
+    """The orders of a line; none for an empty one or a comment. Raises ShellError, saying what is wrong where."""
+    return tuple(_order(tokens) for tokens in _statements(tuple(_tokens(text))))
+
+
+def _tokens(text: str) -> Iterator[_Token]:
+    place, text = 0, text.rstrip()
+    while place < len(text):
+        found = _TOKEN.match(text, place)
+        if found is None:
+            raise ShellError(f"a quote that does not end: {text[place:].strip()}")
+        place, kind = found.end(), found.lastgroup or ""
+        said = found[kind]
+        if kind == "double":
+            said = re.sub(r"\\(.)", r"\1", said)
+        if kind != "comment":
+            yield _Token("text" if kind in ("double", "single") else kind, said)
+
+
+def _statements(tokens: tuple[_Token, ...]) -> Iterator[list[_Token]]:
+    statement: list[_Token] = []
+    for token in tokens:
+        if token == ("mark", ";"):
+            if statement:
+                yield statement
+            statement = []
+        else:
+            statement.append(token)
+    if statement:
+        yield statement
+
+
+def _order(tokens: list[_Token]) -> Order | Element:
+    head, rest = tokens[0], tokens[1:]
+    if head.kind != "word":
+        raise ShellError(f"a line begins with a command, not with {head.text!r}; help lists them")
+    if head.text in ARRAYS:
+        return _element(head.text, rest)
+    if rest and rest[0] == ("mark", "("):
+        if rest[-1] != ("mark", ")") or ("mark", "(") in rest[1:]:
+            raise ShellError(f"{head.text}: a call is {head.text}(1, 2, 3), one pair of parentheses")
+        rest = rest[1:-1]
+    return Order(head.text, tuple(_values(head.text, rest)))
+
+
+def _values(name: str, tokens: list[_Token]) -> Iterator[Value]:
+    """Numbers, texts and lists; commas stand between, if at all."""
+    waiting: list[int | float] | None = None
+    closing = ""
+    for token in tokens:
+        if token.kind == "mark":
+            if waiting is None and token.text in "{[":
+                waiting, closing = [], _OPENS[token.text]
+            elif waiting is not None and token.text == closing:
+                yield tuple(waiting)
+                waiting = None
+            elif token.text != ",":
+                raise ShellError(f"{name}: {token.text!r} does not belong there")
+        elif waiting is None:
+            yield _number(token.text) if token.kind == "number" else token.text
+        elif token.kind == "number":
+            waiting.append(_number(token.text))
+        else:
+            raise ShellError(f"{name}: a list holds numbers, not {token.text!r}")
+    if waiting is not None:
+        raise ShellError(f"{name}: the list does not end; {closing} is missing")
+
+
+def _element(array: str, tokens: list[_Token]) -> Element:
+    match [(token.kind, token.text) for token in tokens]:
+        case []:
+            return Element(array)
+        case [("mark", "["), ("number", index), ("mark", "]"), *rest] if _is_place(index):
+            match rest:
+                case []:
+                    return Element(array, int(index))
+                case [("mark", "="), ("number", value)] if array == "Smask" and _is_place(value):
+                    return Element(array, int(index), int(value))
+    example = "Smask[17] = 0" if array == "Smask" else f"{array} or {array}[0]"
+    raise ShellError(f"{array}: it is written {example}")
+
+
+def _is_place(text: str) -> bool:
+    return text.isdecimal() and len(text) <= _MOST_DIGITS
+
+
+def _number(text: str) -> int | float:
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+UNITS = {
+    "translation": "1/10 in", "steering": "1/10 deg", "turret": "1/10 deg", "x": "1/10 in", "y": "1/10 in",
+    "x1": "1/10 in", "y1": "1/10 in", "x2": "1/10 in", "y2": "1/10 in", "x0": "1/10 in", "y0": "1/10 in",
+    "w": "1/10 in", "h": "1/10 in", "th1": "1/10 deg", "th2": "1/10 deg", "timeout_s": "s",
+}  # fmt: skip
+_RATES = {"vm": "/s", "sp": "/s", "ac": "/s2"}
+_LINEAR, _ANGULAR = ("translation",), ("steering", "turret")
+MORE = {
+    "add_obstacle": ("x1 y1 .. xn yn",), "delete_obstacle": ("x1 y1 .. xn yn",),
+    "move_obstacle": ("x1 y1 .. xn yn", "dx dy"),
+    "motion_check": ("x1 y1 x2 y2 | x1 y1 angle1 angle2 radius xc yc",), "special_request": ("byte ..",),
+}  # fmt: skip
+"""What follows the named arguments of commands of any length."""
+_NOTES = {
+    "ct": "sends Smask: set it by Smask[17] = 0, look at it by Smask; or ct {44 numbers}",
+    "motion_check": "type 0 is a line, 1 an arc; lengths in 1/10 in, the two angles in rad; fractions are welcome",
+    "tk": "several words need no quotes",
+    "mv": "modes: 0 leave, 1 velocity, 2 relative, 3 limp, 4 acceleration, 5 speed; values in tenths",
+    "conf_sn": "rate in steps of 4 ms; the order ends with 255 or after the last that is given: conf_sn 15 {0, 2, 15}",
+    "conf_ir": "the order ends with 255 or after the last that is given",
+    "sim_control": "verbs: 1 pause, 2 resume, 3 speed (times ten), 4 step (ms)",
+    "special_request": "the packet's type and its bytes; length and serial are put before them",
+}
+_WHEELS = "a Scout's are its right wheel, its left wheel, and 0, all in tenths of an inch"
+_ON_WHEELS = frozenset({"vm", "pr", "sp", "ac", "mv"})
+_EXAMPLES = {
+    "pr": "pr 240 0 0", "vm": "vm 100 0 0", "sp": "sp 200 450 450", "ac": "ac 300 300 300", "ws": "ws 1 1 1 20",
+    "mv": "mv 1 100 0 0 0 0", "dp": "dp 0 0", "da": "da 0 0", "place_robot": "place_robot 600 400 0 0",
+    "conf_tm": "conf_tm 5", "tk": "tk good morning", "add_obstacle": "add_obstacle 3 0 0 100 0 0 100",
+    "motion_check": "motion_check 0 0 0 400 0", "sim_control": "sim_control 4 1000",
+}  # fmt: skip
+
+
+class Parameter(NamedTuple):
+    """An argument as C has it: a number, or a list where `length` is more than 1."""
+
+    name: str
+    unit: str
+    length: int = 1
+
+    def __str__(self) -> str:
+        return self.name if self.length == 1 else f"{self.name}[{self.length}]"
+
+
+def parameters(row: Command) -> tuple[Parameter, ...]:
+    """The arguments of the C call: order_0 to order_15 are one, order[16]."""
+    found: list[Parameter] = []
+    for argument in row.arguments:
+        name, numbered = re.subn(r"_\d+$", "", argument.name)
+        if row.beside is not None and row.beside[0] in ("pid", "mask") and name in ("pid", "Smask"):
+            continue
+        if numbered and found and found[-1].name == name:
+            found[-1] = found[-1]._replace(length=found[-1].length + 1)
+        else:
+            found.append(Parameter(name, _unit(row, argument)))
+    return tuple(found)
+
+
+def usage(row: Command) -> str:
+    """The command and its arguments in one line."""
+    return " ".join((row.name, *map(str, parameters(row)), *MORE.get(row.name, ())))
+
+
+def available(row: Command, terms: Terms) -> bool:
+    """Whether the command exists where these terms hold: over TCP, or on that model's own line."""
+    return on_line(row, terms.model) if terms.line else row.tcp_type is not None
+
+
+def help_lines(name: str, terms: Terms) -> Iterator[str]:
+    """All there is to say of a command of the table."""
+    row = BY_NAME[name]
+    yield usage(row)
+    yield f"  {row.summary}"
+    bounds = {bound: (least, most) for bound, least, most in line_bounds(name)} if terms.line else {}
+    for parameter in parameters(row):
+        if parameter.unit or parameter.name in bounds:
+            least, most = bounds.get(parameter.name, ("", ""))
+            span = f"{least} to {most}" if bounds else ""
+            yield f"    {parameter.name:12} {parameter.unit:10} {span}".rstrip()
+    if name in _NOTES:
+        yield f"  {_NOTES[name]}"
+    if name in _ON_WHEELS and not terms.model.has_turret:
+        yield f"  {_WHEELS}"
+    if name in _EXAMPLES:
+        yield f"  such as: {_EXAMPLES[name]}"
+    yield f"  in Python: robot.{row.method}; {_where(row)}"
+
+
+def summaries(terms: Terms) -> dict[str, str]:
+    """Usage and summary of every command that there is here, in the table's order."""
+    return {usage(row): row.summary for row in COMMANDS if available(row, terms)}
+
+
+def _where(row: Command) -> str:
+    models = [model.name for model in MODELS.values() if on_line(row, model)]
+    lines = f"on the own line of {', '.join(models)}" if models else "on no robot's own line"
+    return f"{'over TCP' if row.tcp_type is not None else 'not over TCP'}, {lines}"
+
+
+def _unit(row: Command, argument: Argument) -> str:
+    if argument.tcp is FLAG_WORD:
+        return "0 or 1"
+    unit = UNITS.get(argument.name, "")
+    return unit + _RATES.get(row.name, "") if argument.name in _LINEAR + _ANGULAR else unit
+
+
+def model_note(model: Model) -> str:
+    """One line about units that holds for all commands."""
+    axes = "translation, steering, turret" if model.has_turret else "right wheel, left wheel"
+    return f"numbers are C's: tenths of an inch and of a degree; axes are {axes}"
+
+
+class Candidate(NamedTuple):
+    """A word that may stand here, and what it is for."""
+
+    word: str
+    about: str
+
+
+def candidates(text: str, terms: Terms) -> Iterator[Candidate]:
+    """Words that the last one of `text` (up to the cursor; "" after a blank) may become."""
+    before, last = _split(text)
+    if not before:
+        known = dict(_names(terms))
+    elif before == ["help"]:
+        known = {name: about for name, about in _names(terms) if name not in ARRAYS}
+    elif before[0] == "state":
+        known = {part: "part of the state" for part in state_text.PARTS if part not in before}
+    else:
+        known = {}
+    return (Candidate(word, about) for word, about in known.items() if word.startswith(last))
+
+
+def hint(text: str) -> str:
+    """How the command that is being typed is used; "" where there is none yet."""
+    before, last = _split(text)
+    name = before[0] if before else last
+    if name in BY_NAME:
+        return usage(BY_NAME[name])
+    return OWN[name].usage if name in OWN else ""
+
+
+def _split(text: str) -> tuple[list[str], str]:
+    """The words of the last statement that are whole, and the one that is not yet."""
+    statement = text.rpartition(";")[2].lstrip()
+    *before, last = re.split(r"[\s,(]+", statement)
+    return before, last
+
+
+def _names(terms: Terms) -> Iterator[tuple[str, str]]:
+    for word in OWN.values():
+        yield word.name, word.summary
+    for row in COMMANDS:
+        if available(row, terms):
+            yield row.name, row.summary
+    for array in ARRAYS:
+        yield array, "the C library's array"

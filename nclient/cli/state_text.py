@@ -1,0 +1,227 @@
+"""A robot's state in words, with units: in one line, or part by part.
+
+    x 24.0 in  y 0.0 in  steering 0.0 deg  turret 0.0 deg | standing | nearest 35 in at 0 deg | clock 12.3 s
+
+Rules: pure; what was never told is left out or said to be unknown, never made up. A part is a row of PARTS.
+
+What to show of an answer: the part of the state that was asked for, or the numbers of a reply that is held nowhere.
+
+Rules: pure; a kind of reply is a row of SHOWN or of VALUES, and one that is neither shows its numbers as they came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from nclient.common.hints import did_you_mean
+from nclient.errors import ShellError
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import unwrapped_word
+from nclient.state import NOTHING_IN, RobotState
+
+_SECTOR_DEG = 22.5
+_WIDTH = 11
+
+
+def line(state: RobotState) -> str:
+    """What matters while one drives, in one line."""
+    parts = [_pose(state), moving(state)]
+    nearest = min(range(16), key=lambda number: state.sonars_in[number])
+    if 0 < state.sonars_in[nearest] < NOTHING_IN:
+        parts.append(f"nearest {state.sonars_in[nearest]} in at {_SECTOR_DEG * nearest:g} deg")
+    if state.touching:
+        parts.append(f"BUMPER {' '.join(map(str, state.bumpers))}")
+    if state.clock_s is not None:
+        parts.append(f"clock {state.clock_s:.1f} s")
+    return " | ".join(parts)
+
+
+def moving(state: RobotState) -> str:
+    """Which axes move, and how fast it goes."""
+    axes = {
+        "translation": (state.translation_moving, f"{state.translation_in_s:.1f} in/s"),
+        "steering": (state.steering_moving, f"{state.steering_deg_s:.1f} deg/s"),
+        "turret": (state.turret_moving, f"{state.turret_deg_s:.1f} deg/s"),
+    }
+    told = ", ".join(f"{axis} {speed}" for axis, (moves, speed) in axes.items() if moves)
+    return f"moving: {told}" if told else "standing"
+
+
+def lines(state: RobotState, parts: Iterable[str] = ()) -> Iterator[str]:
+    """The parts, all where none is named; each is one of PARTS."""
+    for part in tuple(parts) or tuple(PARTS):
+        yield f"{part:{_WIDTH}} {PARTS[part](state)}"
+
+
+def check(parts: Iterable[str]) -> None:
+    """Raises ShellError for a part that there is not."""
+    for part in parts:
+        if part not in PARTS:
+            raise ShellError(f"no part {part!r} of the state; there are {', '.join(PARTS)}{did_you_mean(part, PARTS)}")
+
+
+def as_object(state: RobotState) -> dict[str, Any]:
+    """The same for programs: plain numbers, the unit in each name; null where nothing was told."""
+    battery = state.battery
+    return {
+        "model": state.model.name, "clock_s": state.clock_s,
+        "x_in": state.x_in, "y_in": state.y_in, "steering_deg": state.steering_deg, "turret_deg": state.turret_deg,
+        "translation_in_s": state.translation_in_s, "steering_deg_s": state.steering_deg_s,
+        "turret_deg_s": state.turret_deg_s, "moving": state.moving,
+        "sonars_in": [None if reading >= NOTHING_IN else reading for reading in state.sonars_in],
+        "infrareds": list(state.infrareds) if state.model.has_infrared else None,
+        "bumpers": list(state.bumpers), "compass_deg": state.compass_deg,
+        "cpu_v": None if battery is None else round(battery.cpu_v, 3),
+        "motor_v": None if battery is None else round(battery.motor_v, 3), "error": state.error,
+    }  # fmt: skip
+
+
+def _pose(state: RobotState) -> str:
+    return (
+        f"x {state.x_in:.1f} in  y {state.y_in:.1f} in  "
+        f"steering {state.steering_deg:.1f} deg  turret {state.turret_deg:.1f} deg"
+    )
+
+
+def _velocity(state: RobotState) -> str:
+    wheels = "" if state.model.has_turret else f"  right {state.right_in_s:.1f} in/s  left {state.left_in_s:.1f} in/s"
+    return (
+        f"translation {state.translation_in_s:.1f} in/s  steering {state.steering_deg_s:.1f} deg/s  "
+        f"turret {state.turret_deg_s:.1f} deg/s{wheels}"
+    )
+
+
+def _motors(state: RobotState) -> str:
+    scout = {"on mains": state.on_mains, "charging": state.charging, "EMERGENCY STOP": state.emergency_stop}
+    return ", ".join((moving(state), *(word for word, said in scout.items() if said)))
+
+
+def _sonar(state: RobotState) -> str:
+    readings = " ".join("  -" if reading >= NOTHING_IN else f"{reading:3}" for reading in state.sonars_in)
+    return f"{readings}  in, counter-clockwise from ahead; - heard nothing"
+
+
+def _infrared(state: RobotState) -> str:
+    if not state.model.has_infrared:
+        return "none on this model"
+    return f"{' '.join(f'{reading:3}' for reading in state.infrareds)}  0 near, 15 nothing"
+
+
+def _bumpers(state: RobotState) -> str:
+    return f"TOUCHING: {' '.join(map(str, state.bumpers))}" if state.touching else "free"
+
+
+def _laser(state: RobotState) -> str:
+    points, rows = state.laser_points_in, state.laser[1:]
+    if not points and rows:
+        return f"{len(rows)} rows of the camera: {' '.join(map(str, rows[:8]))}{' ..' if len(rows) > 8 else ''}"
+    if not points:
+        return "no readings" if state.model.has_laser else "none on this model"
+    shown = "  ".join(f"({', '.join(f'{value:.1f}' for value in point)})" for point in points[:4])
+    return f"{len(points)} readings, in: {shown}{' ..' if len(points) > 4 else ''}"
+
+
+def _battery(state: RobotState) -> str:
+    battery = state.battery
+    return "not told" if battery is None else f"computer {battery.cpu_v:.1f} V  motors {battery.motor_v:.1f} V"
+
+
+def _clock(state: RobotState) -> str:
+    return "not told" if state.clock_s is None else f"{state.clock_s:.3f} s"
+
+
+PARTS: dict[str, Callable[[RobotState], str]] = {
+    "pose": _pose,
+    "velocity": _velocity,
+    "motors": _motors,
+    "sonar": _sonar,
+    "infrared": _infrared,
+    "bumpers": _bumpers,
+    "compass": lambda state: f"{state.compass_deg:.1f} deg",
+    "laser": _laser,
+    "battery": _battery,
+    "clock": _clock,
+    "error": lambda state: str(state.error) if state.error else "none",
+}
+"""A part, and how it is told."""
+
+
+SHOWN = {
+    "infrared": ("infrared",), "sonar": ("sonar",), "bumper": ("bumpers",), "compass": ("compass",),
+    "laser": ("laser",), "velocity": ("velocity",),
+}  # fmt: skip
+"""Parts of the state by the kind of reply that brings them."""
+
+
+def shown(call: Call, reply: Reply, state: RobotState) -> Iterator[str]:
+    """Lines that tell what came of a call; `state`: what is known after it."""
+    if call.name == "get_ra":
+        yield _accelerations(reply)
+    elif reply.kind == "state":
+        yield line(state)
+    elif reply.kind == "configuration":
+        yield _clicked(reply) if reply.values else next(lines(state, ("pose",)))
+    elif reply.kind in SHOWN and not reply.values:
+        yield from lines(state, SHOWN[reply.kind])
+    elif call.name in VALUES:
+        yield from VALUES[call.name](reply)
+    else:
+        yield _plain(reply)
+
+
+def _plain(reply: Reply) -> str:
+    if reply.kind == "nak":
+        return "the robot said no (NAK)"
+    return " ".join(map(str, reply.values)) if len(reply.values) > 1 else "ok"
+
+
+def _accelerations(reply: Reply) -> str:
+    told = [reply.slots.get(slot, 0) / 10 for slot in (38, 39, 40)]
+    return "translation {:.1f} in/s2  steering {:.1f} deg/s2  turret {:.1f} deg/s2".format(*told)
+
+
+def _clicked(reply: Reply) -> str:
+    return "x {:.1f} in  y {:.1f} in  steering {:.1f} deg  turret {:.1f} deg".format(
+        *[value / 10 for value in reply.values]
+    )
+
+
+def _truth(reply: Reply) -> Iterator[str]:
+    _, time_ms, x, y, heading, turret, seed, robot = reply.values
+    yield (
+        f"in truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
+        f"turret {turret / 1000:.3f} deg | {unwrapped_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
+    )
+
+
+def _time(reply: Reply) -> Iterator[str]:
+    _, time_ms, speed, paused = reply.values
+    pace = "paused" if paused else f"{speed / 10:g} x real time" if speed else "as clients ask, or as fast as it can"
+    yield f"simulated time {time_ms / 1000:.3f} s, {pace}"
+
+
+def _collision(reply: Reply) -> Iterator[str]:
+    hit, x, y, normal = reply.values
+    yield f"hits at x {x / 1000:.1f} in  y {y / 1000:.1f} in, normal {normal / 1e6:.3f} rad" if hit else "free"
+
+
+def _robots(reply: Reply) -> Iterator[str]:
+    count, *numbers = reply.values
+    for number in range(count):
+        x, y, heading = numbers[3 * number : 3 * number + 3]
+        yield f"robot {number + 1}: x {x / 10:.1f} in  y {y / 10:.1f} in  heading {heading / 10:.1f} deg"
+
+
+def _prediction(reply: Reply) -> Iterator[str]:
+    yield f"infrared    {' '.join(f'{reading:3}' for reading in reply.values[1:17])}"
+    sonars = ("  -" if reading >= NOTHING_IN else f"{reading:3}" for reading in reply.values[17:33])
+    yield f"sonar       {' '.join(sonars)}  in"
+
+
+VALUES: dict[str, Callable[[Reply], Iterator[str]]] = {
+    "sim_truth": _truth, "sim_control": _time, "motion_check": _collision, "get_rpx": _robots,
+    "predict_sensors": _prediction,
+}  # fmt: skip
+"""Replies that are held nowhere, by the command."""

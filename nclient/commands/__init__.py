@@ -1,1 +1,0 @@
-"""Subcommands of `nomad` that need nothing but the client: a module each."""

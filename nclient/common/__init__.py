@@ -1,0 +1,1 @@
+"""Helpers shared by all packages: files, hints, argument parsing, exit codes, signals, allow lists."""

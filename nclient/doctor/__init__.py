@@ -1,1 +1,0 @@
-"""Whether a robot is well, without moving it."""

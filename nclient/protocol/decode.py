@@ -1,0 +1,317 @@
+"""A recorded conversation, line by line, as plain dictionaries: what `nomad wire dump` prints.
+
+    > hex    to the robot   {"to": "robot", "call": C name, "args": [...]}  with pid, mask or packet_type beside
+    < hex    from it        {"to": "host", "reply": kind, "State": [45], "Laser", "positions", "clock", "volt_cpu",
+                             "volt_motor"}  as the client holds them after it, and what the reply alone says
+    anything else           {"error": what is wrong}, also an empty line or a comment; nothing changes by it
+
+Rules: no I/O. One object a line. A good request changes mask and laser shape at once, as it does at the two ends.
+
+Whose state packet is this? What a packet that does not fit tells of the model that sent it.
+
+    N200              the length of its full mask, pixels or lines    N150, Scout    their fixed length
+    N150 or Scout     the four bits of the first bumper byte that always read 1, or not
+
+Rules: pure, and a guess: good enough for a message that names the remedy, never for reading an answer.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from nclient.errors import WireError
+from nclient.protocol import (
+    client_state,
+    codec,
+    serial_framing,
+    tcp_framing,
+)
+from nclient.protocol import replies as shape
+from nclient.protocol.client_state import STATE_SIZE, HeldState, zero_extended
+from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command
+from nclient.protocol.replies import LINE_STATE, Reply, ReplyShape
+from nclient.protocol.tcp_framing import TcpFrame, reply_bounds, request_bounds
+from nclient.protocol.types import BUMPER_SLOT, CPU_RANGE_V, MODELS, MOTOR_RANGE_V, N150, N200, SCOUT, Model, volts
+from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+
+WIRES = ("tcp", "tcp64", "serial")
+"""The languages a transcript can be in: Nserver's for 32-bit and 64-bit clients, and a robot's own line."""
+TO_ROBOT, TO_HOST = ">", "<"
+MOST_OUTSTANDING = 256
+
+_SAME_SHAPE = {81: 80, 90: 89}
+"""Types of old servers that look like another."""
+_BY_REPLY_TYPE: dict[int, tuple[ReplyShape, ...]] = {
+    80: (shape.STATE,), 82: (shape.SIMPLE_LIST,), 83: (shape.INFRARED,), 84: (shape.SONAR,),
+    85: (shape.LASER, shape.SEGMENTS), 86: (shape.COMPASS,), 87: (shape.BUMPER,), 88: (shape.CONFIGURATION,),
+    89: (shape.VELOCITY,), ERROR_TYPE: (shape.ERROR,), 300: (shape.SPECIAL,), 1000: (shape.TRUTH,),
+    1001: (shape.CONTROL,),
+}
+"""What a reply over TCP is when the request it answers was not seen."""
+_PREDICTED = range(1, 33)
+_FLOAT32 = struct.Struct("<f")
+
+
+class Transcript:
+    """The two ends of one connection, followed from outside. `wire`: one of WIRES.
+
+    Over TCP a reply goes to the first outstanding request whose type and layout it fits, and those before it are
+    given up; one that fits none is read by its type. `tcp64` shows every number as that client holds it, unsigned.
+    """
+
+    def __init__(self, wire: str, model: Model) -> None:
+        if wire not in WIRES:
+            raise WireError(f"no line {wire!r}; there are {', '.join(WIRES)}")
+        wide = wire == "tcp64"
+        self._ends: _Ends = _LineEnds(model) if wire == "serial" else _TcpEnds(model, wide)
+        self._wide = wide
+        self.held = HeldState(wide)
+
+    @property
+    def terms(self) -> Terms:
+        """Mask and laser shape as they are now; a caller who knows better may set them."""
+        return self._ends.terms
+
+    def agree(self, terms: Terms) -> None:
+        """The two ends had come to these terms before anybody listened."""
+        self._ends.terms = terms.copy()
+
+    def read(self, line: str) -> dict[str, Any]:
+        """The object for one line of text: `>` or `<`, then the bytes of one frame in hex, blanks as you like."""
+        direction, digits = line.strip()[:1], line.strip()[1:]
+        if direction not in (TO_ROBOT, TO_HOST):
+            return {"error": "a line starts with > (to the robot) or < (from it), then hex"}
+        try:
+            data = bytes.fromhex(digits)
+        except ValueError:
+            return {"error": "what follows > or < is not hex: two digits a byte"}
+        return self.request(data) if direction == TO_ROBOT else self.reply(data)
+
+    def expect(self, name: str) -> None:
+        """A reply to the call of that C name comes next, as though its request had been seen."""
+        self._ends.expect(codec.row_named(name))
+
+    def request(self, data: bytes) -> dict[str, Any]:
+        """The object for bytes that went to the robot."""
+        try:
+            call = self._ends.call(data)
+        except WireError as error:
+            return {"error": str(error)}
+        codec.note(call, self.terms)
+        self._ends.expect(BY_NAME[call.name])
+        return describe_call(call)
+
+    def reply(self, data: bytes) -> dict[str, Any]:
+        """The object for bytes that came from the robot."""
+        try:
+            answer = self._ends.answer(data)
+        except WireError as error:
+            return {"error": str(error)}
+        if isinstance(answer, client_state.Hello):
+            mask = list(answer.mask.smask)
+            return {"to": "host", "reply": "hello", "mask": mask, "laser_mode": answer.laser_mode}
+        self.held.absorb(answer.reply)
+        reply = zero_extended(answer.reply) if self._wide else answer.reply
+        return {"to": "host", "reply": reply.kind} | describe_held(self.held) | _said(reply, answer.name)
+
+
+def describe_call(call: Call) -> dict[str, Any]:
+    """A call as an object: `args` as the C call has them, what it does not have beside them by its name.
+
+    connect_robot, disconnect_robot, create_robot: pid; ct: mask, 44 numbers; special_request: packet_type.
+    """
+    args, beside = list(call.args), {}
+    row = BY_NAME[call.name]
+    if row.beside:
+        name, place = row.beside
+        taken = args[place]
+        del args[place]
+        beside[name] = taken if len(taken) > 1 else taken[0]
+    return {"to": "robot", "call": call.name, "args": args} | beside
+
+
+def describe_held(held: HeldState) -> dict[str, Any]:
+    """What the client holds, as an object; null for what it never had. Volts as the C client's float shows them."""
+    cpu, motors = held.volts or (None, None)
+    return {
+        "State": list(held.slots),
+        "Laser": None if held.laser is None else list(held.laser),
+        "positions": {name: list(stamp) for name, stamp in held.stamps.items()},
+        "clock": held.clock,
+        "volt_cpu": _shown_volts(cpu, CPU_RANGE_V),
+        "volt_motor": _shown_volts(motors, MOTOR_RANGE_V),
+    }
+
+
+def _shown_volts(raw: int | None, full_range_v: float) -> float | None:
+    if raw is None:
+        return None
+    return round(_single(volts(raw, _single(full_range_v))), 5)
+
+
+def _single(value: float) -> float:
+    """The value as the C client's float holds it; it keeps the ranges in floats, too."""
+    (single,) = _FLOAT32.unpack(_FLOAT32.pack(value))
+    return float(single)
+
+
+def _said(reply: Reply, name: str | None) -> dict[str, Any]:
+    """The plain numbers of a reply, and the same by the names that the C call gives them."""
+    values = list(reply.values)
+    if not values:
+        return {}
+    said: dict[str, Any] = {"values": values}
+    match reply.kind, name:
+        case "error", _:
+            said["code"] = values[0]
+        case "prediction", _:
+            said["pred_state"] = [values[k] if k in _PREDICTED else 0 for k in range(STATE_SIZE)]
+            said["pred_laser"] = list(reply.laser or ())
+        case "special", _:
+            said |= {"special": values} | _said_by_arm(values, name)
+        case _, "get_rpx" | "move_obstacle" | "get_robot_conf":
+            said["obs"] = values
+        case _, "motion_check":
+            said["collide"] = [values[1] / 100, values[2] / 100, values[3] / 1e6]
+    return said
+
+
+def _said_by_arm(values: list[int], name: str | None) -> dict[str, int]:
+    data = bytes(value & 255 for value in values)
+    said: dict[str, int] = {}
+    if name in ("arm_zr", "arm_ws", "arm_mv") and len(data) >= 8:
+        said["arm"] = int.from_bytes(data[4:8], "little", signed=True)
+    if name == "arm_ws" and len(data) >= 12:
+        said["remain"] = int.from_bytes(data[8:12], "little")
+    return said
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """A reply, and the C name of the call it answers where that is known."""
+
+    reply: Reply
+    name: str | None
+
+
+class _Ends(Protocol):
+    """What Transcript needs of a language. `call` and `answer` raise WireError for bytes that are no good frame."""
+
+    terms: Terms
+
+    def call(self, data: bytes) -> Call: ...
+    def expect(self, row: Command) -> None: ...
+    def answer(self, data: bytes) -> _Answer | client_state.Hello: ...
+
+
+class _TcpEnds:
+    """A client and an Nserver."""
+
+    def __init__(self, model: Model, wide: bool) -> None:
+        self.terms = tcp_terms(model)
+        self.terms.wide = wide
+        self._outstanding: deque[tuple[Command, Terms]] = deque(maxlen=MOST_OUTSTANDING)
+
+    def call(self, data: bytes) -> Call:
+        return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.terms.wide))
+
+    def expect(self, row: Command) -> None:
+        if row.has_tcp_reply and row.tcp_type is not None:
+            self._outstanding.append((row, self.terms.copy()))
+
+    def answer(self, data: bytes) -> _Answer:
+        frame = tcp_framing.only_frame(data, reply_bounds, self.terms.wide)
+        for place, (row, terms) in enumerate(self._outstanding):
+            reply = _fitting(row, frame, terms)
+            if reply:
+                for _ in range(place + 1):
+                    self._outstanding.popleft()
+                return _Answer(reply, row.name)
+        return _Answer(self._by_type(frame), None)
+
+    def _by_type(self, frame: TcpFrame) -> Reply:
+        *others, last = _BY_REPLY_TYPE[_SAME_SHAPE.get(frame.type, frame.type)]
+        for layout in others:
+            try:
+                return layout.parse(frame.payload, self.terms)
+            except WireError:
+                continue
+        return last.parse(frame.payload, self.terms)
+
+
+def _fitting(row: Command, frame: TcpFrame, terms: Terms) -> Reply | None:
+    frame_type = _SAME_SHAPE.get(frame.type, frame.type)
+    if frame_type not in (ERROR_TYPE, REPLY_TYPES[row.tcp_reply]):
+        return None
+    try:
+        return codec.read_tcp_reply(row, frame, terms)
+    except WireError:
+        return None
+
+
+class _LineEnds:
+    """A host and a robot on its own line, where a reply names the command; only the arm's need the request."""
+
+    def __init__(self, model: Model) -> None:
+        self.terms = line_terms(model)
+        self._asked: Command | None = None
+        self._may_greet = model.sends_mask
+
+    def call(self, data: bytes) -> Call:
+        return codec.line_call(serial_framing.only_frame(data, serial_framing.HOST_LIMIT), self.terms)
+
+    def expect(self, row: Command) -> None:
+        self._asked = row
+
+    def answer(self, data: bytes) -> _Answer | client_state.Hello:
+        try:
+            frame = serial_framing.only_frame(data)
+            reply = codec.read_line_reply(frame, self.terms)
+        except WireError:
+            framed = data[:1] + data[-1:] == bytes((serial_framing.START, serial_framing.END))
+            if not self._may_greet or len(data) != client_state.HELLO_SIZE or framed:
+                raise
+            self._may_greet = False
+            greeting = client_state.read_hello(data)
+            client_state.adopt(greeting, self.terms)
+            return greeting
+        self._may_greet = False
+        row = BY_LINE_TYPE.get(frame.type)
+        if self._asked and self._asked.line_type == frame.type:
+            row = self._asked
+        return _Answer(reply, row.name if row else None)
+
+
+_LINE_MODE = 1
+
+
+def model_like(data: bytes) -> Model | None:
+    """The model that sends such a state packet, None where it is nobody's."""
+    fixed = _read(data, N150)
+    if fixed is not None:
+        return N150 if fixed.slots[BUMPER_SLOT] & N150.bumper_rest == N150.bumper_rest else SCOUT
+    return N200 if _read(data, N200) or _read(data, N200, _LINE_MODE) else None
+
+
+def is_it_another(model: Model, data: bytes | None = None) -> str:
+    """What to try instead of this model: the one that the packet looks like, else the others there are."""
+    like = model_like(data) if data is not None else None
+    if like is None:
+        others = " or ".join(f"model={name}" for name in MODELS if name != model.name)
+        return f"is it a {model.name}? Else say {others} in the address"
+    if like is model:
+        return ""
+    return f"it looks like a {like.name}'s: say model={like.name} in the address"
+
+
+def _read(data: bytes, model: Model, laser_mode: int | None = None) -> Reply | None:
+    terms = line_terms(model)
+    if laser_mode is not None:
+        terms.note_laser_mode(laser_mode)
+    try:
+        return LINE_STATE.parse(data, terms)
+    except WireError:
+        return None

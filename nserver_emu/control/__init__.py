@@ -1,0 +1,1 @@
+"""Runtime control of a daemon: the control socket, its commands, and `nserver ctl`."""

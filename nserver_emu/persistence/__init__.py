@@ -1,0 +1,1 @@
+"""Snapshots, recordings and replays of a simulation."""

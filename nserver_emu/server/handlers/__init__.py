@@ -1,0 +1,1 @@
+"""Command handlers: one table, and one module per group of commands."""

@@ -1,0 +1,169 @@
+"""The emulator in the client's own process: the address `sim:WORLD?robot=n150&seed=1&noisy=1`.
+
+    send(bytes) ──> session ──> simulated time advances by `step_s` ──> answers, read with receive()
+
+Rules: no socket, no clock; simulated time passes in lockstep, with each exchange and at no other moment, so that a run
+repeats to the bit. Connecting and asking for the truth take no time. The client may control the time: it is its own;
+to wait while it is paused is ERROR 5, for nobody else could let it pass.
+With `line=1` the robot speaks as on its own line (line_session.py): no stamps, no words but its own; silence to what
+it does not understand takes a step of time, too. nclient finds this by entry point and does not import it.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs
+
+from nclient.common.hints import did_you_mean
+from nclient.errors import AddressError
+from nclient.protocol.types import model_named
+from nserver_emu.server.config import FIRST_ROBOT, MOST_ROBOTS, Setting, placed
+from nserver_emu.server.context import Allowed
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.serial_session import LineSession
+from nserver_emu.server.session import REFUSED, Conversation, Session
+from worlds.files import DEFAULT_WORLD
+
+SCHEME = "sim"
+DEFAULT_STEP_S = 0.1
+OPTIONS = ("robot", "robots", "model_file", "start", "seed", "noisy", "setup", "step_s", "line")
+"""What may stand behind the ? of an address, by name; docs/addresses.md has them too."""
+_FOR_EACH = ("robot", "start")
+"""Options that may come again, for robot 2 and so on."""
+_FLAGS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+
+
+class InProcess:
+    """One client's end: what it sends is answered at once, in simulated time."""
+
+    def __init__(
+        self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: Conversation[Any] | None = None
+    ) -> None:
+        self.emulator = emulator
+        emulator.pace.lockstep_s = step_s
+        self._session = session or Session(emulator.answer, "in process")
+        self._outgoing = bytearray()
+
+    def send(self, data: bytes) -> None:
+        """Requests, in any cuts."""
+        self._session.receive(data)
+        while self._session.ready or (self._session.waiting and self.emulator.pace.asked_s):
+            if self._session.waiting:
+                self.emulator.pass_time(self.emulator.pace.asked_s)
+                self._outgoing += self._session.tick()
+            self._outgoing += self._session.answers(most=1)
+            if self._session.waiting and not self.emulator.pace.asked_s:
+                self.emulator.break_promises(self._session.visit)
+                self._outgoing += self._session.break_promise(REFUSED)
+
+    def receive(self) -> bytes:
+        """What has been answered; empty when no more will come before something is sent."""
+        answered = bytes(self._outgoing)
+        self._outgoing.clear()
+        return answered
+
+    def close(self) -> None:
+        """The client is gone; its robot stops."""
+        self._session.closing = True
+        self.emulator.leave(self._session.visit)
+
+
+class InProcessLine(InProcess):
+    """The end of one on robot 1's own line."""
+
+    def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
+        model = model_named(emulator.simulation.robots[FIRST_ROBOT].model.family)
+        terms = emulator.line_terms(FIRST_ROBOT)
+        session = LineSession(
+            emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line", terms
+        )
+        super().__init__(emulator, step_s, session)
+
+    def send(self, data: bytes) -> None:
+        super().send(data)
+        if not self._outgoing and self.emulator.pace.asked_s:
+            self.emulator.pass_time(self.emulator.pace.asked_s)
+            self._outgoing += self._session.tick()
+
+    def beside(self) -> InProcess:
+        """The simulation behind the line, as a server has it."""
+        return InProcess(self.emulator, self.emulator.pace.lockstep_s or DEFAULT_STEP_S)
+
+
+def open_address(address: str) -> InProcess:
+    """The simulation that an address names.
+
+    `sim:WORLD?robot=n150&seed=1&noisy=1&start=0,0,0,0&step_s=0.1`; the world is a shipped name or a file, every
+    option may be left out.
+
+    robots      how many, 1 to 1000: the client's own is number 1, the others stand there; `robot` and `start` may
+                come again for them. Each address opened is a world of its own, so they are nobody else's to drive
+    model_file  a TOML file of models that override or add to the known ones
+    setup       ideal, noisy, measured, worn or a TOML file; counts before `noisy`
+    step_s      simulated seconds an exchange, 0.001 to 10
+    line        1: the robot's own line instead of a server's language
+
+    Raises AddressError naming the option and the nearest known, WorldFileError or StartError.
+    """
+    path, _, query = address.removeprefix(f"{SCHEME}:").partition("?")
+    given = parse_qs(query, keep_blank_values=True)
+    for name, values in given.items():
+        if name not in OPTIONS:
+            hint = did_you_mean(name, OPTIONS)
+            raise AddressError(f"{address}: no option {name!r}{hint} There are {', '.join(OPTIONS)}.")
+        if len(values) > 1 and name not in _FOR_EACH:
+            raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")
+    options = {name: values[-1] for name, values in given.items()}
+    count = _count(address, options.get("robots", "1"))
+    (robot, start), *others = placed(given.get("robot", ["n150"]), given.get("start", []), count)
+    setting = Setting(
+        world=path or DEFAULT_WORLD,
+        robot=robot,
+        start=start,
+        seed=_seed(address, options.get("seed", "0")),
+        noisy=_flag(address, options.get("noisy", "0")),
+        setup=options.get("setup", ""),
+        others=tuple(others),
+        model_file=Path(options["model_file"]) if "model_file" in options else None,
+    )
+    emulator = Emulator(setting.simulation(), allowed=Allowed(control=True))
+    speaks = InProcessLine if _line(address, options.get("line", "0")) else InProcess
+    return speaks(emulator, _step(address, options.get("step_s", str(DEFAULT_STEP_S))))
+
+
+def _count(address: str, text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_ROBOTS:
+        raise AddressError(f"{address}: robots is a whole number from 1 to {MOST_ROBOTS}, not {text!r}")
+    return int(text)
+
+
+def _seed(address: str, text: str) -> int:
+    if not text.isdecimal():
+        raise AddressError(f"{address}: seed is a whole number of 0 or more, not {text!r}")
+    return int(text)
+
+
+def _flag(address: str, text: str) -> bool:
+    try:
+        return _FLAGS[text.lower()]
+    except KeyError:
+        raise AddressError(f"{address}: noisy is 1 or 0, not {text!r}") from None
+
+
+def _line(address: str, text: str) -> bool:
+    """Strictly, since the client reads it as well and speaks accordingly."""
+    if text not in ("1", "0"):
+        raise AddressError(f"{address}: line is 1 or 0, not {text!r}")
+    return text == "1"
+
+
+def _step(address: str, text: str) -> float:
+    try:
+        step_s = float(text)
+    except ValueError:
+        step_s = math.nan
+    if not 0.001 <= step_s <= 10:
+        raise AddressError(f"{address}: step_s is 0.001 to 10 simulated seconds an exchange, not {text!r}")
+    return step_s

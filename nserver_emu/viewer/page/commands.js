@@ -1,0 +1,106 @@
+// Commands to the server: calls to a robot, control commands, and steps that can be undone. Errors appear as a notice.
+
+import { tenthsOf, angleTenths } from './units.js';
+import { cornersError } from './geometry.js';
+
+const MAX_STEPS = 200;
+
+const ERRORS = { add_obstacle: 'An obstacle is not possible there: it overlaps a robot, or it reaches off the map.',
+  place_robot: 'The robot does not fit there: it would overlap a wall, an obstacle or a robot.' };
+
+// Make a call of the C library on a robot, as a client of it.
+export async function callRobot(app, call, args, robot = Number(app.robot)) {
+  const answer = await app.link.request({ do: 'call', robot, call, args });
+  const error = answer.ok ? '' : (answer.code !== undefined && ERRORS[call]) || answer.error;
+  app.notice(error);
+  return answer.ok ? answer : { ...answer, error };
+}
+
+// Send a control command of the server, as `nserver ctl` does.
+export async function control(app, command, argument) {
+  const answer = await app.link.request({ do: 'control', command, argument });
+  app.notice(answer.ok ? '' : answer.error);
+  return answer;
+}
+
+// Return the undo history. A step is {title, apply, revert}; both functions send commands and resolve to the answer.
+// Commands run one after another: undo waits for a step that has no answer yet. A step that can no longer be
+// reverted is removed, with a notice.
+export function newUndoHistory(app, onChange) {
+  const done = [], undone = [];
+  let last = Promise.resolve();
+
+  function inOrder(action) {
+    const result = last.then(action);
+    last = result.catch(() => {});
+    return result;
+  }
+
+  async function run(step) {
+    const answer = await step.apply();
+    if (!answer.ok) return answer;
+    done.push(step);
+    if (done.length > MAX_STEPS) done.shift();
+    undone.length = 0;
+    onChange();
+    return answer;
+  }
+
+  async function move(from, to, direction, word) {
+    const step = from.pop();
+    if (!step) return;
+    const answer = await step[direction]();
+    if (answer.ok) to.push(step);
+    else app.notice(`cannot ${word} “${step.title}”: ${answer.error}`);
+    onChange();
+  }
+
+  return {
+    run: (step) => inOrder(() => run(step)),
+    undo: () => inOrder(() => move(done, undone, 'revert', 'undo')),
+    redo: () => inOrder(() => move(undone, done, 'apply', 'redo')),
+    get undoTitle() { return done[done.length - 1]?.title ?? null; },
+    get redoTitle() { return undone[undone.length - 1]?.title ?? null; },
+  };
+}
+
+export function poseTenths([x, y, steer, turret]) { return [tenthsOf(x), tenthsOf(y), angleTenths(steer), angleTenths(turret)]; }
+
+export function placeRobot(app, id, pose) {
+  const before = [...app.scene.robots[id].actual];
+  return app.history.run({ title: `place robot ${id}`, apply: () => callRobot(app, 'place_robot', poseTenths(pose), Number(id)),
+    revert: () => callRobot(app, 'place_robot', poseTenths(before), Number(id)) });
+}
+
+// Obstacles: each step changes one obstacle, and undo restores exactly that one; changes by others remain. If others
+// changed this obstacle meanwhile, undo reports an error. `revertCommand` makes the argument from the first result.
+function obstacleStep(app, title, apply, revertCommand) {
+  let result = null;
+  const revert = async (argument) => {
+    const answer = await control(app, 'obstacle', argument);
+    return answer.ok ? answer : { ...answer, error: `${answer.error} (it may have been moved or deleted meanwhile)` };
+  };
+  return app.history.run({ title, apply: async () => {
+    const answer = await apply();
+    if (answer.ok) result = answer.result ?? null;
+    return answer;
+  }, revert: () => revert(revertCommand(result)) });
+}
+
+export async function addObstacle(app, corners) {
+  const error = cornersError(corners);
+  if (error) { app.notice(`Not possible: ${error}.`); return { ok: false, error }; }
+  const added = corners.map((corner) => corner.map((inches) => tenthsOf(inches) / 10));
+  const args = [corners.length, ...corners.flat().map(tenthsOf)];
+  return obstacleStep(app, 'add obstacle', () => callRobot(app, 'add_obstacle', args), () => ({ corners: added }));
+}
+
+export function deleteObstacle(app, { corners }) {
+  return obstacleStep(app, 'delete obstacle', () => control(app, 'obstacle', { corners }),
+    ({ was, name, at }) => ({ put: was, name, at }));
+}
+
+export function moveObstacle(app, corners, dx_in, dy_in) {
+  return obstacleStep(app, 'move obstacle', () => control(app, 'obstacle', { corners, by: [dx_in, dy_in] }),
+    ({ is, was }) => ({ corners: is, to: was }));
+}

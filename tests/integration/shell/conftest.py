@@ -1,8 +1,0 @@
-"""What these tests share: a terminal to type at (at_terminal.py), imported by name."""
-
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))

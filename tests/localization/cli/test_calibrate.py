@@ -1,0 +1,168 @@
+"""`nomad calibrate`, whole: what was put into the simulation comes out of it, within 10 %."""
+
+from __future__ import annotations
+
+import json
+from math import degrees, radians
+from pathlib import Path
+
+import pytest
+
+from nclient.cli import main
+from worlds.calibration import Calibration, calibration_text, load_calibration
+
+pytestmark = pytest.mark.long
+
+SMOOTH = "0.01,0.01,0.0003"
+SETUP = """
+base = "{base}"
+ramps = true
+[motion]
+alpha1 = 1e-4
+alpha2 = 9e-8
+alpha3 = 1e-4
+"""
+
+
+def erring(sign: float) -> Calibration:
+    offsets = tuple(sign * (1.5 + 0.05 * (number % 5)) for number in range(16))
+    return Calibration(1.0 + 0.05 * sign, 1.0 - 0.05 * sign, 0.0015 * sign, offsets, radians(4.0 * sign))
+
+
+def files(folder: Path, errs: Calibration, base: str) -> tuple[Path, Path]:
+    """A robot that errs so, and a setup."""
+    model, setup = folder / "erring.toml", folder / "setup.toml"
+    model.write_text(calibration_text("n150", errs))
+    setup.write_text(SETUP.format(base=base))
+    return model, setup
+
+
+@pytest.mark.parametrize(("seed", "sign"), [(1, 1.0), (2, -1.0)])
+def test_what_a_robot_gets_wrong_is_found_within_a_tenth(
+    seed: int, sign: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    true = erring(sign)
+    model, setup = files(tmp_path, true, "ideal")
+    out = tmp_path / "found.toml"
+    address = f"sim:thesis_room?seed={seed}&setup={setup}&model_file={model}&start=1,-1,2,2"
+    words = ["--world", "thesis_room", "--out", str(out), "--start", "0.8,-0.7,1", "--odometry-noise", SMOOTH]
+    assert main.main(["calibrate", address, *words, "--speed", "15", "--turn-speed", "45", "--laps", "1"]) == 0
+    said = capsys.readouterr().out
+    assert " of 17 done" in said
+    assert "sonar 15 reads more, in" in said
+    found = load_calibration(out, "n150")
+    assert found.way_scale - 1.0 == pytest.approx(true.way_scale - 1.0, rel=0.1)
+    assert found.turn_scale - 1.0 == pytest.approx(true.turn_scale - 1.0, rel=0.1)
+    assert found.drift_rad_in == pytest.approx(true.drift_rad_in, rel=0.1)
+    assert found.turned_rad == pytest.approx(true.turned_rad, rel=0.1)
+    assert found.offsets_in == pytest.approx(true.offsets_in, rel=0.1)
+
+
+def test_a_real_rings_offsets_and_the_wheels_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    true = erring(1.0)
+    model, setup = files(tmp_path, true, "measured")
+    address = f"sim:thesis_room?seed=4&setup={setup}&model_file={model}"
+    words = ["--world", "thesis_room", "--sonars", "cones", "--odometry-noise", SMOOTH, "--laps", "1", "--json"]
+    assert main.main(["calibrate", address, *words, "--square", "5,5,80"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["way_scale"] - 1.0 == pytest.approx(0.05, rel=0.1)
+    assert found["turn_scale"] - 1.0 == pytest.approx(-0.05, abs=4.0 * found["spread"]["turn_scale"])
+    assert found["drift_rad_in"] == pytest.approx(0.0015, rel=0.1)
+    assert found["offsets_in"] == pytest.approx(true.offsets_in, abs=0.25)
+    assert degrees(found["turned_rad"]) == pytest.approx(4.0, rel=0.1)
+    assert degrees(found["spread"]["turned_rad"]) < 0.2
+    assert "ring" not in found["within_noise_of_zero"]
+
+
+def test_a_scout_has_no_turret_and_is_calibrated_as_well(tmp_path: Path) -> None:
+    model = tmp_path / "scout.toml"
+    model.write_text(calibration_text("scout", Calibration(1.04, 0.95, 0.001)))
+    out = tmp_path / "found.toml"
+    address = f"sim:thesis_room?robot=scout&seed=1&model_file={model}"
+    words = ["--world", "thesis_room", "--body", "scout", "--laps", "1", "--odometry-noise", "0.005,0.005,0.0001"]
+    assert main.main(["calibrate", address, *words, "--out", str(out)]) == 0
+    found = load_calibration(out, "scout")
+    assert found.way_scale - 1.0 == pytest.approx(0.04, rel=0.1)
+    assert found.turn_scale - 1.0 == pytest.approx(-0.05, rel=0.1)
+    assert found.drift_rad_in == pytest.approx(0.001, rel=0.1)
+
+
+def test_without_a_number_of_laps_it_drives_until_all_is_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A round is enough where little is wanted; else there are more, but not for ever."""
+    monkeypatch.setattr("localization.cli.calibrate.MOST_LAPS", 2)
+    _, setup = files(tmp_path, erring(1.0), "ideal")
+    out = tmp_path / "found.toml"
+    words = ["--world", "thesis_room", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60"]
+    address = f"sim:thesis_room?seed=3&setup={setup}"
+    assert main.main(["calibrate", address, *words, "--out", str(out)]) == 0
+    told = capsys.readouterr().out
+    (line,) = [line for line in told.splitlines() if line.startswith("after 2 laps each way: ")]
+    assert "drift" in line
+    assert "could be known better: more --laps" in line
+    assert ": 2 laps each way" in out.read_text()
+    monkeypatch.setattr("localization.calibration.result.SHARE", 10.0)
+    assert main.main(["calibrate", address, *words, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["laps"], said["known_too_little"]) == (1, [])
+    assert "within noise of zero" in told
+
+
+def test_it_gives_up_at_the_time_limit_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "found.toml"
+    words = ["--world", "thesis_room", "--time-limit", "3", "--out", str(out), "--json"]
+    assert main.main(["calibrate", "sim:thesis_room", *words]) == 3
+    said = capsys.readouterr()
+    assert ("given up after 3 s" in said.err, said.out) == (True, "")
+    assert not out.exists()
+
+
+def test_a_robot_that_stands_elsewhere_than_it_is_said_does_not_push_at_walls(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main.main(["calibrate", "sim:thesis_room", "--start", "40,40,0", "--laps", "1"]) == 3
+    said = capsys.readouterr().out
+    assert "it presses against something 5 s long" in said
+    assert "is --start right" in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_what_was_found_is_told_where_it_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--laps", "1", "--spins", "0", "--speed", "15", "--turn-speed", "90", "--square", "5,5,60", "--json"]
+    address = ["sim:thesis_room", "--world", "thesis_room"]
+    assert main.main(["calibrate", *address, *words, "--out", "/dev/full"]) == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["laps"] == 1
+    assert "nomad: /dev/full: cannot be written: No space left on device; make room" in said.err
+
+
+@pytest.mark.parametrize("words", [[], ["--json"]])
+def test_readings_that_do_not_fit_are_told_and_nothing_is_written(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A real ring's cones, taken for rays."""
+    out = tmp_path / "found.toml"
+    quick = ["--laps", "1", "--square", "5,5,60", "--spins", "0", "--speed", "15", "--turn-speed", "90"]
+    address = "sim:thesis_room?setup=measured&seed=1"
+    code = main.main(["calibrate", address, "--sonars", "rays", "--out", str(out), *quick, *words])
+    said = capsys.readouterr()
+    assert code == 4
+    assert "do not believe this" in said.out + said.err
+    assert not out.exists()
+
+
+def test_a_square_among_walls_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["calibrate", "sim:thesis_room", "--world", "thesis_room", "--square", "0,0,100"]) == 1
+    assert "too near to walls" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [
+    ["--square", "0,0"], ["--square", "0,0,-1"], ["--laps", "x"], ["--laps", "0"], ["--spins", "-1"],
+])  # fmt: skip
+def test_wrong_usage_exits_2(words: list[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main.main(["calibrate", "sim:", "--world", "thesis_room", *words])
+    assert stop.value.code == 2

@@ -1,0 +1,339 @@
+"""`nomad localize`, whole, against the emulator in this process."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from localization.cli import localize as localization_cli
+from localization.live.run import Run
+from nclient import ReplyTimeout, Robot
+from nclient.cli import main
+from nclient.common.process import Left
+from worlds.calibration import Calibration, Spread, calibration_text
+
+NOISY = "sim:thesis_room?noisy=1&seed=1"
+TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
+
+
+def localize(*words: str) -> int:
+    return main.main(["localize", *words])
+
+
+def test_it_prints_estimate_against_truth_and_draws_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "deep" / "run.png"
+    assert localize(NOISY, *TO_GOAL, "--picture", str(picture)) == 0
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    assert sum("estimate" in line and "truth" in line and "off" in line for line in lines) >= 10
+    assert "2 of 2 way-points reached" in out
+    assert "odometry alone is" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_result_is_json_alone_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["rmse_position_in"] < 0.5
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+
+
+@pytest.mark.parametrize("setup", ["measured", "worn"])
+def test_a_ring_that_mishears_and_wheels_that_err_are_no_error(setup: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(f"sim:thesis_room?setup={setup}&seed=1", *TO_GOAL, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["end_error_in"] < 2.0 < result["odometry_end_error_in"]
+
+
+@pytest.mark.parametrize("method", ["iekf", "ukf", "mcl"])
+def test_other_filters_drive_as_well(method: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--method", method, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["reached"] == 2
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+
+
+def test_a_path_of_the_map_by_its_figure(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize("sim:centre_vertex?start=10,10", "--map", "centre_vertex", "--path", "5.9", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["reached"] == 3
+
+
+def test_a_start_is_given_to_the_encoders_too(capsys: pytest.CaptureFixture[str]) -> None:
+    address = "sim:thesis_room?start=20,30,90,45"
+    words = ["--map", "thesis_room", "--waypoints", "21,40", "--start", "20.2,29.9,91", "--start-std", "0.3,0.3,2"]
+    assert localize(address, *words, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["end_error_in"] < 0.5
+    assert 0 < result["odometry_end_error_in"] < 1.0
+
+
+def test_way_points_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--map", "thesis_room", "--waypoints", "-1,0", "-2,-0.5", "--start-std=0.1,0.1,1", "--json"]
+    assert localize("sim:", *words) == 0
+    assert json.loads(capsys.readouterr().out)["reached"] == 2
+
+
+def test_giving_up_at_the_time_limit_exits_3(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, *TO_GOAL, "--time-limit", "2") == 3
+    assert "1 of 2 way-points reached in 2" in capsys.readouterr().out
+
+
+def test_a_measured_ring_is_heard_as_cones_and_the_encoders_scale_is_found(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = [*TO_GOAL, "--sonars", "cones", "--scale-std", "0.05", "--smooth", "0.5", "--json"]
+    assert localize("sim:thesis_room?setup=measured&seed=1", *words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["end_error_in"] < 1.0 < result["odometry_end_error_in"]
+    assert result["echoes_used"] > 50
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--map", "thesis_room"],
+        ["--map", "thesis_room", "--waypoints", "0;0"],
+        ["--map", "thesis_room", "--waypoints", "0,inf"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--speed", "0"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--start-std", "0.1,0.1,-1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "0.1,-1,0"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--odometry-noise", "1e300,0,0"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--scale-std", "0.1,-0.1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--scale-std", "0.1,0.1,0.1,0.1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--smooth", "-1"],
+        ["--map", "thesis_room", "--waypoints", "0,0", "--sonars", "lines"],
+    ],
+)
+def test_wrong_usage_exits_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        localize("sim:", *words)
+    assert stop.value.code == 2
+    assert "usage: nomad localize" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sim:", "--map", "thesis_rom", "--waypoints", "0,0"], "thesis_room"),
+        (["sim:", "--map", "several_walls", "--path", "5.7"], "it has 5.8"),
+        (["nserver://127.0.0.1:1/1", "--map", "thesis_room", "--waypoints", "0,0"], "127.0.0.1:1"),
+    ],
+)
+def test_what_cannot_be_done_says_why_and_exits_1(
+    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert localize(*words) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_a_server_that_leaves_the_question_for_the_truth_unanswered_is_driven_without(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[Robot] = []
+
+    def silent(robot: Robot) -> bool:
+        asked.append(robot)
+        robot.disconnect()
+        raise ReplyTimeout("sim_truth, with 5 s to answer: silence; the connection was closed")
+
+    monkeypatch.setattr(Robot, "is_simulated", silent)
+    assert localize("sim:", "--map", "thesis_room", "--waypoints", "1,0", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["reached"], result["truth"], result["end_error_in"]) == (1, None, None)
+    assert len(asked) == 1
+
+
+def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.toml"
+    errs = Calibration(1.05, 0.95, 0.002, (1.5,) * 16, 0.05, Spread(0.001, 0.001, 1e-5))
+    mine.write_text(calibration_text("n150", errs))
+    words = [*TO_GOAL, "--odometry-noise", "0.01,0.01,0.0003", "--json"]
+    ends = []
+    for calibration in ([], ["--calibration", str(mine)]):
+        localize(f"sim:thesis_room?model_file={mine}", *words, *calibration, "--time-limit", "40")
+        ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
+    assert ends[1] < 0.15 < 3.0 * ends[1] < ends[0]
+
+
+def test_sonars_that_read_too_much_are_found_out_while_driving(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine, kept = tmp_path / "mine.toml", tmp_path / "kept.json"
+    mine.write_text(calibration_text("n150", Calibration(offsets_in=(2.0,) * 16)))
+    ends = []
+    for method in ("ekf", "offsets"):
+        words = [*TO_GOAL, "--method", method, "--save", str(kept), "--json"]
+        localize(f"sim:thesis_room?setup=noisy&seed=2&model_file={mine}", *words, "--time-limit", "60")
+        ends.append(json.loads(capsys.readouterr().out)["rmse_position_in"])
+    assert ends[1] < 0.5 * ends[0]
+    assert len(json.loads(kept.read_text())["mean"]) == 6
+
+
+def test_told_nothing_of_the_place_it_finds_itself_and_drives(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = "sim:several_walls?noisy=1&seed=3&start=30,60,20,20"
+    assert localize(robot, "--map", "several_walls", "--start", "unknown", "--waypoints", "45,65", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["reached"], result["trust"], len(result["places"])) == (1, "OK", 1)
+    assert 0.0 < result["lost_share"] < 0.9
+    assert result["rmse_position_in"] < 0.5
+
+
+def test_places_that_look_alike_are_told_of_and_nothing_is_driven_to(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = "sim:thesis_room?noisy=1&seed=3&start=20,35,20,20"
+    asked = [robot, "--map", "thesis_room", "--start", "unknown", "--waypoints", "60,40", "--time-limit", "8"]
+    assert localize(*asked) == 3
+    out = capsys.readouterr().out
+    assert "LOST: searching: nothing was told of the place" in out
+    assert "LOST: 4 places look alike, the likeliest with " in out
+    assert out.splitlines()[-2].startswith("0 of 1 way-points reached")
+    assert localize(*asked, "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["trust"] == "LOST"
+    assert len(result["places"]) == 4
+    assert sum(place["share"] for place in result["places"]) == pytest.approx(1.0)
+    assert result["rmse_position_in"] is None
+
+
+@pytest.mark.parametrize(("words", "remedy"), [
+    (["--method", "mcl"], "by --method finder alone: leave --method mcl out"),
+    (["--method", "ekf"], "by --method finder alone: leave --method ekf out"),
+    (["--resume", "there.json"], "--resume goes on: leave one of them out"),
+])  # fmt: skip
+def test_an_unknown_start_is_for_the_finder_alone(
+    words: list[str], remedy: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        localize(NOISY, *TO_GOAL, "--start", "unknown", *words)
+    assert remedy in capsys.readouterr().err
+
+
+def test_a_lost_estimate_is_not_saved_and_all_else_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The way-point was not reached: that is what it ends with."""
+    words = ["--start", "unknown", "--waypoints", "20,20", "--time-limit", "5", "--json"]
+    assert localize("sim:thesis_room", *words, "--save", str(tmp_path / "x.json")) == 3
+    said = capsys.readouterr()
+    assert json.loads(said.out)["trust"] == "LOST"
+    assert "x.json: not written, the estimate is lost" in said.err
+
+
+def test_it_says_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "60,40", "--time-limit", "1") == 3
+    assert capsys.readouterr().out.endswith("stopped: its time is over: 1 s (--time-limit)\n")
+
+
+@pytest.mark.parametrize("name", ["", ".", "run.xyz", "run"])
+def test_a_picture_that_is_no_png_is_told_before_the_drive(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    assert localize(NOISY, *TO_GOAL, "--picture", name) == 1
+    assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--start", "unknwon"], "3 numbers with commas between them, inches, inches and degrees, or unknown, not 'unkn"),
+    (["--waypoints", "0cm,0"], "2 numbers with commas between them, inches, such as 20,40, not '0cm,0'"),
+    (["--waypoints", "1,1", "--speed", "5in"], "argument --speed: a number, not '5in'"),
+    (["--waypoints", "1,1", "--scale-std", "5%"], "argument --scale-std: a number, not '5%'"),
+])  # fmt: skip
+def test_options_that_cannot_be_read_say_what_is_wanted(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        localize(NOISY, *words)
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: Left("SIGTERM")])
+def test_an_interrupted_run_is_saved_and_told(
+    ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    def interrupted(robot: Robot, _: object, done: Run, *others: object) -> None:
+        drive(robot, _, done, *others)
+        raise ending()
+
+    drive: Callable[..., None] = localization_cli._drive
+    monkeypatch.setattr(localization_cli, "_drive", interrupted)
+    kept = tmp_path / "kept"
+    words = [NOISY, *TO_GOAL, "--time-limit", "1"]
+    assert localize(*words, "--save", str(kept)) in (130, 143)
+    assert "1 of 2 way-points reached" in capsys.readouterr().out
+    assert kept.exists()
+    (tmp_path / "gone").mkdir()
+    monkeypatch.setattr(localization_cli, "check_writable", lambda *_: (tmp_path / "gone").rmdir())
+    file = tmp_path / "gone" / "kept"
+    assert localize(*words, "--save", str(file)) in (130, 143), "the ending stays what it was"
+    assert str(file) in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_written_is_told_before_the_drive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    (tmp_path / "file").touch()
+    in_the_way = tmp_path / "file"
+    for file, told in ((tmp_path, f"{str(tmp_path)!r}: cannot be written there"),
+                       (in_the_way / "x", f"{in_the_way}: cannot be written: File exists")):
+        assert localize(NOISY, *TO_GOAL, "--save", str(file)) == 1
+        assert told in capsys.readouterr().err
+
+
+def test_interrupted_before_anything_was_seen_there_is_nothing_to_tell(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def at_once(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(localization_cli, "_drive", at_once)
+    assert localize(NOISY, *TO_GOAL) == 130
+    assert capsys.readouterr().out == ""
+
+
+def test_a_way_point_behind_a_wall_ends_it_soon_with_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0") == 3
+    told = capsys.readouterr().out
+    assert "stopped: it presses against something 5 s long" in told
+    assert "bumpers 0" in told
+    assert localize(NOISY, "--map", "thesis_room", "--waypoints", "300,0", "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    assert result["stopped"].startswith("it presses against something")
+    assert result["duration_s"] < 40.0
+
+
+def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a server, which does not tell its setup."""
+    monkeypatch.setattr("localization.cli.assumptions.rays_told_by", lambda _: None)
+    assert localize(NOISY, *TO_GOAL) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("sonars are taken for exact rays, this being a simulation (of setup measured: --sonars c")
+    assert "do not believe this" not in told
+    measured = "sim:thesis_room?setup=measured&seed=1"
+    assert localize(measured, *TO_GOAL) == 0
+    told = capsys.readouterr().out
+    assert "refused: do not believe this" in told
+    assert "a real ring's cones are taken for rays (--sonars cones)" in told
+    assert localize(measured, *TO_GOAL, "--sonars", "cones") == 0
+    told = capsys.readouterr().out
+    assert "taken for" not in told
+    assert localize(measured, *TO_GOAL, "--time-limit", "1", "--json") == 3
+    assert json.loads(capsys.readouterr().out)["hint"] is None, "of few readings nothing is said"
+
+
+def test_a_measured_ring_has_cones_without_being_told(capsys: pytest.CaptureFixture[str]) -> None:
+    results = []
+    for words in ([], ["--sonars", "cones"]):
+        assert localize("sim:thesis_room?setup=measured&seed=1", *TO_GOAL, "--json", *words) == 0
+        results.append(json.loads(capsys.readouterr().out))
+    assert results[0] == results[1]
+    assert results[0]["hint"] is None

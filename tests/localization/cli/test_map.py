@@ -1,0 +1,90 @@
+"""`nomad map`, whole."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from nclient.cli import main
+from worlds.files import load_world
+
+ROOM = """
+[[room]]
+corners_in = [[0, 0], [200, 0], [200, 50.1], [200, 100], [0, 100]]
+[[wall]]
+points_in = [[100, 0], [100, 60]]
+[[wall]]
+points_in = [[100, 55], [100, 97]]
+[[start]]
+x_in = 30
+y_in = 50
+"""
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> str:
+    path = tmp_path / "mine.toml"
+    path.write_text(ROOM)
+    return str(path)
+
+
+def test_check_tells_what_is_wrong_and_where(room: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["map", "check", room]) == 3
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("(")[0].strip() for line in lines] == ["gap", "doubled", "closed off"]
+    assert main.main(["map", "check", room, "--gap", "1", "--json"]) == 3
+    found = json.loads(capsys.readouterr().out)
+    assert [finding["kind"] for finding in found] == ["doubled", "closed off"]
+    assert found[0]["place_in"] == [100.0, 57.5]
+
+
+def test_check_of_a_good_map_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["map", "check", "several_walls"]) == 0
+    assert capsys.readouterr().out == "several_walls: 8 walls, all well\n"
+
+
+def test_simplify_writes_a_world_with_fewer_walls(
+    room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "simple.toml"
+    assert main.main(["map", "simplify", room, "--tolerance", "0.2", "--out", str(out)]) == 0
+    assert "7 walls became 5" in capsys.readouterr().out
+    assert len(load_world(out).walls) == 5
+    assert main.main(["map", "simplify", room, "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["walls"] == 5
+    assert main.main(["map", "simplify", room, "--out", str(out / "x.toml")]) == 1
+    assert "cannot be written" in capsys.readouterr().err
+    assert main.main(["map", "simplify", room, "--out", str(tmp_path / "made" / "x.toml")]) == 0
+
+
+def test_show_tells_the_bound_and_draws_it(room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "deep" / "map.png"
+    assert main.main(["map", "show", room, "--out", str(picture), "--cell", "6"]) == 0
+    out = capsys.readouterr().out
+    assert "position   best 0." in out
+    assert "weak       0.0%" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main.main(["map", "show", "thesis_room", "--cell", "9", "--sonars", "rays", "--json"]) == 0
+    rays = json.loads(capsys.readouterr().out)
+    assert rays["places"] > 50
+    assert 0.0 < rays["best_in"] <= rays["median_in"] <= rays["worst_in"] < 0.5
+    assert main.main(["map", "show", "thesis_room", "--cell", "9", "--weak", "0.1", "--json"]) == 0
+    cones = json.loads(capsys.readouterr().out)
+    assert cones["median_in"] > rays["median_in"]
+    assert cones["weak_share"] > 0.9
+
+
+def test_show_needs_a_start_that_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    narrow = tmp_path / "narrow.toml"
+    narrow.write_text("[[room]]\ncorners_in = [[0, 0], [50, 0], [50, 15], [0, 15]]\n[[start]]\nx_in = 9\ny_in = 9\n")
+    assert main.main(["map", "show", str(narrow)]) == 1
+    assert "nomad map check" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["map"], ["map", "shew", "x"], ["map", "simplify", "x"], ["map", "check"]])
+def test_wrong_usage_exits_2(words: list[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main.main(words)
+    assert stop.value.code == 2

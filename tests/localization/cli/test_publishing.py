@@ -1,0 +1,177 @@
+"""Publishing an estimate: what is said, what comes back, and that a page that is lost stops nobody."""
+
+from __future__ import annotations
+
+import json
+import logging
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from localization.filters.base import Place
+from localization.filters.belief import Belief
+from localization.filters.health import FilterHealth, HealthStatus
+from localization.filters.odometry import with_parameters
+from localization.filters.update import Refusal
+from localization.live.localizer import Echo, Estimate
+from localization.live.publish import AGAIN_S, MOST_PLACES, Publisher, message, waypoints_in
+from localization.live.run import RunMoment
+from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator
+from nclient.errors import AddressError, ConnectionLost
+from tests.localization.published_to import page_that
+
+
+def a_moment(truth: tuple[float, float, float] | None = None) -> RunMoment:
+    belief = Belief(np.array([1.0, 2.0, 0.5]), np.diag([0.1, 0.2, 0.3]))
+    echoes = (Echo(3, 1.2, 40, Refusal.NONE, -0.5, 2.5), Echo(4, 1.3, 255, Refusal.LIMIT, 0.0))
+    return RunMoment(Estimate(1.4, belief, echoes), (1.1, 2.1, 0.4), truth, 1)
+
+
+@contextmanager
+def a_page(*answers: tuple[int, str]) -> Iterator[tuple[str, list[Any]]]:
+    """A page that answers so, one after the other; its address and what it was told."""
+    left = iter(answers)
+    with page_that(lambda _: next(left)) as there:
+        yield there
+
+
+def test_a_moment_as_it_is_published() -> None:
+    said = message(2, a_moment((1, 2, 3)), 0.25, [(5, 6)])
+    assert json.loads(json.dumps(said)) == {
+        "robot": 2, "clock_s": 1.4, "pose": [1, 2, 0.5], "turret": 0.75,
+        "cov": [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]], "odometry": [1.1, 2.1, 0.4], "truth": [1, 2, 3],
+        "echoes": [
+            {"sonar": 3, "reading_in": 40, "refusal": "none", "innovation_in": -0.5, "nis": 2.5},
+            {"sonar": 4, "reading_in": 255, "refusal": "limit", "innovation_in": 0, "nis": 0},
+        ],
+        "waypoints": [[5, 6]], "passed": 1, "trust": "OK", "reason": "", "places": [],
+    }  # fmt: skip
+    assert message(1, a_moment(), 0.0, [])["truth"] is None
+
+
+def test_how_far_it_is_believed_and_where_else_it_may_be_is_published() -> None:
+    moment, verdict = a_moment(), FilterHealth(HealthStatus.LOST, "2 places look alike")
+    elsewhere = with_parameters(Belief(np.array([7.0, 8.0, -1.0]), np.eye(3)), (0.05,))
+    places = (Place(moment.estimate.belief, 0.75), *[Place(elsewhere, 0.01)] * 25)
+    said = message(1, moment._replace(estimate=replace(moment.estimate, health=verdict, places=places)), 0.0, [])
+    assert (said["trust"], said["reason"]) == ("LOST", "2 places look alike")
+    assert said["places"][:2] == [{"pose": [1, 2, 0.5], "share": 0.75}, {"pose": [7, 8, -1], "share": 0.01}]
+    assert len(said["places"]) == MOST_PLACES
+
+
+def test_of_a_longer_state_the_pose_is_published() -> None:
+    moment = a_moment()
+    longer = with_parameters(moment.estimate.belief, (0.05, 0.01))
+    said = message(1, moment._replace(estimate=replace(moment.estimate, belief=longer)), 0.0, [])
+    assert said["pose"] == [1, 2, 0.5]
+    assert said["cov"] == [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3]]
+
+
+def test_waypoints_set_since_come_back_and_those_of_before_do_not() -> None:
+    answers = [{"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[9, 9]], "set": 4}, {"waypoints": [[1, 2]], "set": 5},
+               {"waypoints": [], "set": 6}]  # fmt: skip
+    with a_page(*((200, json.dumps(answer)) for answer in answers)) as (url, told):
+        publisher = Publisher(url)
+        found = [publisher.tell({"n": n}) for n in range(4)]
+        publisher.close()
+    assert found == [None, None, [(1.0, 2.0)], []]
+    assert told == [("/publish?token=secret", {"n": n} | ({"began": True} if n == 0 else {})) for n in range(4)]
+
+
+def test_a_page_that_refuses_at_the_beginning_is_an_error_with_its_reason() -> None:
+    with a_page((403, "the token is wrong")) as (url, _), pytest.raises(ConnectionLost, match="the token is wrong"):
+        Publisher(url).tell({})
+
+
+def test_a_page_lost_on_the_way_is_told_of_tried_again_and_nobody_stops(caplog: pytest.LogCaptureFixture) -> None:
+    now_s = 0.0
+    fine, sent = (200, '{"waypoints": null, "set": 0}'), (200, '{"waypoints": [[3, 4]], "set": 1}')
+    with a_page(fine, (500, ""), (200, "{}"), sent) as (url, told):
+        publisher = Publisher(url, lambda: now_s)
+        found = []
+        for now_s in (0.0, 1.0, 2.0, 1.0 + AGAIN_S, 1.0 + 1.5 * AGAIN_S, 1.0 + 2 * AGAIN_S):
+            found.append(publisher.tell({"at": now_s}))
+        publisher.close()
+    assert [said["at"] for _, said in told] == [0.0, 1.0, 1.0 + AGAIN_S, 1.0 + 2 * AGAIN_S]
+    assert found == [None] * 5 + [[(3.0, 4.0)]]
+    words = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert len(words) == 2
+    assert "is lost, tried again now and then" in words[0]
+    assert "is there again" in words[1]
+
+
+@pytest.mark.parametrize(("ends_s", "last"), [(1.5, 1.5), (1.0, 1.0)])
+def test_what_a_page_missed_last_it_is_told_at_the_end(ends_s: float, last: float) -> None:
+    """Else it would go on showing a robot on its way that has arrived: whatever was lost, and when."""
+    now_s, fine = 0.0, (200, '{"waypoints": null, "set": 0}')
+    with a_page(fine, (500, ""), fine) as (url, told):
+        publisher = Publisher(url, lambda: now_s)
+        for now_s in (0.0, 1.0, ends_s):
+            publisher.tell({"at": now_s})
+        publisher.close()
+        publisher.close()
+    assert [said["at"] for _, said in told] == [0.0, 1.0, last]
+
+
+def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_second() -> None:
+    with a_page((200, '{"waypoints": null, "set": 0}')) as (url, _):
+        publisher = Publisher(url)
+        publisher.tell({})
+        publisher.close()
+    with socket.create_server(("127.0.0.1", int(url.split(":")[2].split("/")[0]))):  # takes it, and says nothing
+        began = time.monotonic()
+        assert publisher.tell({}) is None
+        assert time.monotonic() - began < COMMAND_TIMEOUT_S / 2
+        publisher.close()
+
+
+def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
+    assert waypoints_in(b'{"waypoints": [[1, 2.5]], "set": 3}') == ([(1.0, 2.5)], 3)
+    assert waypoints_in(b'{"waypoints": null, "set": 0}') == ([], 0)
+
+
+@pytest.mark.parametrize("answer", [
+    b"", b"\xff", b"3", b"null", b"{}", b'{"set": 1}', b'{"waypoints": [], "set": "often"}', b"[" * 100_000,
+    b'{"waypoints": [], "set": Infinity}', b'{"waypoints": [[NaN, 1]], "set": 1}', b'{"waypoints": [[1]], "set": 1}',
+    b'{"waypoints": [[1' + b"0" * 400 + b', 1]], "set": 1}', b'{"waypoints": 1e999, "set": 1}',
+])  # fmt: skip
+def test_what_is_no_answer_of_a_page_is_one_kind_of_error(answer: bytes) -> None:
+    with pytest.raises(ValueError, match="no answer of a page: "):
+        waypoints_in(answer)
+
+
+@pytest.mark.parametrize("url", ["", "127.0.0.1:7080", "http://127.0.0.1/?token=x", "http://h:7080/", "http://h:x/?token=y"])
+def test_an_address_that_is_no_page_s_is_told(url: str) -> None:
+    with pytest.raises(AddressError, match="nserver --viewer printed"):
+        Publisher(url)
+
+
+def test_a_navigator_can_be_sent_elsewhere() -> None:
+    navigator = Navigator([(0, 0), (50, 0)])
+    navigator.command(np.zeros(3))
+    assert navigator.passed == 1
+    navigator.go([(0, 40)])
+    assert navigator.passed == 0
+    assert not navigator.finished
+    command = navigator.command(np.array([0.0, 0.0, 0.0]))
+    assert command is not None
+    assert command.steering_rad_s > 0
+    assert navigator.command(np.array([0.0, 40.0, 0.0])) is None
+
+
+def test_a_navigator_that_stays_stands_where_it_is_done_and_can_be_sent_on() -> None:
+    navigator = Navigator([(0, 0)], stays=True)
+    assert navigator.command(np.zeros(3)) == (0.0, 0.0)
+    assert navigator.finished
+    navigator.go([])
+    assert navigator.command(np.zeros(3)) == (0.0, 0.0)
+    navigator.go([(0, 40)])
+    command = navigator.command(np.zeros(3))
+    assert command is not None
+    assert command.steering_rad_s > 0

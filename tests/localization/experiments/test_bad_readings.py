@@ -1,0 +1,45 @@
+"""Readings made bad on purpose: as many as are asked for, each echo the same for as long as it is shown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from localization.experiments.live_trial import BadReadings
+from localization.live.sensor_input import FiringSchedule, SensorData
+
+ROUND_S = FiringSchedule(0.0).round_s
+
+
+def report(clock_s: float | None) -> SensorData:
+    return SensorData(clock_s, 1.0, 2.0, 0.3, 0.4, (300,) * 16)
+
+
+def made_bad(share: float) -> BadReadings:
+    return BadReadings(share, FiringSchedule(0.0), np.random.default_rng(4))
+
+
+def test_a_share_of_all_echoes_is_replaced_by_whole_inches_anywhere() -> None:
+    bad = made_bad(0.2)
+    shown = np.array([bad.of(report(ROUND_S * (k + 0.999))).sonars_in for k in range(400)])
+    replaced = shown[shown != 300]
+    assert len(replaced) / shown.size == pytest.approx(0.2, abs=0.015)
+    assert replaced.min() == 6
+    assert replaced.max() == 255
+    assert replaced.mean() == pytest.approx(130.5, abs=6.0)
+
+
+def test_an_echo_stays_what_it_was_shown_as_until_its_sonar_fires_again() -> None:
+    bad, schedule = made_bad(0.5), FiringSchedule(0.0)
+    before = bad.of(report(ROUND_S + 0.001)).sonars_in
+    for k in range(1, 16):
+        now = bad.of(report(ROUND_S + 0.001 + k * schedule.interval_s)).sonars_in
+        fired = set(schedule.order[: k + 1])
+        assert all(now[sonar] == before[sonar] for sonar in range(16) if sonar not in fired)
+    assert now != before
+
+
+@pytest.mark.parametrize(("share", "clock_s"), [(0.0, 3.0), (0.5, None)])
+def test_where_there_is_nothing_to_spoil_the_report_is_the_robots(share: float, clock_s: float | None) -> None:
+    told = report(clock_s)
+    assert made_bad(share).of(told) is told

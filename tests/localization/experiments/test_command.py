@@ -1,0 +1,106 @@
+"""`live`: what it prints and writes, what it does not drive again, and that it does not matter who drives."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from localization.experiments import __main__ as experiments
+from localization.experiments import live_trial
+from localization.experiments.live_command import Store, collect
+from localization.experiments.live_trial import Done, Job, trials
+
+SHORT = ["--scenario", "exact", "--figures", "5.4", "--methods", "ekf", "ukf", "--seeds", "2", "--periods", "8"]
+WANTED = trials(["exact"], ["5.4"], ["ekf"], 3, 8)
+
+
+class Crew:
+    """Works here, and remembers how much."""
+
+    def __init__(self) -> None:
+        self.jobs: list[Job] = []
+
+    def __call__(self, jobs: Sequence[Job]) -> Iterator[Done]:
+        for job in jobs:
+            self.jobs.append(job)
+            yield live_trial.run(job)
+
+
+def test_people_get_a_table_and_files(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert experiments.main(["live", *SHORT, "--jobs", "1", "--out", str(tmp_path)]) == 0
+    printed, told = capsys.readouterr()
+    assert [line.split()[2] for line in printed.splitlines()[1:3]] == ["ekf", "ukf"]
+    assert "live: 100%" in told
+    assert {path.name for path in tmp_path.iterdir()} == {"live.csv", "live.json", "live.png", "trials"}
+    assert len(list((tmp_path / "trials").iterdir())) == 4
+    assert "live.png" in printed
+
+
+def test_json_is_alone_on_stdout(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert experiments.main(["live", *SHORT, "--jobs", "1", "--json", "--no-pictures", "--out", str(tmp_path)]) == 0
+    printed, told = capsys.readouterr()
+    assert [row["method"] for row in json.loads(printed)] == ["ekf", "ukf"]
+    assert "live.csv" in told
+    assert not (tmp_path / "live.png").exists()
+
+
+def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
+    rows = []
+    for jobs in ("1", "2"):
+        out = tmp_path / jobs
+        assert experiments.main(["live", *SHORT, "--jobs", jobs, "--no-pictures", "--out", str(out)]) == 0
+        rows.append(json.loads((out / "live.json").read_text(encoding="utf-8")))
+    assert [{**row, "step_us": 0} for row in rows[0]] == [{**row, "step_us": 0} for row in rows[1]]
+
+
+def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
+    store, crew, tallies = Store(tmp_path, "code"), Crew(), list[int]()
+    collect(WANTED[:2], store, None, crew, tallies.append)
+    whole = collect(WANTED, store, None, crew, tallies.append)
+    assert [job.trial.seed for job in crew.jobs] == [0, 1, 2]
+    assert tallies == [0, 1, 2, 2, 3]
+    assert list(whole) == WANTED
+    assert collect(WANTED, store, None, crew, tallies.append) == whole
+    assert len(crew.jobs) == 3
+
+
+def test_an_interrupted_run_keeps_what_was_done(tmp_path: Path) -> None:
+    def interrupted(jobs: Sequence[Job]) -> Iterator[Done]:
+        yield live_trial.run(jobs[0])
+        raise KeyboardInterrupt
+
+    store = Store(tmp_path, "code")
+    with pytest.raises(KeyboardInterrupt):
+        collect(WANTED, store, None, interrupted, lambda _: None)
+    assert [store.get(trial) is not None for trial in WANTED] == [True, False, False]
+
+
+def test_paths_that_are_missing_or_older_are_driven_for(tmp_path: Path) -> None:
+    store, crew = Store(tmp_path / "trials", "code"), Crew()
+    collect(WANTED[:1], store, None, crew, lambda _: None)
+    collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
+    assert [job.whole for job in crew.jobs] == [False, True]
+    assert len(list((tmp_path / "tum").iterdir())) == 3
+    collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
+    assert len(crew.jobs) == 2
+    store.put(WANTED[0], live_trial.run(Job(WANTED[0])).result)
+    collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
+    assert len(crew.jobs) == 3
+
+
+@pytest.mark.parametrize("arguments", [["--scenario", "quiet"], ["--methods", "kalman"], ["--figures", "5.2"],
+                                       ["--periods", "0"], ["--jobs", "3", "--cluster", "here:1"]])
+def test_what_cannot_be_meant_is_refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        experiments.main(["live", *arguments])
+    assert caught.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_a_cluster_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    address = "nowhere://127.0.0.1:1"
+    assert experiments.main(["live", *SHORT, "--no-pictures", "--out", str(tmp_path), "--cluster", address]) == 2
+    assert f"no Dask scheduler answers at {address}" in capsys.readouterr().err

@@ -1,0 +1,68 @@
+"""Live trials: short ones, all the way through the simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from localization.experiments import live_trial
+from localization.experiments.live_trial import SCENARIOS, START_STD, drive
+from localization.filters.smoother import LAG
+
+PERIODS = 40
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_trial_drives_and_its_estimate_stays_near_the_truth(scenario: str) -> None:
+    record = drive(SCENARIOS[scenario], "5.8", 3, PERIODS)
+    assert not record.reached
+    assert record.truth.shape == record.mean.shape == record.encoders.shape == (PERIODS, 3)
+    assert record.cov.shape == (PERIODS, 3, 3)
+    np.testing.assert_allclose(np.diff(record.clock_s), 0.1, atol=0.02)
+    assert record.way_in[-1] > 10.0
+    assert np.hypot(*record.error[:, :2].T).max() < 1.0
+    assert (np.abs(record.error[0]) < 4.0 * np.array(START_STD)).all()
+    assert record.spent_s.tolist() == [0.0] * PERIODS
+
+
+def test_the_same_seed_is_the_same_run_and_another_is_another() -> None:
+    one, again, other = (drive(SCENARIOS["measured"], "5.4", seed, 15) for seed in (1, 1, 2))
+    assert (one.mean == again.mean).all()
+    assert (one.truth == again.truth).all()
+    assert not (one.mean == other.mean).all()
+
+
+def test_a_trial_ends_at_the_last_goal() -> None:
+    record = drive(SCENARIOS["exact"], "5.4", 0)
+    assert record.reached
+    assert 100 < len(record.mean) < 300
+
+
+def test_the_timer_is_asked_before_and_after_each_estimate() -> None:
+    ticks = iter(range(1000))
+    record = drive(SCENARIOS["exact"], "5.4", 0, 10, lambda: float(next(ticks)))
+    assert record.spent_s.tolist() == [1.0] * 10
+    assert next(ticks) == 20
+
+
+def test_a_smoothers_record_is_of_the_past_and_the_robot_goes_the_same_way() -> None:
+    plain = drive(SCENARIOS["exact"], "5.8", 3, PERIODS)
+    looking = drive(replace(SCENARIOS["exact"], method="smoother"), "5.8", 3, PERIODS)
+    assert looking.clock_s[0] == plain.clock_s[0]
+    assert (np.diff(looking.clock_s) > 0.0).all()
+    assert plain.clock_s[-1] - looking.clock_s[-1] == pytest.approx(0.06 * LAG, abs=0.1)
+    assert len(looking.spent_s) == PERIODS
+    for column in (looking.truth, looking.encoders):
+        assert column.shape == looking.mean.shape
+    at_end = np.searchsorted(plain.clock_s, looking.clock_s[-1])
+    before, after = plain.truth[at_end - 1], plain.truth[at_end]
+    assert min(before[0], after[0]) - 1e-9 <= looking.truth[-1, 0] <= max(before[0], after[0]) + 1e-9
+    assert np.hypot(*looking.error[:, :2].T).max() < 0.5
+
+
+def test_between_two_polls_the_heading_takes_the_short_way() -> None:
+    poses = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
+    middle = live_trial._at(np.array([0.5]), np.array([0.0, 1.0]), poses)
+    np.testing.assert_allclose(np.abs(middle), [[0.5, 1.0, np.pi]], atol=1e-12)

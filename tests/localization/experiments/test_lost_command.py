@@ -1,0 +1,52 @@
+"""The command: what it prints and keeps."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from localization.experiments import lost_command
+from localization.experiments.__main__ import main
+from localization.experiments.lost_trial import Case, Kind, Outcome
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[Case]:
+    """The cases that were driven."""
+    driven: list[Case] = []
+
+    def drive(case: Case) -> Outcome:
+        driven.append(case)
+        return Outcome(60.0, 0, 0.0, 0.25, 2.0, 1.0, True)
+
+    monkeypatch.setattr(lost_command, "drive", drive)
+    return driven
+
+
+def test_runs_that_are_kept_are_not_made_again(
+    made: list[Case], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["lost", "calm", "kidnapped", "--runs", "2", "--minutes", "1", "--jobs", "1", "--out", str(tmp_path)]
+    assert main(asked) == 0
+    assert [(case.kind, case.seed, case.seconds) for case in made] == [
+        (Kind.CALM, 0, 60.0), (Kind.CALM, 1, 60.0), (Kind.KIDNAPPED, 0, 60.0), (Kind.KIDNAPPED, 1, 60.0)
+    ]
+    assert "LOST said of 2, of 2 within 5 s" in capsys.readouterr().out
+    assert main([*asked, "--json"]) == 0
+    assert len(made) == 4
+    printed = json.loads(capsys.readouterr().out)
+    assert [row["kind"] for row in printed] == ["calm", "kidnapped"]
+    assert json.loads((tmp_path / "lost.json").read_text()) == printed
+
+
+def test_without_numbers_it_makes_as_many_as_each_kind_is_judged_by(made: list[Case], tmp_path: Path) -> None:
+    assert main(["lost", "nowhere", "--jobs", "1", "--out", str(tmp_path)]) == 0
+    assert len(made) == lost_command.RUNS[Kind.NOWHERE] == 100
+
+
+def test_a_kind_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["lost", "angry"])
+    assert "no kind 'angry'; there are calm, kidnapped, nowhere" in capsys.readouterr().err

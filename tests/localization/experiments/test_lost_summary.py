@@ -1,0 +1,53 @@
+"""Sums of runs, and their words."""
+
+from __future__ import annotations
+
+import pytest
+
+from localization.experiments.live_trial import SCENARIOS
+from localization.experiments.lost_command import summaries, words
+from localization.experiments.lost_trial import Case, Kind, Outcome
+
+
+def case(kind: Kind, seed: int) -> Case:
+    return Case(kind, "several_walls", SCENARIOS["exact"], seed)
+
+
+def test_calm_runs_count_their_alarms_and_weigh_by_time() -> None:
+    (found,) = summaries({
+        case(Kind.CALM, 0): Outcome(600.0, 0, 0.1, 1.0),
+        case(Kind.CALM, 1): Outcome(300.0, 3, 0.4, 2.0),
+        case(Kind.CALM, 2): Outcome(900.0, 0, 0.0, None),
+    })
+    assert (found["runs"], found["false_alarms"], found["alarmed"], found["hours"]) == (3, 3, 1, 0.5)
+    assert found["degraded"] == pytest.approx((60.0 + 120.0) / 1800.0)
+    assert found["rmse_in"] == pytest.approx(2.0**0.5)
+    assert found["told"] is found["found"] is None
+    assert "3 false alarms in 1 runs; DEGRADED 10.00% of the time; position RMSE 1.41 in" in words(found)
+
+
+def test_kidnappings_count_who_was_told_of_in_time_and_who_was_found_rightly() -> None:
+    (found,) = summaries({
+        case(Kind.KIDNAPPED, 0): Outcome(40.0, 0, 0.0, 0.3, 2.0, 1.0, True),
+        case(Kind.KIDNAPPED, 1): Outcome(40.0, 0, 0.0, 0.3, 7.0, 9.0, True),
+        case(Kind.KIDNAPPED, 2): Outcome(40.0, 0, 0.0, 0.3, 3.0, 2.0, False),
+        case(Kind.KIDNAPPED, 3): Outcome(40.0, 0, 0.0, 0.3, None, None, False),
+    })
+    assert (found["told"], found["soon"], found["found"], found["mistaken"]) == (3, 2, 2, 1)
+    assert found["told_s"] == (3.0, 7.0)
+    assert found["found_s"] == (9.0, 9.0)
+    text = words(found)
+    assert "LOST said of 3, of 2 within 5 s (median 3.0 s, at most 7.0 s)" in text
+    assert "found again rightly: 2 (median 9.0 s, at most 9.0 s); a wrong place believed: 1" in text
+
+
+def test_of_those_that_never_found_themselves_no_time_is_said() -> None:
+    (found,) = summaries({case(Kind.NOWHERE, 0): Outcome(90.0, 0, 0.0, None)})
+    assert found["found"] == 0
+    assert words(found).splitlines()[1] == "  found again rightly: 0; a wrong place believed: 0"
+
+
+def test_each_kind_has_its_own_numbers_in_the_order_of_the_cases() -> None:
+    outcome = Outcome(60.0, 0, 0.0, 0.2)
+    found = summaries({case(kind, 0): outcome for kind in (Kind.NOWHERE, Kind.CALM)})
+    assert [summary["kind"] for summary in found] == ["nowhere", "calm"]

@@ -1,0 +1,69 @@
+"""Long runs, here short ones, all the way through the simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from localization.experiments import lost_trial
+from localization.experiments.live_trial import SCENARIOS
+from localization.experiments.lost_trial import Case, Kind, drive
+from localization.filters.health import IntegrityMonitor
+
+pytestmark = pytest.mark.long
+
+EXACT = Case(Kind.CALM, "several_walls", SCENARIOS["exact"], 3, 12.0)
+
+
+def test_a_calm_run_lasts_as_long_as_it_was_told_and_says_nothing() -> None:
+    outcome = drive(EXACT)
+    assert outcome.seconds == pytest.approx(12.0, abs=0.2)
+    assert (outcome.alarms, outcome.degraded, outcome.lost_after_s, outcome.found_after_s) == (0, 0.0, None, None)
+    assert outcome.rmse_in is not None
+    assert outcome.rmse_in < 0.5
+    assert outcome == drive(EXACT)
+
+
+def test_alarms_are_counted_as_they_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A watch that cries every thirty echoes: some alarms, and the robot finds itself between them."""
+    monkeypatch.setattr(IntegrityMonitor, "lost", property(lambda watch: len(watch._matched) >= 30))
+    assert drive(EXACT).alarms >= 2
+
+
+@pytest.mark.parametrize(("seed", "seconds"), [(125, 42.0), (139, 54.0)])
+def test_a_place_that_fits_two_dozen_echoes_by_chance_is_no_reason_for_an_alarm(seed: int, seconds: float) -> None:
+    """A fifth of the readings bad and the heading off after a turn: elsewhere fits the last echoes better by e^19."""
+    assert drive(Case(Kind.CALM, "several_walls", SCENARIOS["measured"], seed, seconds)).alarms == 0
+
+
+def test_a_kidnapped_robot_says_so_and_finds_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (5.0, 6.0))
+    outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED, seed=1))
+    assert outcome.alarms == 0
+    assert outcome.lost_after_s is not None
+    assert 0.0 < outcome.lost_after_s <= 5.0
+    assert outcome.found_after_s is not None
+    assert outcome.right
+
+
+def test_a_robot_that_is_told_nothing_finds_itself() -> None:
+    outcome = drive(replace(EXACT, kind=Kind.NOWHERE, seed=2))
+    assert outcome.rmse_in is None
+    assert outcome.found_after_s is not None
+    assert outcome.right
+
+
+def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lost_trial, "PATIENCE_S", 15.0)
+    outcome = drive(replace(EXACT, kind=Kind.NOWHERE, world="thesis_room"))
+    assert outcome.found_after_s is None
+    assert not outcome.right
+
+
+def test_a_kidnapping_that_is_never_told_is_reported_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lost_trial, "KIDNAPPED_S", (2.0, 3.0))
+    monkeypatch.setattr(lost_trial, "PATIENCE_S", 0.5)
+    outcome = drive(replace(EXACT, kind=Kind.KIDNAPPED))
+    assert outcome.lost_after_s is None
+    assert outcome.found_after_s is None

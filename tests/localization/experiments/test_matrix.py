@@ -1,0 +1,41 @@
+"""The matrix: which trials there are, and what becomes of their results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from localization.experiments.live_trial import SCENARIOS, Cell, Job, Trial, result_of, run, summaries, trials
+
+
+def test_every_combination_has_its_seeds() -> None:
+    every = trials(["exact", "measured"], ["5.4", "5.9"], ["ekf", "ukf"], 3, 7)
+    assert len(set(every)) == len(every) == 24
+    assert {trial.cell for trial in every} == {
+        Cell(scenario, figure, method)
+        for scenario in ("exact", "measured")
+        for figure in ("5.4", "5.9")
+        for method in ("ekf", "ukf")
+    }
+    assert {trial.periods for trial in every} == {7}
+    assert every[0] == Trial(replace(SCENARIOS["exact"], method="ekf"), "5.4", 0, 7)
+
+
+def test_a_job_is_one_trial_and_its_record_comes_where_it_is_wanted() -> None:
+    (trial,) = trials(["exact"], ["5.4"], ["ukf"], 1, 12)
+    done, again = run(Job(trial, whole=True)), run(Job(trial))
+    assert done.trial == trial
+    assert done.record is not None
+    assert again.record is None
+    assert done.result.same_numbers(again.result)
+    assert result_of(done.record) == done.result
+    assert not done.result.same_numbers(replace(again.result, nees=again.result.nees + 1e-12))
+    assert done.result.spent_us > 0.0
+
+
+def test_a_summary_does_not_depend_on_the_order_trials_came_in() -> None:
+    every = trials(["exact"], ["5.4"], ["ekf"], 3, 12)
+    results = {trial: run(Job(trial)).result for trial in every}
+    turned = dict(reversed(results.items()))
+    assert summaries(turned) == summaries(results)
+    assert list(summaries(results)) == [Cell("exact", "5.4", "ekf")]
+    assert Cell("exact", "5.4", "ekf").world == "thesis_room"

@@ -1,0 +1,46 @@
+"""Results kept: to the bit, and never another trial's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from localization.experiments.live_command import Store
+from localization.experiments.live_trial import SCENARIOS, Trial, TrialResult
+from localization.filters.sonar_cone import ConeSonar
+
+TRIAL = Trial(SCENARIOS["measured"], "5.4", 7)
+RESULT = TrialResult(7, True, 10, 0.1 + 0.2, 1e-17, 2.0 / 3.0, 9, 1.0, 2.0, 3.0, 4.5)
+
+
+def test_what_is_kept_comes_back_to_the_bit(tmp_path: Path) -> None:
+    store = Store(tmp_path / "new", "code")
+    assert store.get(TRIAL) is None
+    store.put(TRIAL, RESULT)
+    assert store.get(TRIAL) == RESULT
+    assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".json"]
+    assert store.path(TRIAL).name.startswith("measured_5.4_ekf_0007_")
+
+
+def test_all_that_decides_a_result_is_in_its_name(tmp_path: Path) -> None:
+    scenario = TRIAL.scenario
+    others = [
+        replace(TRIAL, seed=8),
+        replace(TRIAL, figure="5.8"),
+        replace(TRIAL, periods=10),
+        replace(TRIAL, scenario=replace(scenario, method="ukf")),
+        replace(TRIAL, scenario=replace(scenario, bad_share=0.21)),
+        replace(TRIAL, scenario=replace(scenario, sonar=ConeSonar(margin_db=31.0))),
+        replace(TRIAL, scenario=replace(scenario, odometry=replace(scenario.odometry, drift_std=0.003))),
+    ]
+    store = Store(tmp_path, "code")
+    names = {store.path(trial) for trial in (TRIAL, *others)} | {Store(tmp_path, "other code").path(TRIAL)}
+    assert len(names) == len(others) + 2
+
+
+def test_a_file_cut_short_is_no_result(tmp_path: Path) -> None:
+    store = Store(tmp_path, "code")
+    store.path(TRIAL).with_suffix(".part").write_text('{"seed": 7', encoding="utf-8")
+    assert store.get(TRIAL) is None
+    store.put(TRIAL, RESULT)
+    assert store.get(TRIAL) == RESULT

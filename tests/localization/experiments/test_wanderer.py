@@ -1,0 +1,51 @@
+"""Driving about: on a roadmap while the estimate is believed, groping while it is not."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from localization.experiments.lost_trial import STAND, Wanderer
+from localization.navigation.recovery import TURN_RAD_S
+from localization.navigation.roadmap import Roadmap
+from localization.navigation.waypoints import Command, Speeds
+from worlds.geometry import polygon_segments
+
+ROOM = polygon_segments([(0.0, 0.0), (100.0, 0.0), (100.0, 100.0), (0.0, 100.0)])
+GOAL = np.array([[80.0, 20.0]])
+
+
+class Ring(NamedTuple):
+    sonars_in: tuple[int, ...]
+    steering_rad: float = 1.0
+    turret_rad: float = 1.0
+
+
+def wanderer(places: np.typing.NDArray[np.float64] = GOAL) -> Wanderer:
+    return Wanderer(Roadmap(ROOM, 12.0), places, Speeds(translation_in_s=5.0), np.random.default_rng(0))
+
+
+def test_it_plans_standing_then_turns_on_the_spot_then_drives_and_plans_anew_when_it_is_there() -> None:
+    one = wanderer()
+    assert one.command(np.array([20.0, 20.0, pi])) == STAND
+    assert one.command(np.array([20.0, 20.0, pi])).translation_in_s == 0.0
+    assert one.command(np.array([20.0, 20.0, -2.0])) == Command(0.0, TURN_RAD_S)
+    assert one.command(np.array([20.0, 20.0, 2.0])) == Command(0.0, -TURN_RAD_S)
+    assert one.command(np.array([20.0, 20.0, 0.0])) == Command(5.0, 0.0)
+    assert one.command(np.array([79.5, 20.0, 0.0])) == STAND
+
+
+def test_where_there_is_no_way_it_stands_and_tries_the_next_place() -> None:
+    one = wanderer(np.array([[2.0, 2.0]]))
+    assert one.command(np.array([20.0, 20.0, 0.0])) == STAND
+    assert one.command(np.array([20.0, 20.0, 0.0])) == STAND
+
+
+def test_lost_it_gropes_and_plans_anew_when_it_is_found() -> None:
+    one = wanderer()
+    one.command(np.array([20.0, 20.0, 0.0]))
+    assert one.command(np.array([20.0, 20.0, 0.0])) == Command(5.0, 0.0)
+    assert one.grope(Ring((255,) * 16)) == Command(0.0, TURN_RAD_S)
+    assert one.command(np.array([20.0, 20.0, 0.0])) == STAND

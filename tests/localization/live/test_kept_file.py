@@ -1,0 +1,90 @@
+"""A kept belief on disk: back to the bit, and whatever is no such file is told by its key."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import Belief, independent
+from localization.filters.odometry import LARGEST
+from localization.live.saved_estimate import KEYS, MOST_BYTES, Kept, Site, load, save
+from localization.live.sensor_input import EncoderPose
+from nclient.errors import EstimateFileError
+
+KEPT = Kept(
+    Site("thesis_room", "0123456789abcdef", "n150"),
+    EncoderPose(12.3, np.array([1.1, -2.2, 3.0]), 0.1),
+    independent([1.0, -2.0, 3.1, 1 / 3], [0.1, 0.2, 0.01, 0.05]),
+)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "here.json"
+    save(path, KEPT)
+    return path
+
+
+def test_it_comes_back_to_the_bit(file: Path) -> None:
+    back = load(file)
+    assert back.site == KEPT.site
+    assert back.encoders.clock_s == 12.3
+    assert back.encoders.turret_rad == 0.1
+    assert (back.encoders.pose == KEPT.encoders.pose).all()
+    assert (back.belief.mean == KEPT.belief.mean).all()
+    assert (back.belief.cov == KEPT.belief.cov).all()
+    assert [path.name for path in file.parent.iterdir()] == ["here.json"]
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_a_missing_key_is_told(file: Path, key: str) -> None:
+    values = json.loads(file.read_text())
+    del values[key]
+    file.write_text(json.dumps(values))
+    with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
+        load(file)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("world", 3), ("body", None), ("clock_s", "now"), ("clock_s", [1.0]), ("turret_rad", float("nan")),
+        ("encoders", [1.0, 2.0]), ("encoders", [1.0, 2.0, {}]), ("mean", [1.0, 2.0]), ("mean", 4.0),
+        ("mean", [0.0] * 99), ("mean", [1.0, 2.0, 3.0, 10**400]), ("cov", [[1.0]]),
+        ("cov", np.diag([1.0, 1.0, 1.0, -1.0]).tolist()), ("cov", (np.eye(4) + np.eye(4, k=1)).tolist()),
+        ("mean", [1e300, 2.0, 3.0, 4.0]),
+        ("cov", (1e308 * np.eye(4)).tolist()), ("clock_s", 1e13), ("colour", "red"), ("format", "nomad estimate 0"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_is_told(file: Path, key: str, value: Any) -> None:
+    file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
+    with pytest.raises(EstimateFileError, match=f"here.json: {key}: "):
+        load(file)
+
+
+@pytest.mark.parametrize("text", ["", "[" * 100_000, "\x00", "3", "[]"])
+def test_what_is_no_such_file_is_told(file: Path, text: str) -> None:
+    file.write_text(text)
+    with pytest.raises(EstimateFileError, match=r"here\.json: "):
+        load(file)
+
+
+def test_the_largest_state_fits_and_a_longer_file_is_not_read(file: Path) -> None:
+    cov = np.full((LARGEST, LARGEST), -1.2345678901234567e-300) + np.eye(LARGEST)
+    save(file, Kept(Site("x" * 1000, *KEPT.site[1:]), KEPT.encoders, Belief(np.full(LARGEST, -1 / 3e9), cov)))
+    assert file.stat().st_size < MOST_BYTES / 10
+    assert len(load(file).belief.mean) == LARGEST
+    file.write_text(file.read_text() + " " * MOST_BYTES)
+    with pytest.raises(EstimateFileError, match=rf"here\.json: is longer than {MOST_BYTES} bytes"):
+        load(file)
+
+
+def test_files_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(EstimateFileError, match="cannot be read"):
+        load(tmp_path / "nothing.json")
+    with pytest.raises(EstimateFileError, match="cannot be written"):
+        save(tmp_path / "nowhere" / "here.json", KEPT)

@@ -1,0 +1,106 @@
+"""What a live run comes to, with and without a truth to compare with."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import independent
+from localization.filters.update import Refusal
+from localization.live.localizer import Echo, Estimate
+from localization.live.run import Run, RunMoment, Sighting
+
+ECHOES = (
+    Echo(0, 0.1, 40, Refusal.NONE, 0.2),
+    Echo(2, 0.2, 255, Refusal.LIMIT, 0.0),
+    Echo(15, 0.3, 12, Refusal.GATE, 0.0),
+    Echo(1, 0.4, 255, Refusal.LIMIT, 0.0),
+)
+
+
+def run(with_truth: bool) -> Run:
+    done = Run([(0.0, 0.0), (3.0, 4.0)])
+    for k, (x, y, heading) in enumerate([(0.0, 0.0, 0.0), (3.0, 4.0, 3.1)]):
+        belief = independent([x, y, heading], [0.1, 0.2, 0.01])
+        truth = (x + 0.3, y - 0.4, heading + 0.1) if with_truth else None
+        done.add(RunMoment(Estimate(10.0 + k, belief, ECHOES), (x + 1.3, y - 0.4, heading), truth, k + 1))
+    return done
+
+
+def test_errors_are_distances_to_the_truth() -> None:
+    done = run(with_truth=True)
+    assert done.errors_in() == pytest.approx([0.5, 0.5])
+    assert done.odometry_errors_in() == pytest.approx([1.0, 1.0])
+    error = done.moments[-1].error
+    assert error is not None
+    assert error == pytest.approx([-0.3, 0.4, -0.1])
+
+
+def test_the_summary_counts_echoes_by_what_became_of_them() -> None:
+    summary = run(with_truth=True).summary()
+    assert summary["echoes_used"] == 2
+    assert summary["echoes_refused"] == {"limit": 4, "gate": 2}
+    assert (summary["waypoints"], summary["reached"], summary["duration_s"]) == (2, 2, 1.0)
+    assert summary["end_error_in"] == pytest.approx(0.5)
+    assert summary["rmse_position_in"] == pytest.approx(0.5)
+    assert summary["odometry_end_error_in"] == pytest.approx(1.0)
+    assert summary["estimate"] == pytest.approx([3.0, 4.0, 3.1])
+
+
+def test_without_a_truth_nothing_is_made_up() -> None:
+    done = run(with_truth=False)
+    summary = done.summary()
+    unknown = ("truth", "end_error_in", "rmse_position_in", "odometry_end_error_in")
+    assert [summary[key] for key in unknown] == [None] * 4
+    assert "truth" not in done.line()
+    assert "off at the end" not in done.verdict()
+
+
+def test_the_line_tells_estimate_spread_truth_and_error() -> None:
+    line = run(with_truth=True).line()
+    assert "estimate (   3.00,    4.00) in" in line
+    assert f"{math.degrees(3.1):.2f} deg" in line
+    assert "± 0.20 in 0.57 deg" in line
+    assert "truth (   3.30,    3.60)  off 0.50 in -5.73 deg" in line
+
+
+def test_the_verdict_tells_goals_echoes_and_errors() -> None:
+    verdict = run(with_truth=True).verdict()
+    assert "2 of 2 way-points reached in 1.0 s; 2 echoes used, 6 refused" in verdict
+    assert "the estimate is 0.50 in off at the end (RMSE 0.50 in); odometry alone is 1.00 in off" in verdict
+
+
+def test_a_run_that_has_not_begun_has_reached_nothing() -> None:
+    done = Run([(1.0, 1.0)])
+    assert (done.reached, done.duration_s) == (0, 0.0)
+    assert np.size(done.errors_in()) == 0
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])
+def test_a_truth_that_was_asked_late_is_compared_at_the_estimates_own_instant(late_s: float) -> None:
+    speed, turn = 5.0, 0.4
+
+    def true_pose(clock_s: float) -> tuple[float, float, float]:
+        return speed * clock_s, 3.0, (3.0 + turn * clock_s + math.pi) % math.tau - math.pi
+
+    before = Sighting(1.0 + late_s, true_pose(1.0 + late_s))
+    after = Sighting(1.3 + late_s, true_pose(1.3 + late_s))
+    x, y, heading = before.towards(after, 1.3)
+    assert (x, y) == pytest.approx(true_pose(1.3)[:2])
+    assert math.remainder(heading - true_pose(1.3)[2], math.tau) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_beyond_two_sightings_nothing_is_made_up() -> None:
+    first, second = Sighting(1.0, (0.0, 0.0, 0.0)), Sighting(2.0, (1.0, 1.0, 0.5))
+    assert first.towards(second, 0.5) == pytest.approx(first.pose)
+    assert first.towards(second, 3.0) == pytest.approx(second.pose)
+    assert first.towards(first, 1.0) == pytest.approx(first.pose)
+
+
+def test_states_that_come_too_rarely_are_told_of() -> None:
+    done = run(with_truth=True)
+    assert done.longest_gap_s == pytest.approx(1.0)
+    assert "let the time run slower" in done.verdict()
+    assert Run([]).longest_gap_s == 0.0

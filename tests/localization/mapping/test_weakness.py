@@ -1,0 +1,126 @@
+"""The bound over free space: its information by finite differences, its end by closed forms, a filter beside it."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import pytest
+
+from localization.experiments.live_trial import EXACT_RAYS
+from localization.filters.base import LocalizationConfig, measurement_model
+from localization.filters.belief import Floats, difference, independent
+from localization.filters.odometry import OdometryNoise, move, step_variance
+from localization.filters.registry import make
+from localization.filters.sonar_cone import ConeSonar
+from localization.filters.sonar_ray import rays, ring
+from localization.mapping.observability import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, weakness
+from worlds.bodies import N150, SONARS
+from worlds.raycast import cast_rays
+
+ROOM = np.array([[0, 0, 120, 0], [120, 0, 120, 100], [120, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
+CORRIDOR = np.array([[-900.0, 0.0, 900.0, 0.0], [-900.0, 60.0, 900.0, 60.0]])
+QUIET = OdometryNoise(0.05, 0.05, 0.002)
+PLACES = np.array([[41.3, 30.9], [61.7, 52.4], [97.1, 82.6]])
+
+
+def ranges(pose: Floats) -> Floats:
+    """Of all sixteen sonars, by the ray caster."""
+    aimed = rays(pose[None, :], ring(N150))
+    return cast_rays(aimed.axes_in, aimed.directions, ROOM)[0] - N150.sonar_ring_radius_in
+
+
+def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
+    """P^-1 = (F P F' + Q)^-1 + J on some way, with J, F and Q by central differences."""
+    bound = weakness(LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
+    chance = np.diag([0.05**2 * 4.8, 0.002**2 * 4.8])
+    for place, cov in zip(PLACES, bound.cov, strict=True):
+        information = np.zeros((3, 3))
+        for turn in np.arange(HEADINGS) * 2 * np.pi / SONARS / HEADINGS:
+            pose = np.append(place, turn)
+            slope = np.array([(ranges(pose + way) - ranges(pose - way)) / 2e-5 for way in 1e-5 * np.eye(3)]).T
+            aimed = rays(pose[None, :], ring(N150)).directions
+            _, walls = cast_rays(np.tile(place, (SONARS, 1)), aimed, ROOM)
+            steep = np.where(walls % 2 == 0, np.abs(aimed[:, 1]), np.abs(aimed[:, 0])) >= 0.3
+            information += (slope[steep].T / EXACT_RAYS.variance(ranges(pose)[steep])) @ slope[steep] / HEADINGS
+        off = []
+        for way in np.arange(WAYS) * 2 * np.pi / WAYS:
+            pose, step = np.array([0.0, 0.0, way]), np.array([4.8, 0.0])
+            moved = np.array([(move(pose + by, step) - move(pose - by, step)) / 2e-5 for by in 1e-5 * np.eye(3)]).T
+            strays = np.array([(move(pose, step + by) - move(pose, step - by)) / 2e-5 for by in 1e-5 * np.eye(2)]).T
+            lost = strays @ chance @ strays.T
+            off.append(np.linalg.inv(moved @ cov @ moved.T + lost) + information - np.linalg.inv(cov))
+        least = min(off, key=lambda matrix: float(np.abs(matrix).max()))
+        np.testing.assert_allclose(least, 0.0, atol=2e-4 * np.abs(np.linalg.inv(cov)).max())
+
+
+@pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeSonar()])
+def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeSonar) -> None:
+    """Driving along it costs what the odometry strays; the best way is across, and costs less."""
+    bound = weakness(LocalizationConfig(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
+    along = sqrt(START_STD[0] ** 2 + ROUNDS * 0.05**2 * 5.0 * ROUND_S)
+    assert START_STD[0] < bound.worst_in[0] <= along
+    assert sqrt(bound.cov[0, 1, 1]) < 0.2
+    assert bound.heading_rad[0] < 0.1
+
+
+def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
+    """A robot that goes in circles about a place, its sixteen sonars heard at once, by a filter that is no part of
+    this."""
+    known = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS)
+    chance = np.random.default_rng(8)
+    way = 5.0 * ROUND_S
+    squares, headings = [], []
+    for _ in range(12):
+        true = np.array([55.0, 45.0, chance.uniform(-3.0, 3.0)])
+        method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
+        for round_ in range(60):
+            step = np.array([way, 0.35])
+            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
+            method.move(step)
+            for sonar, far in enumerate(ranges(true)):
+                method.hear(sonar, 0.0, float(np.floor(far + 0.5)))
+            if round_ > 20:
+                error = difference(method.belief.mean, true)
+                squares.append(0.5 * (error[0] ** 2 + error[1] ** 2))
+                headings.append(error[2] ** 2)
+    bound = weakness(known, np.array([[55.0, 45.0]]), 5.0)
+    assert 0.9 * bound.worst_in[0] < sqrt(np.mean(squares)) < 1.6 * bound.worst_in[0]
+    assert 0.9 * bound.heading_rad[0] < sqrt(np.mean(headings))
+
+
+def test_nor_does_one_that_drives_straight_on() -> None:
+    """Down a long hall, where the way driven tells the heading far better than the ranges of a moment."""
+    hall = np.array([[0, 0, 500, 0], [500, 0, 500, 100], [500, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
+    known = LocalizationConfig(hall, N150, QUIET, ConeSonar())
+    chance = np.random.default_rng(3)
+    squares, stds = [], []
+    for _ in range(16):
+        true = np.array([40.0, 50.0, 0.0])
+        method = make("ekf", known, independent(true, [0.3, 0.3, 0.02]))
+        sense = measurement_model(hall, N150, ConeSonar())
+        for round_ in range(80):
+            step = np.array([5.0 * ROUND_S, -0.2 * true[2]])
+            true = move(true, step + np.sqrt(step_variance(step, QUIET)) * chance.standard_normal(2))
+            method.move(step)
+            for sonar in range(SONARS):
+                heard = sense.sense(independent(true, [1e-3] * 3), sonar, 0.0, 50.0).candidates
+                if heard is None or chance.random() > heard.probability.sum():
+                    continue
+                range_in = float(chance.choice(heard.ranges_in, p=heard.probability / heard.probability.sum()))
+                range_in += sqrt(ConeSonar().variance_at(range_in) - 1.0 / 12.0) * chance.standard_normal()
+                bad = chance.random() < ConeSonar().outlier_probability
+                method.hear(sonar, 0.0, float(np.floor((chance.uniform(7.0, 254.0) if bad else range_in) + 0.5)))
+            if round_ > 30:
+                squares.append(difference(method.belief.mean, true)[2] ** 2)
+                stds.append(sqrt(method.belief.cov[2, 2]))
+    (bound,) = weakness(known, np.array([[250.0, 50.0]]), 5.0).heading_rad
+    assert bound < np.mean(stds) < 1.6 * bound
+    assert 0.9 * bound < sqrt(np.mean(squares)) < 2.0 * bound
+
+
+def test_the_faster_the_weaker_and_cones_weaker_than_rays() -> None:
+    exact, noisy = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), LocalizationConfig(ROOM, N150, QUIET, ConeSonar())
+    slow, fast, real = weakness(exact, PLACES, 1.0), weakness(exact, PLACES, 10.0), weakness(noisy, PLACES, 1.0)
+    assert (slow.worst_in < fast.worst_in).all()
+    assert (slow.worst_in < real.worst_in).all()

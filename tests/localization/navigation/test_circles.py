@@ -1,0 +1,60 @@
+"""Rims and tangents: against points tried one by one along the circles."""
+
+from __future__ import annotations
+
+from math import pi, tau
+
+import numpy as np
+import pytest
+
+from localization.navigation.path import Rim, on_circles, room, tangents, tangents_from
+from worlds.files import load_world
+from worlds.geometry import nearest_points
+
+RADIUS_IN = 11.0
+
+
+@pytest.mark.parametrize("world", ["several_walls", "centre_vertex"])
+def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
+    walls, chance = np.array(load_world(world).walls), np.random.default_rng(1)
+    seen = set()
+    for centre in np.unique(walls.reshape(-1, 2), axis=0):
+        rim, angles = Rim(centre, walls, RADIUS_IN), np.sort(chance.uniform(0.0, tau, 9))
+        for free, first, last in zip(rim.free(angles), angles, np.append(angles[1:], angles[0] + tau), strict=True):
+            turns = np.linspace(first, last, 2001)
+            points = centre + RADIUS_IN * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+            assert free == (room(points, walls).min() >= RADIUS_IN - 1e-4)
+            seen.add(free)
+    assert seen == {True, False}
+
+
+def test_a_rim_alone_is_free_all_around_and_one_angle_goes_around_it() -> None:
+    wall = np.array([[0.0, 0.0, 50.0, 0.0]])
+    assert Rim(np.array([0.0, 0.0]), wall, 10.0).free(np.array([pi])) == [False]
+    assert Rim(np.array([0.0, 0.0]), wall, 10.0).free(np.array([0.5 * pi + 0.01, 1.5 * pi - 0.01])) == [True, False]
+    point = np.array([[0.0, 0.0, 0.0, 0.0]])
+    assert Rim(np.array([0.0, 0.0]), point, 10.0).free(np.array([1.0])) == [True]
+
+
+def test_tangents_touch_both_circles_and_cut_neither() -> None:
+    centres = np.array([[0.0, 0.0], [50.0, 10.0], [60.0, 0.0]])
+    angles, circles = tangents(centres, RADIUS_IN)
+    assert len(angles) == 4 + 4 + 2
+    ends = [on_circles(centres, circles[:, k], angles[:, k], RADIUS_IN) for k in (0, 1)]
+    ways = np.concatenate(ends, axis=1)
+    for k in (0, 1):
+        _, far = nearest_points(centres, ways)
+        touched = far[circles[:, k], np.arange(len(ways))]
+        np.testing.assert_allclose(touched, RADIUS_IN, atol=1e-9)
+
+
+def test_tangents_from_a_point_stand_square_on_the_radius_and_none_comes_from_inside() -> None:
+    centres, point = np.array([[0.0, 0.0], [50.0, 10.0]]), np.array([5.0, 0.0])
+    angles, circles = tangents_from(point, centres, RADIUS_IN)
+    assert circles.tolist() == [1, 1]
+    for touch, centre in zip(on_circles(centres, circles, angles, RADIUS_IN), centres[circles], strict=True):
+        assert np.dot(touch - centre, touch - point) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_walls_there_is_all_the_room() -> None:
+    assert room(np.zeros((2, 2)), np.zeros((0, 4))).tolist() == [np.inf, np.inf]

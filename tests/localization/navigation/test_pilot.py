@@ -1,0 +1,289 @@
+"""The pilot's decisions, on a robot that does what it is told: exact poses, a covariance and bumpers made up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, hypot, sin
+
+import numpy as np
+import pytest
+
+from localization.filters.belief import Belief
+from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
+from localization.live.localizer import Estimate
+from localization.navigation.obstacles import Unmapped
+from localization.navigation.path import room
+from localization.navigation.path_follower import STAND
+from localization.navigation.pilot import Ending, Patience, Pilot
+from localization.navigation.planner import MARGINS_IN, Planner
+from localization.navigation.speed import LIMITS
+from nclient.protocol.types import N150 as MODEL
+from nclient.state import RobotState
+from worlds.bodies import N150
+from worlds.files import load_world
+
+pytestmark = pytest.mark.long
+
+WALLS = np.array(load_world("several_walls").walls)
+PLANNER = Planner(WALLS, N150.radius_in)
+WIDE = Planner(np.array(load_world("thesis_room").walls), N150.radius_in)
+AXES = LIMITS["n150"].capped(8.0)
+Feels = Callable[[float, float, float], bool]
+"""Whether a bumper touches at a place, at a clock."""
+
+
+class World:
+    """A robot that jumps to its speeds, and knows its place to `std_in`."""
+
+    def __init__(self, x: float = 5.0, y: float = 5.0, std_in: float = 0.1, feels: Feels = lambda *_: False) -> None:
+        self.pose = np.array([x, y, 0.0])
+        self.clock_s, self.std_in, self.feels = 0.0, std_in, feels
+        self.health = HEALTHY
+        self.unmapped = Unmapped(WALLS, N150.sonar_ring_radius_in)
+        self.least_room = np.inf
+
+    def estimate(self) -> Estimate:
+        cov = np.diag([self.std_in**2, self.std_in**2, 1e-4])
+        return Estimate(self.clock_s, Belief(self.pose.copy(), cov), (), self.health)
+
+    def state(self) -> RobotState:
+        raw = [0] * 45
+        raw[33] = int(self.feels(float(self.pose[0]), float(self.pose[1]), self.clock_s))
+        raw[34], raw[35] = round(10 * self.pose[0]), round(10 * self.pose[1])
+        return RobotState(MODEL, tuple(raw))
+
+    def drive(self, pilot: Pilot, limit_s: float = 200.0) -> None:
+        while pilot.outcome is None and self.clock_s < limit_s:
+            command = pilot.step(self.estimate(), self.state())
+            middle = self.pose[2] + 0.05 * command.steering_rad_s
+            step = 0.1 * command.translation_in_s
+            self.pose += [step * cos(middle), step * sin(middle), 0.1 * command.steering_rad_s]
+            self.clock_s += 0.1
+            self.least_room = min(self.least_room, float(room(self.pose[None, :2], WALLS)[0]))
+
+
+def pilot_of(world: World, *goals: tuple[float, float], heading: float | None = None,
+             patience: Patience | None = None) -> Pilot:  # fmt: skip
+    return Pilot(PLANNER, AXES, world.unmapped, goals, heading, patience)
+
+
+def ending(pilot: Pilot) -> Ending:
+    assert pilot.outcome is not None
+    return pilot.outcome.ending
+
+
+def reason(pilot: Pilot) -> str:
+    assert pilot.outcome is not None
+    return pilot.outcome.reason
+
+
+def test_it_arrives_and_turns_to_the_heading() -> None:
+    world = World()
+    pilot = pilot_of(world, (90.0, 55.0), heading=-2.0)
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert hypot(*(world.pose[:2] - [90.0, 55.0])) < 1.0
+    assert np.cos(world.pose[2] + 2.0) > np.cos(0.06)
+    assert world.least_room > N150.radius_in
+    assert len(pilot.log.plans) == 1
+    assert pilot.step(world.estimate(), world.state()) == STAND
+
+
+def test_way_points_are_passed_by_without_stopping_or_planned_to_one_by_one() -> None:
+    world = World()
+    pilot = pilot_of(world, (35.0, 55.0), (90.0, 55.0))
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert len(pilot.log.plans) == 1
+    assert pilot.goals_left == ((90.0, 55.0),)
+    blocked = World()
+    pilot = pilot_of(blocked, (35.0, 55.0), (90.0, 0.0))
+    blocked.drive(pilot)
+    assert ending(pilot) is Ending.BLOCKED
+    assert "comes within" in reason(pilot)
+
+
+def test_a_find_in_the_way_is_gone_around() -> None:
+    world = World()
+    pilot = Pilot(WIDE, AXES, world.unmapped, [(40.0, 60.0)])
+    world.drive(pilot, 3.0)
+    for _ in range(4):
+        world.unmapped._add(25.0, 30.0, 1.0)
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert len(pilot.log.plans) == 2
+    assert pilot.log.plans[1].length_in > 40.0
+
+
+def test_way_points_with_a_find_between_are_gone_around_too() -> None:
+    world = World()
+    world.unmapped.touch(0.0, (20.0, 20.0), 1.0, 9.0)
+    pilot = Pilot(WIDE, AXES, world.unmapped, [(35.0, 55.0), (60.0, 55.0)])
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert len(pilot.log.plans) >= 2
+
+
+def test_it_waits_for_what_is_in_the_way_and_gives_up_or_goes_on() -> None:
+    world = World()
+    pilot = pilot_of(world, (40.0, 60.0))
+
+    def surround() -> None:
+        for x, y in ((40.0, 50.0), (40.0, 70.0), (30.0, 60.0), (50.0, 60.0)):
+            world.unmapped.touch(0.0, (x, y), 0.0, 0.0)
+
+    surround()
+    world.drive(pilot, 10.0)
+    assert pilot.outcome is None
+    assert hypot(*(world.pose[:2] - [5.0, 5.0])) == 0.0
+    world.unmapped.forget()
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    world = World()
+    pilot = pilot_of(world, (40.0, 60.0))
+    surround()
+    world.drive(pilot)
+    assert ending(pilot) is Ending.BLOCKED
+    assert "something that the map does not have is in the way: no room at (40, 60)" in reason(pilot)
+    assert 20.0 <= world.clock_s < 23.0
+
+
+def test_no_way_in_the_map_is_told_at_once() -> None:
+    world = World()
+    pilot = pilot_of(world, (50.0, 30.0))
+    world.drive(pilot)
+    assert ending(pilot) is Ending.BLOCKED
+    assert reason(pilot).startswith("no room at (50, 30): 0.0 in")
+    assert world.clock_s < 0.2
+
+
+def test_a_touch_is_backed_off_from_and_gone_around() -> None:
+    touched = []
+
+    def feels(x: float, y: float, _: float) -> bool:
+        near = hypot(x - 22.0, y - 32.0) < 9.8
+        touched.append(near)
+        return near
+
+    world = World(feels=feels)
+    pilot = pilot_of(world, (40.0, 60.0), patience=Patience(most_touches=10))
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert 1 <= len(pilot.log.touches) < 6
+    assert sum(touched) < 40
+    assert pilot.log.notes[0][1].startswith("touched something at")
+
+
+def test_too_many_touches_end_it() -> None:
+    world = World(feels=lambda *_: True)
+    pilot = pilot_of(world, (40.0, 60.0))
+    world.drive(pilot)
+    assert ending(pilot) is Ending.TOUCHED
+    assert "touched something 4 times" in reason(pilot)
+    assert hypot(*(world.pose[:2] - [5.0, 5.0])) < 20.0
+
+
+def test_one_that_cannot_back_off_stops_trying() -> None:
+    """The wheels turn, and the encoders stand: as on a robot that is held."""
+    world = World(feels=lambda _x, _y, clock: clock > 1.0)
+    pilot = pilot_of(world, (40.0, 60.0), patience=Patience(most_touches=2, back_off_s=2.0))
+    still = replace(world.state(), raw=(0,) * 33 + (1,) + (0,) * 11)
+    for _ in range(60):
+        pilot.step(world.estimate(), still)
+        world.clock_s += 0.1
+    assert ending(pilot) is Ending.TOUCHED
+    assert world.clock_s >= 2.0
+
+
+def test_an_uncertain_robot_slows_down_stands_and_gives_up() -> None:
+    sure, unsure = World(), World(std_in=0.9)
+    for world in (sure, unsure):
+        world.drive(pilot_of(world, (90.0, 55.0)))
+    assert unsure.clock_s > sure.clock_s + 2.0
+    hopeless = World(std_in=4.0)
+    pilot = pilot_of(hopeless, (90.0, 55.0))
+    hopeless.drive(pilot, 900.0)
+    assert ending(pilot) is Ending.UNCERTAIN
+    assert "known to 12.0 in (3 sigma)" in reason(pilot)
+    assert hopeless.least_room - N150.radius_in > 0.0
+    assert 1 <= sum("known too badly" in words for _, words in pilot.log.notes) < len(MARGINS_IN)
+
+
+def test_uncertainty_that_passes_is_waited_for() -> None:
+    world = World(std_in=3.0)
+    pilot = pilot_of(world, (90.0, 55.0))
+    world.drive(pilot, 8.0)
+    assert pilot.outcome is None
+    world.std_in = 0.1
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+
+
+def test_one_who_is_lost_says_so() -> None:
+    world = World()
+    pilot = pilot_of(world, (90.0, 55.0))
+    world.drive(pilot, 5.0)
+    world.health = FilterHealth(HealthStatus.LOST, "searching")
+    world.drive(pilot)
+    assert pilot.outcome == (Ending.LOST, "searching")
+
+
+def test_moved_beside_its_course_it_plans_anew_but_not_for_ever() -> None:
+    world = World()
+    pilot = pilot_of(world, (90.0, 55.0))
+    world.drive(pilot, 6.0)
+    world.pose[:2] += [4.0, -4.0]
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert len(pilot.log.plans) == 2
+    assert "beside the course" in pilot.log.notes[0][1]
+    world = World()
+    pilot = pilot_of(world, (90.0, 55.0), patience=Patience(most_plans=3))
+    while pilot.outcome is None:
+        world.drive(pilot, world.clock_s + 2.0)
+        world.pose[:2] = [5.0, 5.0 + 6.0 * (len(pilot.log.plans) % 2)]
+    assert ending(pilot) is Ending.ASTRAY
+    assert reason(pilot) == "planned 3 times and not arrived"
+
+
+def test_at_the_end_of_its_course_but_not_there_it_plans_again() -> None:
+    world = World()
+    pilot = pilot_of(world, (30.0, 30.0), patience=Patience(within_in=0.6))
+    world.drive(pilot, 4.0)
+    while hypot(*(world.pose[:2] - [30.0, 30.0])) > 0.5:
+        world.drive(pilot, world.clock_s + 0.1)
+        assert pilot.outcome is None
+    world.pose[:2] += [0.9, 0.9]
+    world.drive(pilot)
+    assert ending(pilot) is Ending.ARRIVED
+    assert hypot(*(world.pose[:2] - [30.0, 30.0])) <= 0.6
+    assert len(pilot.log.plans) >= 2
+
+
+def test_going_backwards_a_touch_is_behind() -> None:
+    world = World()
+    pilot = pilot_of(world, (90.0, 55.0))
+    pilot._towards = -1.0
+    world.feels = lambda *_: True
+    pilot.step(world.estimate(), world.state())
+    ((x1, _, x2, _),) = world.unmapped.segments
+    assert (x1, x2) == pytest.approx((5.0 - N150.radius_in,) * 2)
+    world.feels = lambda *_: False
+    assert pilot.step(world.estimate(), world.state()).translation_in_s > 0.0
+
+
+def test_beside_a_find_and_before_a_suspect_it_is_slow() -> None:
+    world = World(30.0, 55.0)
+    pilot = pilot_of(world, (90.0, 55.0))
+    world.drive(pilot, 3.0)
+    free = pilot.step(world.estimate(), world.state()).translation_in_s
+    world.unmapped._add(float(world.pose[0]) + 25.0, 55.0, 0.0)
+    suspicious = pilot.step(world.estimate(), world.state()).translation_in_s
+    assert 0.0 < suspicious < 0.7 * free
+    world.unmapped.forget()
+    world.unmapped._add(float(world.pose[0]), 35.0, 0.0)
+    assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(free)
+    for _ in range(3):
+        world.unmapped._add(float(world.pose[0]), 36.0, 0.0)
+    assert pilot.step(world.estimate(), world.state()).translation_in_s == pytest.approx(3.0)

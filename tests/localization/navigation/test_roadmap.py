@@ -1,0 +1,188 @@
+"""Shortest ways: against the closed form around one end of a wall, against Dijkstra on a fine grid, and between the
+shortest ways around polygons in and around the grown walls, by a visibility graph of another kind."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from math import acos, atan2, cos, hypot, pi, sqrt
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import ConvexHull
+
+from localization.filters.belief import Floats
+from localization.navigation.path import Leg
+from localization.navigation.roadmap import NoWayError, Roadmap, clearances, length_in
+from worlds.bodies import N150
+from worlds.files import load_world
+from worlds.geometry import nearest_points
+
+RADIUS_IN = N150.radius_in + 1.0
+CORNERS = 24
+WORLDS = ["thesis_room", "several_walls", "centre_vertex"]
+
+
+def points_of(legs: list[Leg]) -> Floats:
+    return np.array([leg.at(share * leg.length_in)[:2] for leg in legs for share in np.linspace(0.0, 1.0, 60)])
+
+
+def end_of(legs: list[Leg]) -> tuple[float, float]:
+    last = legs[-1].at(legs[-1].length_in)
+    return last.x_in, last.y_in
+
+
+def test_in_an_empty_world_the_way_is_straight() -> None:
+    (leg,) = Roadmap(np.zeros((0, 4)), 10.0).path((0.0, 0.0), (30.0, 40.0))
+    assert leg == pytest.approx((0.0, 0.0, atan2(4.0, 3.0), 0.0, 50.0))
+
+
+@pytest.mark.parametrize("height", [0.0, 5.0, -20.0])
+def test_around_the_end_of_a_wall_it_is_two_tangents_and_an_arc(height: float) -> None:
+    """The wall ends in the origin and goes down; the ways touch the circle of the radius about it."""
+    roadmap, half = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0), 60.0
+    path = roadmap.path((-half, height), (half, height))
+    far = hypot(half, height)
+    arc = 2.0 * (atan2(half, height) - acos(10.0 / far))
+    exact = 2.0 * sqrt(far * far - 100.0) + 10.0 * max(arc, 0.0)
+    if arc <= 0.0:
+        exact = 2.0 * half
+    assert length_in(path) == pytest.approx(exact, abs=1e-5)
+
+
+class Polygons:
+    """Shortest ways among walls grown to polygons of a corner radius: Cyrus and Beck's clipping, then Dijkstra."""
+
+    def __init__(self, walls: Floats, corner_in: float) -> None:
+        angles = np.arange(CORNERS) * (2.0 * pi / CORNERS)
+        ring = corner_in * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+        hulls = [ConvexHull(np.concatenate((wall[:2] + ring, wall[2:] + ring))) for wall in walls]
+        self._planes = [hull.equations for hull in hulls]
+        corners = np.concatenate([hull.points[hull.vertices] for hull in hulls])
+        self._corners = corners[[self._outside(corner) for corner in corners]]
+
+    def _outside(self, point: Floats) -> bool:
+        return all((planes[:, :2] @ point + planes[:, 2]).max() > -1e-6 for planes in self._planes)
+
+    def _free(self, one: Floats, other: Floats) -> np.typing.NDArray[np.bool_]:
+        """Which of the ways (n, 2) to (n, 2) meet the inside of no polygon."""
+        free = np.ones(len(one), dtype=bool)
+        for planes in self._planes:
+            begin = one @ planes[:, :2].T + planes[:, 2] + 1e-7
+            slope = (other - one) @ planes[:, :2].T
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = -begin / slope
+            enters = np.where(slope < 0.0, share, np.where((slope == 0.0) & (begin > 0.0), np.inf, 0.0)).max(axis=1)
+            leaves = np.where(slope > 0.0, share, 1.0).min(axis=1)
+            free &= np.maximum(enters, 0.0) >= np.minimum(leaves, 1.0)
+        return free
+
+    def length_in(self, start: tuple[float, float], goal: tuple[float, float]) -> float:
+        nodes = np.concatenate((np.array([start, goal]), self._corners))
+        one, other = np.triu_indices(len(nodes), 1)
+        free = self._free(nodes[one], nodes[other])
+        one, other = one[free], other[free]
+        lengths = np.hypot(*(nodes[one] - nodes[other]).T)
+        graph = csr_matrix((lengths, (one, other)), shape=(len(nodes),) * 2)
+        return float(dijkstra(graph, directed=False, indices=0)[1])
+
+
+@cache
+def polygons(world: str) -> tuple[Polygons, Polygons]:
+    """In the grown walls, and around them."""
+    walls = np.array(load_world(world).walls)
+    return Polygons(walls, RADIUS_IN), Polygons(walls, RADIUS_IN / cos(pi / CORNERS))
+
+
+def grid_length(walls: np.ndarray, start: tuple[float, float], goal: tuple[float, float]) -> float:
+    """Dijkstra on a grid of 1 in with sixteen directions: longer than the shortest by 2.7 % at most, and its cells."""
+    cells = 115
+    x, y = np.meshgrid(np.arange(cells) - 12.0, np.arange(cells) - 12.0)
+    points = np.stack((x.ravel(), y.ravel()), axis=-1)
+    free = (nearest_points(points, walls)[1].min(axis=1) >= RADIUS_IN).reshape(cells, cells)
+    rows, columns, lengths = [], [], []
+    number = np.arange(cells * cells).reshape(cells, cells)
+    for dx, dy in ((1, 0), (0, 1), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)):
+        near = (slice(max(0, -dy), cells - max(0, dy)), slice(0, cells - dx))
+        far = (slice(max(0, dy), cells - max(0, -dy)), slice(dx, cells))
+        both = free[near] & free[far]
+        rows.append(number[near][both])
+        columns.append(number[far][both])
+        lengths.append(np.full(int(both.sum()), hypot(dx, dy)))
+    graph = coo_matrix(
+        (np.concatenate(lengths), (np.concatenate(rows), np.concatenate(columns))), shape=(cells * cells,) * 2
+    )
+    ends = [int(number[round(point[1] + 12), round(point[0] + 12)]) for point in (start, goal)]
+    return float(dijkstra(graph.tocsr(), directed=False, indices=ends[0])[ends[1]])
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_between_random_places_it_is_free_and_the_shortest(world: str) -> None:
+    walls = np.array(load_world(world).walls)
+    roadmap, chance = Roadmap(walls, RADIUS_IN), np.random.default_rng(8)
+    within, around = polygons(world)
+    tried = 0
+    while tried < 12:
+        start, goal = ((float(a), float(b)) for a, b in chance.integers(0, 90, (2, 2)))
+        if nearest_points([start, goal], walls)[1].min() < RADIUS_IN * 1.01 or start == goal:
+            continue
+        tried += 1
+        path = roadmap.path(start, goal)
+        assert nearest_points(points_of(path), walls)[1].min() >= RADIUS_IN - 1e-5
+        assert end_of(path) == pytest.approx(goal, abs=1e-6)
+        for leg, following in pairwise(path):
+            assert leg.at(leg.length_in)[:2] == pytest.approx((following.x_in, following.y_in), abs=1e-6)
+        length = length_in(path)
+        assert within.length_in(start, goal) - 1e-5 <= length <= around.length_in(start, goal) + 1e-5
+        on_grid = grid_length(walls, start, goal)
+        assert on_grid / 1.028 - 3.0 <= length <= on_grid * 1.005 + 0.5
+
+
+def test_lines_go_over_into_arcs_without_a_turn() -> None:
+    path = Roadmap(np.array(load_world("several_walls").walls), RADIUS_IN).path((5.0, 5.0), (90.0, 0.0))
+    legs = [leg for leg in path if leg.length_in > 1e-6]
+    assert [bool(leg.curvature) for leg in legs] == [False, True, False, True, False]
+    for leg, following in pairwise(legs):
+        assert np.cos(leg.at(leg.length_in).heading_rad - following.heading_rad) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_start_too_near_a_wall_is_left_straight_and_a_goal_too_near_is_refused() -> None:
+    roadmap = Roadmap(np.array(load_world("several_walls").walls), RADIUS_IN)
+    path = roadmap.path((-2.0, 10.0), (80.0, 0.0))
+    assert (path[0].x_in, path[0].y_in) == (-2.0, 10.0)
+    assert path[0].length_in == pytest.approx(0.72, abs=0.3)
+    assert length_in(path) < length_in(roadmap.path((-1.2, 10.0), (80.0, 0.0))) + 2.0
+    with pytest.raises(NoWayError, match=r"no room at \(-2, 40\): 0.0 in to a wall, 10.7 wanted"):
+        roadmap.path((60.0, 60.0), (-2.0, 40.0))
+    assert end_of(roadmap.path((80.0, 0.0), (-2.0, 10.0), 9.72)) == pytest.approx((-2.0, 10.0))
+
+
+def test_a_start_without_any_room_has_no_way() -> None:
+    narrow = np.array([[-500.0, 0.0, 500.0, 0.0], [-500.0, 12.0, 500.0, 12.0]])
+    with pytest.raises(NoWayError, match=r"no way from \(0, 6\) to \(0, 60\)"):
+        Roadmap(narrow, 10.0).path((0.0, 6.0), (0.0, 60.0))
+
+
+def test_where_there_is_no_way_it_says_so() -> None:
+    box = np.array([[0, 0, 60, 0], [60, 0, 60, 60], [60, 60, 0, 60], [0, 60, 0, 0]], dtype=float)
+    with pytest.raises(NoWayError, match="no way from"):
+        Roadmap(box, 10.0).path((30.0, 30.0), (200.0, 30.0))
+
+
+def test_given_ways_are_refused_where_they_come_too_near() -> None:
+    roadmap = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0)
+    roadmap.require_free([(-5.0, 0.0), (-20.0, 0.0), (-20.0, 30.0)])
+    with pytest.raises(NoWayError, match=r"from \(-20, 0\) to \(20, 0\) comes within 0.0 in of a wall, 10.0 wanted"):
+        roadmap.require_free([(-20.0, 20.0), (-20.0, 0.0), (20.0, 0.0)])
+
+
+def test_clearances_by_hand() -> None:
+    walls = np.array([[0.0, 0.0, 0.0, 10.0]])
+    ways = np.array([[3.0, 0.0, 3.0, 5.0], [-1.0, 5.0, 1.0, 5.0], [3.0, 14.0, -3.0, 14.0], [5.0, -3.0, 4.0, 20.0]])
+    np.testing.assert_allclose(clearances(ways, walls)[:3], [3.0, 0.0, 4.0])
+    dense = np.linspace(ways[3, :2], ways[3, 2:], 10_001)
+    np.testing.assert_allclose(clearances(ways, walls)[3], nearest_points(dense, walls)[1].min(), atol=1e-3)
+    assert clearances(ways, np.zeros((0, 4))).min() == np.inf
+    assert clearances(np.zeros((0, 4)), walls).shape == (0,)

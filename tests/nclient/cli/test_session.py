@@ -1,0 +1,214 @@
+"""A session with an emulated robot in this process: what each line does to it, and what is shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from nclient.backends.nserver import NserverBackend
+from nclient.cli.shell_help import OWN
+from nclient.cli.shell_session import Session
+from nclient.connect import Wanted, open_backend
+from nclient.errors import RobotRefused, ShellError
+from nclient.protocol.types import N200
+from nclient.transports.memory import MemoryStream
+from tests.nclient.answering import ScriptedServer
+
+
+class Slept:
+    """Counts seconds of real time that were waited."""
+
+    def __init__(self) -> None:
+        self.total_s = 0.0
+
+    def __call__(self, seconds: float) -> None:
+        self.total_s += seconds
+
+
+def session_on(address: str = "sim:thesis_room", slept: Slept | None = None) -> Session:
+    return Session(open_backend(address, Wanted()), slept or Slept())
+
+
+def scripted(server: ScriptedServer, slept: Slept | None = None) -> Session:
+    return Session(NserverBackend(MemoryStream(server), model=server.terms.model), slept or Slept(), pid=7)
+
+
+def told(session: Session, text: str) -> str:
+    return "\n".join(session.run(text))
+
+
+def test_a_motion_and_its_end() -> None:
+    session = session_on()
+    assert "moving: translation" in told(session, "pr(240, 0, 0);")
+    assert told(session, "wait").startswith("x 24.0 in  y 0.0 in")
+    assert told(session, "State[34]") == "State[34] = 240"
+    assert session.robot.truth().x_in == pytest.approx(24.0)
+
+
+@pytest.mark.parametrize(("text", "shown"), [
+    ("gs", "x 0.0 in  y 0.0 in"),
+    ("get_sn", "sonar "),
+    ("get_rc", "pose        x 0.0 in"),
+    ("get_rv", "velocity    translation 0.0 in/s"),
+    ("get_ra", "translation 0.0 in/s2  steering 0.0 deg/s2"),
+    ("get_bp", "bumpers     free"),
+    ("get_robot_conf", "x 0.0 in  y 0.0 in  steering 0.0 deg"),
+    ("get_rpx", "robot 1: x 0.0 in  y 0.0 in  heading 0.0 deg"),
+    ("sim_truth", "in truth x 0.000 in  y 0.000 in  heading 0.000 deg"),
+    ("sim_control 4 500", "simulated time 0."),
+    ("sim_control 1 0", "paused"),
+    ("motion_check 0 0 0 40000 0", "hits at x "),
+    ("motion_check 0 0 0 10 0", "free"),
+    ("predict_sensors 0 0 0 0", "sonar "),
+    ("new_world", "ok"),
+    ("connect_robot 1", "x 0.0 in  y 0.0 in"),
+    ("conf_tm 3", "standing"),
+    ("Smask", "0 1 1 1"),
+    ("Laser", "0"),
+    ("help", "pr translation steering turret      move each axis by a distance"),
+    ("help pr wait", "wait [SECONDS]"),
+    ("state", "battery     computer 12.0 V"),
+    ("state pose clock", "clock       0."),
+    ("# nothing", ""),
+])
+def test_what_a_line_shows(text: str, shown: str) -> None:
+    assert shown in told(session_on(), text)
+
+
+def test_a_model_with_more_sensors_tells_more() -> None:
+    session = session_on("sim:thesis_room?robot=n200")
+    assert told(session, "get_ir").startswith("infrared ")
+    assert told(session, "get_cp").startswith("compass ")
+    assert told(session, "conf_ls 51 20 20 20 4; get_ls").splitlines()[-1].startswith("laser ")
+
+
+def test_the_mask_is_set_and_sent_as_in_c() -> None:
+    session = session_on("sim:thesis_room?robot=n200")
+    assert told(session, "Smask[17] = 0; Smask[17]") == "Smask[17] = 0\nSmask[17] = 0"
+    assert session.terms.mask.has(17)  # not yet
+    told(session, "ct")
+    assert not session.terms.mask.has(17)
+    told(session, f"ct {{{' '.join(['0'] + ['1'] * 43)}}}")
+    assert told(session, "Smask[17]") == "Smask[17] = 1"
+
+
+def test_help_is_as_wide_as_a_terminal_but_for_long_lines() -> None:
+    lines = told(session_on(), "help").splitlines()
+    assert all(name in "\n".join(lines) for name in OWN)
+    assert any(line.startswith(" " * 36) for line in lines)
+
+
+@pytest.mark.parametrize(("text", "why"), [
+    ("help nothing_such", "help: no command 'nothing_such'"),
+    ("help mvv", "did you mean mv?"),
+    ("help vn", r"help: no command 'vn'; did you mean vm\?; help lists them all"),
+    ("help foo", "help: no command 'foo'; help lists them all"),
+    ("help slep", "did you mean sleep?"),
+    ("state sonars", "no part 'sonars'"),
+    ("sleep", r"sleep SECONDS: a number of seconds is wanted, 0 to 86400"),
+    ("sleep long", "sleep SECONDS"),
+    ("sleep -1", "sleep SECONDS"),
+    ("wait 1 2", r"wait \[SECONDS\]: a number"),
+    ("quit now", "quit takes nothing"),
+    ("State[45]", "State has 45 numbers, 0 to 44, and no 45"),
+    ("Smask[44] = 1", "Smask has 44 numbers"),
+    ("Smask[1] = 2", r"Smask\[0\] is a sum"),
+    ("Smask[0] = 32", r"Smask\[0\] is a sum"),
+    ("Laser[1]", "Laser holds 1 numbers now, and no 1"),
+    ("gs; prr", "no command 'prr'"),
+])
+def test_what_makes_no_sense_is_told_before_anything_is_done(text: str, why: str) -> None:
+    server = ScriptedServer()
+    session = scripted(server)
+    with pytest.raises(ShellError, match=why):
+        told(session, text)
+    assert server.names() == []
+
+
+def test_a_refusal_of_the_robot_is_its_own_error() -> None:
+    session = session_on()
+    with pytest.raises(RobotRefused, match="quit_server was refused"):
+        told(session, "quit_server")
+    assert "State[44] = 5" in told(session, "State[44]")
+
+
+def test_what_has_many_numbers_and_no_words_is_shown_as_it_came() -> None:
+    server = ScriptedServer()
+    assert told(scripted(server), "special_request 200 1 2") == " ".join(["0"] * 16)
+    assert server.last().args == (200, 1, 2)
+    assert told(scripted(server), "create_robot 3").startswith("x 0.0 in")
+    assert ("create_robot", (3, 7)) in [(call.name, call.args) for call in server.calls]
+
+
+def test_sleep_is_simulated_time_in_this_process_and_costs_none() -> None:
+    slept = Slept()
+    session = session_on("sim:thesis_room?step_s=0.05", slept)
+    before = session.robot.refresh().clock_s
+    assert told(session, "sleep 3") == ""
+    after = session.robot.state.clock_s
+    assert before is not None
+    assert after is not None
+    assert after - before == pytest.approx(3.05, abs=0.051)
+    assert slept.total_s == 0
+
+
+def test_sleep_goes_by_the_robots_clock_where_time_runs_by_itself() -> None:
+    server, slept = ScriptedServer(), Slept()
+    session = scripted(server, slept)
+
+    def pass_time(seconds: float) -> None:
+        slept(seconds)
+        server.clock += round(10_000 * seconds)  # a simulation ten times as fast
+
+    session._sleep = pass_time
+    told(session, "sleep 20")
+    assert slept.total_s == pytest.approx(2.0, abs=0.06)
+
+
+def test_sleep_says_when_the_robots_clock_stands() -> None:
+    with pytest.raises(ShellError, match="the robot's clock stands; a paused simulation goes on with sim_control 2 0"):
+        told(session_on(), "sim_control 1 0; sleep 1")
+
+
+def test_sleep_takes_real_time_where_the_robot_has_told_no_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept = Slept()
+    session = scripted(ScriptedServer(), slept)
+    silent = session.robot.refresh()
+    monkeypatch.setattr(session.robot, "refresh", lambda: replace(silent, clock_ms=None))
+    told(session, "sleep 2")
+    assert slept.total_s == 2
+
+
+def test_wait_fails_where_the_robot_moves_on() -> None:
+    with pytest.raises(ShellError, match=r"wait: after 1 s the robot is moving: translation 5.0 in/s"):
+        told(session_on(), "vm 50 0 0; wait 1")
+
+
+@pytest.mark.parametrize("text", ["quit", "exit", "disconnect_robot 1"])
+def test_quitting_is_noted(text: str) -> None:
+    session = session_on()
+    assert not session.finished
+    told(session, text)
+    assert session.finished
+
+
+@pytest.mark.parametrize("text", ["quit", "exit", "disconnect_robot 1"])
+def test_what_follows_on_the_line_is_not_done(text: str) -> None:
+    session = session_on()
+    told(session, f"{text}; pr 100 0 0; gs")
+    assert not session.robot.refresh().moving
+
+
+def test_a_time_out_of_ones_own_is_noted() -> None:
+    session = session_on()
+    assert not session.keeps_time_out
+    told(session, "conf_tm 3; gs")
+    assert session.keeps_time_out
+
+
+def test_halting_says_st() -> None:
+    server = ScriptedServer(model=N200)
+    session = scripted(server)
+    assert session.halt().startswith("stopped: x 0.0 in")
+    assert server.names() == ["st"]

@@ -1,0 +1,96 @@
+"""`nomad state`: in words or as objects, once or again and again, and nobody is stopped by it."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+from nclient.cli import main, state
+from tests.nclient.answering import ScriptedServer, robot_on
+
+
+def test_all_parts_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["state", "sim:thesis_room"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("pose        x 0.0 in")
+    assert told.count("pose") == 1
+
+
+def test_parts_again_and_again(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["state", "sim:thesis_room", "--watch", "--every", "0", "--count", "3", "clock"]) == 0
+    clocks = [float(line.split()[1]) for line in capsys.readouterr().out.splitlines()]
+    assert len(clocks) == 3
+    assert clocks == sorted(set(clocks))
+
+
+@pytest.mark.parametrize(("words", "looks"), [
+    (["--count", "3"], 3), (["--every", "0", "--count", "2"], 2), (["--watch", "--count", "1"], 1), ([], 1),
+])
+def test_how_often_is_said_without_watch_as_well(
+    words: list[str], looks: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("time.sleep", slept.append)
+    assert main.main(["state", "sim:thesis_room", "clock", *words]) == 0
+    assert capsys.readouterr().out.count("clock") == looks
+    assert slept == [0.0 if "--every" in words else state.EVERY_S] * (looks - 1)
+
+
+def test_an_interval_alone_is_to_watch(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    slept: list[float] = []
+
+    def twice(seconds: float) -> None:
+        slept.append(seconds)
+        if len(slept) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", twice)
+    assert main.main(["state", "sim:thesis_room", "clock", "--every", "0.5"]) == 0
+    assert capsys.readouterr().out.count("clock") == 2
+    assert slept == [0.5, 0.5]
+
+
+def test_objects_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["state", "sim:thesis_room?robot=scout", "--json"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert json.loads(line)["model"] == "scout"
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["sim:", "sonars"], "no part 'sonars' of the state; there are pose, "),
+    (["thesis_room"], "an address begins with one of nserver:, replay:, robotd:, serial:, sim:"),
+    (["sim:", "nserver://lab"], "one robot at a time, not sim: and nserver://lab"),
+])
+def test_words_that_are_neither(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["state", *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "x"])
+def test_a_count_is_a_number(count: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main.main(["state", "sim:", f"--count={count}"])
+    assert "a whole number above 0" in capsys.readouterr().err
+
+
+def test_on_a_terminal_it_stays_in_its_place(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    slept: list[float] = []
+    server = ScriptedServer()
+    state.watch(robot_on(server), ["error"], 2, 0.5, as_json=False, sleep=slept.append)
+    assert capsys.readouterr().out == "\x1b[H\x1b[Jerror       none\n" * 2
+    assert slept == [0.5]
+    assert server.names() == ["gs", "gs"]
+
+
+def test_ctrl_c_is_how_watching_ends(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", interrupt)
+    assert main.main(["state", "sim:thesis_room", "clock", "--watch"]) == 0
+    assert capsys.readouterr().out.count("clock") == 1

@@ -1,0 +1,116 @@
+"""On a robot's own line st goes out first, and counts as answered however little of the robot is understood."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.backends.base import Backend
+from nclient.backends.direct import DirectBackend
+from nclient.cli import main
+from nclient.cli.stop import StopFirst, Stopping
+from nclient.errors import ReplyTimeout
+from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Model
+from nclient.transports.memory import MemoryStream
+from nclient.transports.stream import ByteStream
+from tests.nclient.robot_line import Answer, ScriptedLine
+
+UNSEEN = "NOT SEEN TO STOP: st was answered, and nothing showed that it stands still"
+
+
+class Time:
+    """Passes when somebody sleeps."""
+
+    now_s = 0.0
+
+    def clock(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+def stopped(robot: ScriptedLine, model: Model, patience_s: float = 1) -> tuple[int, StopFirst]:
+    """The exit code, and who opened the conversations."""
+
+    def talks(stream: ByteStream) -> Backend:
+        return DirectBackend(stream, model)
+
+    time = Time()
+    first = StopFirst(lambda: MemoryStream(robot), talks, model)
+    return Stopping(first, time.clock, time.sleep).run(patience_s), first
+
+
+@pytest.mark.parametrize("model", MODELS.values())
+def test_the_first_bytes_are_st(model: Model, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = ScriptedLine(model=model)
+    code, _ = stopped(robot, model)
+    assert code == 0
+    assert robot.names()[0] == "st"
+    assert bytes(robot.requests[:6]) == bytes.fromhex("01 02 00 09 0c 5c")
+    assert capsys.readouterr().out == "stands still at x 0.0 in, y 0.0 in; told 2 times\n"
+
+
+def test_a_n200_that_does_not_answer_ct_is_stopped_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = ScriptedLine({"ct": None}, N200)
+    code, first = stopped(robot, N200)
+    assert code == 1
+    assert robot.names()[:2] == ["st", "ct"]
+    assert first.answers
+    assert capsys.readouterr().out.startswith(f"{UNSEEN}; told ")
+
+
+def test_a_hello_before_the_answer_is_no_answer() -> None:
+    robot = ScriptedLine(model=N200)
+    robot.out += build_hello(Hello(EVERYTHING, 51))
+    code, _ = stopped(robot, N200)
+    assert (code, robot.names()[0]) == (0, "st")
+
+
+@pytest.mark.parametrize(("real", "said"), [(N200, N150), (N200, SCOUT)])
+def test_another_model_than_the_address_says(real: Model, said: Model, capsys: pytest.CaptureFixture[str]) -> None:
+    code, first = stopped(ScriptedLine(model=real), said)
+    out = capsys.readouterr().out
+    assert code == 1
+    assert first.answers
+    assert out.startswith(f"{UNSEEN}; it looks like a {real.name}'s: say model={real.name} in the address; told ")
+
+
+def test_st_is_said_again_until_it_is_answered() -> None:
+    answers: list[Answer] = [None, None]
+    robot = ScriptedLine({"st": answers})
+    code, first = stopped(robot, N150)
+    assert (code, first.told) == (0, 3)
+    assert robot.names()[:3] == ["st", "st", "st"]
+
+
+def test_a_nak_is_no_answer() -> None:
+    nak = bytes.fromhex("01 02 00 08 0b 5c")
+    answers: list[Answer] = [nak]
+    robot = ScriptedLine({"st": answers})
+    code, first = stopped(robot, N150)
+    assert (code, first.told) == (0, 2)
+
+
+def test_nobody_answers_and_the_line_is_let_go(capsys: pytest.CaptureFixture[str]) -> None:
+    robot = ScriptedLine({"st": None})
+    code, first = stopped(robot, N150, patience_s=0.1)
+    assert (code, first.told, robot.closed) == (1, 6, 2)
+    told = capsys.readouterr()
+    assert told.out == "NOT STOPPED: nobody answered; told 6 times, 2 faults on the way\n"
+    assert told.err == "nomad: st was not answered within 1 s, 3 times\n"
+    assert set(robot.names()) == {"st"}
+    with pytest.raises(ReplyTimeout):
+        first()
+
+
+@pytest.mark.parametrize("address", ["serial:///dev/r1?model=n200", "robotd://lab?model=n200&timeout_s=0.5"])
+def test_from_the_command_line_a_hello_that_was_lost_is_not_waited_for(
+    address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = ScriptedLine(model=N200)
+    for name in ("SerialStream", "TcpStream"):
+        monkeypatch.setattr(f"nclient.openers.{name}", lambda *_, **__: MemoryStream(robot))
+    assert main.main(["stop", address, "--patience", "0.2"]) == 0
+    assert robot.names()[:2] == ["st", "ct"]
+    assert capsys.readouterr().out.startswith("stands still at")

@@ -1,0 +1,87 @@
+"""Who reads the keys, where history is kept, and completion as readline asks for it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from nclient.cli import shell
+from nclient.cli.shell import PlainReader, PromptReader, default_history, reader
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import Terms, tcp_terms
+
+
+def terms() -> Terms:
+    return tcp_terms(N150)
+
+
+def test_history_stands_where_the_users_states_do() -> None:
+    assert default_history({"XDG_STATE_HOME": "/x"}) == Path("/x/nomad/history")
+    assert default_history({}) == Path.home() / ".local" / "state" / "nomad" / "history"
+
+
+def test_prompt_toolkit_reads_where_it_is_installed(tmp_path: Path) -> None:
+    history = tmp_path / "deep" / "history"
+    assert isinstance(reader(terms, lambda: "", history), PromptReader)
+    assert history.stat().st_mode & 0o777 == 0o600
+
+
+def test_readline_does_where_it_is_not(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    plain = reader(terms, lambda: "", tmp_path / "history")
+    assert isinstance(plain, PlainReader)
+
+
+def test_without_readline_it_is_input_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "readline", None)
+    monkeypatch.setattr("builtins.input", lambda prompt: f"{prompt}gs")
+    plain = PlainReader(terms, tmp_path / "history")
+    assert plain.read("n150> ") == "n150> gs"
+    plain.close()
+    assert not (tmp_path / "history").exists()
+
+
+def test_readline_is_given_one_name_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    readline = pytest.importorskip("readline")
+    monkeypatch.setattr(readline, "get_line_buffer", lambda: "help get_s")
+    monkeypatch.setattr(readline, "get_endidx", lambda: 10)
+    plain = PlainReader(terms, None)
+    assert [plain.complete("get_s", number) for number in range(3)] == ["get_sn", "get_sg", None]
+    plain.close()
+
+
+def test_readline_keeps_the_lines_and_has_them_again(tmp_path: Path) -> None:
+    readline = pytest.importorskip("readline")
+    history = tmp_path / "history"
+    readline.clear_history()
+    plain = PlainReader(terms, history)
+    readline.add_history("pr 240 0 0")
+    plain.close()
+    readline.clear_history()
+    PlainReader(terms, history)
+    assert readline.get_history_item(1) == "pr 240 0 0"
+    readline.clear_history()
+
+
+def test_no_history_is_wanted(tmp_path: Path) -> None:
+    assert isinstance(reader(terms, lambda: "", None), PromptReader)
+    assert not list(tmp_path.iterdir())
+
+
+def test_libedit_is_bound_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    readline = pytest.importorskip("readline")
+    bound: list[str] = []
+    monkeypatch.setattr(readline, "__doc__", "as libedit has it")
+    monkeypatch.setattr(readline, "parse_and_bind", bound.append)
+    PlainReader(terms, None)
+    assert bound == ["bind ^I rl_complete"]
+
+
+def test_a_history_that_cannot_be_kept_stops_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    kept = shell._prepared(tmp_path / "file" / "history")
+    assert kept is None
+    assert "nomad: no history is kept: " in capsys.readouterr().err

@@ -1,0 +1,32 @@
+"""Which extra brings a module, by the metadata of what is installed."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError
+
+import pytest
+
+from nclient.common import hints
+
+
+@pytest.mark.parametrize(("module", "extra"), [
+    ("shtab", "shell"), ("prompt_toolkit.history", "shell"), ("aiohttp", "viewer"), ("matplotlib.figure", "plot"),
+    ("distributed", "cluster"), ("numba", "fast"), ("ruff", ""), ("numpy", ""), ("no_such_module", ""),
+])
+def test_each_extra_is_found_by_what_it_brings(module: str, extra: str) -> None:
+    assert hints.extra_of(module) == extra
+
+
+def test_a_remedy_is_what_one_types() -> None:
+    assert hints.remedy("shtab") == "pip install 'nomad-nserver[shell]'"
+    assert hints.remedy("no_such_module") == "pip install 'nomad-nserver[all]'"
+
+
+def test_files_that_were_never_installed_have_no_extras(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(_: str) -> list[str]:
+        raise PackageNotFoundError
+
+    monkeypatch.setattr(hints, "requires", missing)
+    assert hints.extra_of("shtab") == ""
+    monkeypatch.setattr(hints, "requires", lambda _: None)
+    assert hints.extra_of("shtab") == ""

@@ -1,0 +1,24 @@
+"""Files as text and TOML: whatever is wrong is the reader's own error, and can be told."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.common.files import toml_of
+from nclient.errors import FaultPlanError
+
+BEYOND = "0x" + "f" * 3600
+"""Python reads it, and shows no number of more than 4,300 decimal digits."""
+
+
+@pytest.mark.parametrize(
+    "text", [f"seed = {BEYOND}", f"seed = 1\n[[rule]]\nname = [[1, {BEYOND}]]", "a.b = 0b" + "1" * 4097]
+)
+def test_a_whole_number_that_no_error_could_tell_of_is_refused(text: str) -> None:
+    with pytest.raises(FaultPlanError, match=r"^plan: holds a whole number of more than 4096 bits$"):
+        toml_of(text, "plan", FaultPlanError)
+
+
+def test_the_largest_that_is_read_can_be_told_of() -> None:
+    (largest,) = toml_of("a = 0x" + "f" * 1024, "plan", FaultPlanError).values()
+    assert str(largest) == str(2**4096 - 1)

@@ -1,0 +1,104 @@
+"""Signals that end a command: SystemExit with the code that a shell gives, and the old handlers back afterwards."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import threading
+
+import pytest
+
+from nclient.cli import main
+from nclient.common.process import Left, left_in_order
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_signal_leaves_in_order(number: signal.Signals, code: int) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(SystemExit) as left, left_in_order():
+        signal.raise_signal(number)
+    assert left.value.code == code
+    assert signal.getsignal(number) == before
+
+
+def test_a_system_without_hanging_up_has_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(signal, "SIGHUP")
+    with pytest.raises(SystemExit, match="143"), left_in_order():
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_second_signal_does_not_disturb_the_leaving() -> None:
+    left = []
+
+    @left_in_order()
+    def driving() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGTERM)
+            left.append("in order")
+
+    with pytest.raises(Left) as first:
+        driving()
+    assert (first.value.signal_name, left) == ("SIGTERM", ["in order"])
+
+
+def test_what_nohup_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with left_in_order():
+            signal.raise_signal(signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_on_another_thread_nothing_is_changed() -> None:
+    found = []
+
+    def run() -> None:
+        before = signal.getsignal(signal.SIGTERM)
+        with left_in_order():
+            found.append(signal.getsignal(signal.SIGTERM) == before)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found == [True]
+
+
+def test_to_a_terminal_that_was_closed_nothing_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = pty.openpty()
+    monkeypatch.setattr("nclient.common.process._OUTPUTS", (theirs,))
+
+    @left_in_order()
+    def hung_up() -> None:
+        os.close(ours)
+        with pytest.raises(OSError, match="Input/output"):
+            os.write(theirs, b"lost")
+        signal.raise_signal(signal.SIGHUP)
+
+    with pytest.raises(Left):
+        hung_up()
+    assert os.write(theirs, b"nowhere") == 7
+    os.close(theirs)
+
+
+def test_a_terminal_that_is_still_there_is_written_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = pty.openpty()
+    monkeypatch.setattr("nclient.common.process._OUTPUTS", (theirs,))
+    try:
+        with pytest.raises(Left), left_in_order():
+            signal.raise_signal(signal.SIGHUP)
+        os.write(theirs, b"here")
+        assert os.read(ours, 4) == b"here"
+    finally:
+        os.close(theirs)
+        os.close(ours)
+
+
+def test_every_command_is_left_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(main, "_dispatch", lambda _: signal.raise_signal(signal.SIGHUP))
+    assert main.main(["go"]) == 129

@@ -1,0 +1,83 @@
+"""stdout and stderr that are closed, full, or read by nobody: a line says so, no other file is printed to."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nclient.common import process
+
+NOMAD = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())"]
+NSERVER = [sys.executable, "-m", "nserver_emu"]
+LONG = (
+    "import sys\nfrom nclient.common import process as outputs\n"
+    "try:\n    print('x' * {size}, flush={flush})\n    sys.stdout.flush()\n"
+)
+TOLD = LONG + "except OSError as error:\n    sys.exit(outputs.ended_by(error, 'try'))\n"
+FULL = "stdout: cannot be written: No space left on device; make room on that disk, or name a file on another\n"
+
+
+def in_shell(command: list[str], redirected: str) -> subprocess.CompletedProcess[str]:
+    line = f"{shlex.join(command)} {redirected}"
+    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("flush", [True, False])
+@pytest.mark.parametrize("size", [10, 100_000])
+def test_a_full_disk_is_told_in_a_line(size: int, flush: bool) -> None:
+    done = in_shell([sys.executable, "-c", TOLD.format(size=size, flush=flush)], ">/dev/full")
+    assert (done.returncode, done.stderr) == (1, f"try: {FULL}")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize(("command", "name"), [
+    ([*NOMAD, "state", "sim:thesis_room"], "nomad"), ([*NSERVER, "--list-worlds"], "nserver"),
+    ([*NOMAD, "completion", "bash"], "nomad"),
+], ids=lambda words: "" if isinstance(words, str) else words[-1])  # fmt: skip
+def test_both_commands_tell_it(command: list[str], name: str) -> None:
+    done = in_shell(command, ">/dev/full")
+    assert (done.returncode, done.stderr) == (1, f"{name}: {FULL}")
+
+
+@pytest.mark.long
+def test_whoever_reads_the_list_of_worlds_may_go() -> None:
+    done = in_shell(NSERVER, "--list-worlds | true; exit ${PIPESTATUS[0]}")
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("closed", "told"), [(">&-", False), ("2>&-", True), ("<&-", True), (">&- 2>&- <&-", False)])
+def test_a_command_goes_without_what_is_closed(closed: str, told: bool) -> None:
+    done = in_shell([*NOMAD, "state", "sim:thesis_room", "pose"], closed)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("pose ") == told
+
+
+def test_no_file_takes_the_number_of_what_is_closed(tmp_path: Path) -> None:
+    program = (
+        "import sys\nfrom nclient.common import process as outputs\noutputs.fill_in()\n"
+        f"kept = open({str(tmp_path / 'kept')!r}, 'w')\nprint('said')\nprint('cried', file=sys.stderr)\n"
+        "import os\nos.write(1, b'raw')\nos.write(2, b'raw')\n"
+    )
+    done = in_shell([sys.executable, "-c", program], ">&- 2>&- <&-")
+    assert done.returncode == 0
+    assert (tmp_path / "kept").read_text() == ""
+
+
+def test_what_is_open_stays_as_it_is() -> None:
+    before = sys.stdout, sys.stderr, os.fstat(1), os.fstat(2)
+    process.fill_in()
+    assert (sys.stdout, sys.stderr, os.fstat(1), os.fstat(2)) == before
+
+
+def test_an_error_of_something_else_is_not_stdouts(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(OSError, match="No space left on device"):
+        process.ended_by(OSError(28, "No space left on device"), "try")
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,112 @@
+"""Who has a line and says nothing: since when, and what counts as waiting for an answer."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.common.idle import NONE, Overheard, Silence
+from nclient.protocol import codec
+from nclient.protocol.commands import BY_NAME, Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import N150
+from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.recording.recorder import SERIAL, TCP
+
+STATE = Reply("state", {34: 7}, clock=20)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def conversation(line: str) -> tuple[Clock, Silence, Overheard]:
+    """Who may be silent for 5 s, and is listened to."""
+    clock = Clock()
+    silence = Silence(5.0, clock)
+    return clock, silence, Overheard(silence, line, N150)
+
+
+def said(line: str, name: str, *args: int) -> bytes:
+    call = Call(name, args)
+    return codec.tcp_request(call) if line == TCP else codec.line_request(call, line_terms(N150))
+
+
+def answer(line: str, name: str) -> bytes:
+    row = BY_NAME[name]
+    return codec.tcp_reply(row, STATE, tcp_terms(N150)) if line == TCP else \
+        codec.line_reply(row, STATE, line_terms(N150))
+
+
+def lasts_s(silence: Silence, clock: Clock) -> int:
+    """Whole seconds until it is too long."""
+    seconds = 0
+    while not silence.too_long and seconds < 1000:
+        clock.now_s += 1.0
+        seconds += 1
+    return seconds
+
+
+def test_it_begins_with_him_and_anew_with_each_word() -> None:
+    clock = Clock()
+    silence = Silence(5.0, clock)
+    assert lasts_s(silence, clock) == 5
+    silence.heard()
+    assert lasts_s(silence, clock) == 5
+    assert silence.too_long
+
+
+def test_without_a_limit_it_is_never_too_long() -> None:
+    clock = Clock()
+    assert lasts_s(Silence(NONE, clock), clock) == 1000
+
+
+@pytest.mark.parametrize("line", [TCP, SERIAL])
+@pytest.mark.parametrize(("name", "args", "seconds"), [
+    ("gs", (), 5), ("vm", (10, 0, 0), 5), ("ws", (1, 1, 1, 40), 45), ("zr", (), 125),
+])
+def test_who_waits_for_an_answer_is_not_silent_until_it_came(
+    line: str, name: str, args: tuple[int, ...], seconds: int
+) -> None:
+    clock, silence, overheard = conversation(line)
+    for part in (said(line, name, *args)[:3], said(line, name, *args)[3:]):
+        overheard.to_robot(part)
+    assert lasts_s(silence, clock) == seconds
+    overheard.to_robot(said(line, name, *args))
+    clock.now_s += 2.0
+    overheard.to_host(answer(line, name)[:5])
+    overheard.to_host(answer(line, name)[5:])
+    assert lasts_s(silence, clock) == (3 if seconds == 5 else 5)  # what is answered at once is not waited for
+
+
+def test_a_click_in_the_window_may_be_long_in_coming() -> None:
+    clock, silence, overheard = conversation(TCP)
+    overheard.to_robot(said(TCP, "get_robot_conf"))
+    assert lasts_s(silence, clock) == 125
+
+
+def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
+    clock, silence, overheard = conversation(SERIAL)
+    overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
+    overheard.to_robot(said(SERIAL, "gs"))
+    assert lasts_s(silence, clock) == 45
+
+
+@pytest.mark.parametrize("line", [TCP, SERIAL])
+def test_noise_is_talk_of_his_and_no_answer_to_him(line: str) -> None:
+    clock, silence, overheard = conversation(line)
+    clock.now_s += 3.0
+    overheard.to_host(answer(line, "gs"))
+    assert lasts_s(silence, clock) == 2
+    overheard.to_robot(b"GET / HTTP/1.0\r\n\r\n")
+    assert lasts_s(silence, clock) == 5
+
+
+def test_half_an_answer_leaves_him_waiting() -> None:
+    clock, silence, overheard = conversation(SERIAL)
+    overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
+    overheard.to_host(b"\xff\x00\x13" + answer(SERIAL, "ws")[:-1])
+    assert lasts_s(silence, clock) == 45

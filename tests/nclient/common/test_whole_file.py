@@ -1,0 +1,136 @@
+"""Files that are whole or the old ones: what a link leads to, what is no file, and what a full disk leaves behind."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from pathlib import Path
+
+import pytest
+
+from nclient.common.files import write_whole
+from nclient.errors import EstimateFileError
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_text_takes_the_place_of_another_and_nothing_else_is_left(tmp_path: Path) -> None:
+    long = "é" * 100_000
+    for text in ("old", long):
+        write_whole(tmp_path / "file", text, EstimateFileError)
+    assert (tmp_path / "file").read_text("utf-8") == long
+    assert names(tmp_path) == ["file"]
+
+
+def test_a_file_of_another_name_is_nobodys_to_write_over(tmp_path: Path) -> None:
+    (tmp_path / "file.part").write_text("mine")
+    write_whole(tmp_path / "file", "new", EstimateFileError)
+    assert (tmp_path / "file.part").read_text() == "mine"
+
+
+def test_what_one_left_who_was_killed_is_written_over_by_the_next(tmp_path: Path) -> None:
+    (tmp_path / ".file.saving").write_text("half of")
+    write_whole(tmp_path / "file", "new", EstimateFileError, "saving")
+    assert names(tmp_path) == ["file"]
+
+
+def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    for held in ("there", "not there yet"):
+        link, real = tmp_path / f"link to {held}", tmp_path / "disk" / held
+        link.symlink_to(real)
+        if held == "there":
+            real.write_text("old")
+        write_whole(link, "new", EstimateFileError)
+        assert link.is_symlink()
+        assert real.read_text() == "new"
+    assert names(tmp_path / "disk") == ["not there yet", "there"]
+
+
+def test_what_is_no_file_keeps_its_place(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        for name in ("pipe", "link"):
+            write_whole(tmp_path / name, f"to the {name}", EstimateFileError)
+            assert os.read(reader, 100) == f"to the {name}".encode()
+    finally:
+        os.close(reader)
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
+    assert names(tmp_path) == ["link", "pipe"]
+
+
+def a_full_device(folder: Path) -> Path:
+    """One of our own where we may make it: nothing of the system's is lost, should it be replaced after all."""
+    try:
+        os.mknod(folder / "device", stat.S_IFCHR | 0o666, os.makedev(1, 7))
+        (folder / "device").open("w").close()
+    except OSError:
+        (folder / "device").unlink(missing_ok=True)
+        return Path("/dev/full")
+    return folder / "device"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a device that is full is Linux's")
+def test_a_device_that_takes_nothing_is_told_of_and_keeps_its_place(tmp_path: Path) -> None:
+    device = a_full_device(tmp_path)
+    (tmp_path / "link").symlink_to(device)
+    with pytest.raises(EstimateFileError, match="link: cannot be written: No space left on device; make room"):
+        write_whole(tmp_path / "link", "text", EstimateFileError)
+    assert (tmp_path / "link").is_symlink()
+    assert device.is_char_device()
+
+
+def test_a_disk_that_is_full_at_the_end_leaves_the_old_one_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("old")
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(EstimateFileError, match="file: cannot be written: No space left on device; make room"):
+        write_whole(tmp_path / "file", "new", EstimateFileError)
+    assert (tmp_path / "file").read_text() == "old"
+    assert names(tmp_path) == ["file"]
+
+
+@pytest.mark.parametrize("text", ["half a \ud800", "whole"])
+def test_whatever_ends_it_leaves_the_old_one_and_no_more(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("old")
+
+    def interrupted(_fd: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises((EstimateFileError, KeyboardInterrupt)) as ended:
+        write_whole(tmp_path / "file", text, EstimateFileError)
+    assert ended.type is (KeyboardInterrupt if text == "whole" else EstimateFileError)
+    assert (tmp_path / "file").read_text() == "old"
+    assert names(tmp_path) == ["file"]
+
+
+def test_a_folder_that_is_not_there_and_a_name_that_cannot_be_are_told(tmp_path: Path) -> None:
+    with pytest.raises(EstimateFileError, match="file: cannot be written: No such file or directory; name a file in"):
+        write_whole(tmp_path / "none" / "file", "text", EstimateFileError)
+    with pytest.raises(EstimateFileError, match=r"'.*a\\x00b': cannot be written: .*null byte"):
+        write_whole(tmp_path / "a\0b", "text", EstimateFileError)
+
+
+def test_where_folders_cannot_be_opened_the_file_is_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refused)
+    write_whole(tmp_path / "file", "new", EstimateFileError)
+    assert (tmp_path / "file").read_text() == "new"

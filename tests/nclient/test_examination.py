@@ -1,0 +1,176 @@
+"""An examination asks and never moves; what goes wrong on the way is in its chart, and the report says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from nclient.backends.base import Backend
+from nclient.backends.nserver import NserverBackend
+from nclient.diagnostics import Chart, Examination, percentile_s, report
+from nclient.protocol import codec
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import N150, N200, SCOUT, Model
+from nclient.schemes import Wanted, opening_of
+from nclient.transports.memory import MemoryStream
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.inprocess import InProcess
+from nserver_emu.simulation.noise import NOISY
+from nserver_emu.simulation.simulation import Simulation
+from nserver_emu.simulation.sonar import SonarNoise
+from tests.nclient.answering import ScriptedServer
+from worlds.files import load_world
+
+GS = codec.tcp_request(Call("gs"))
+
+
+class Time:
+    """A clock that moves when somebody sleeps, and a little whenever it is read."""
+
+    def __init__(self, step_s: float = 0.001) -> None:
+        self.now_s, self.step_s, self.slept_s = 0.0, step_s, 0.0
+
+    def clock(self) -> float:
+        self.now_s += self.step_s
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.slept_s += seconds
+
+
+class Patient:
+    """A robot by script that does not hear gs number k where k is in `deaf`; its clock moves with each request."""
+
+    def __init__(self, model: Model = N150, deaf: range = range(0)) -> None:
+        self.script = ScriptedServer(model=model)
+        self.script.slots = {0: 10} | dict.fromkeys(range(17, 33), 60)
+        self.model, self.deaf, self.count = model, deaf, 0
+        self.connections = 0
+
+    def opens(self) -> Backend:
+        self.connections += 1
+        return NserverBackend(MemoryStream(self), model=self.model)
+
+    def send(self, data: bytes) -> None:
+        if data == GS:
+            self.count += 1
+            if self.count in self.deaf:
+                return
+        self.script.clock += 30
+        self.script.send(data)
+
+    def receive(self) -> bytes:
+        answered: bytes = self.script.receive()
+        return answered
+
+    def close(self) -> None: ...
+
+
+def examined(patient: Patient, exchanges: int = 40, time: Time | None = None) -> Chart:
+    time = time or Time()
+    return Examination(patient.opens, time.clock, time.sleep).run(exchanges)
+
+
+def told(chart: Chart) -> dict[str, tuple[str, str]]:
+    return {finding.what: (finding.grade.name, finding.seen) for finding in report(chart)}
+
+
+def test_a_robot_that_is_well_and_was_not_moved() -> None:
+    patient, time = Patient(), Time()
+    chart = examined(patient, 40, time)
+    assert {grade for grade, _ in told(chart).values()} == {"OK"}
+    asked = [call.name for call in patient.script.calls]
+    assert asked == ["connect_robot", "ct", *["gs"] * 40, *chart.answers, "disconnect_robot"]
+    assert all(name.startswith("get_") for name in chart.answers)
+    assert time.slept_s == pytest.approx(40 * 0.029, abs=1e-6)
+    assert told(chart)["link"] == ("OK", "40 of 40 gs answered; 1.00 ms p50, 1.00 ms p99")
+    assert told(chart)["clock"][1] == f"went forward 1.2 s, {39 * 0.03 / chart.elapsed_s:.2f} s a second"
+    assert chart.elapsed_s == pytest.approx(39 * 0.03, rel=0.1)
+
+
+def test_where_time_moves_with_each_question_nobody_waits() -> None:
+    patient, time = Patient(), Time()
+    patient.script.slots[0] = 0
+    examined(patient, 40, time)
+    assert time.slept_s == 0
+
+
+@pytest.mark.parametrize(("model", "questions"), [
+    (N150, "get_sn get_rc get_rv get_ra get_cp get_bp"), (SCOUT, "get_sn get_rc get_rv get_ra get_bp"),
+    (N200, "get_ir get_sn get_rc get_rv get_ra get_cp get_ls get_bp get_sg"),
+])
+def test_each_model_is_asked_what_it_has(model: Model, questions: str) -> None:
+    chart = examined(Patient(model))
+    assert list(chart.answers) == questions.split()
+    assert told(chart)["firmware"] == ("OK", f"a {model.name} answered {questions}")
+    assert ("infrareds" in told(chart)) is model.has_infrared
+
+
+def test_what_the_firmware_does_not_answer_is_told() -> None:
+    patient = Patient()
+    patient.script.answers["get_bp"] = Reply("error", values=(4,))
+    patient.script.answers["get_rv"] = None
+    chart = examined(patient)
+    grade, seen = told(chart)["firmware"]
+    assert grade == "FAIL"
+    assert "get_bp (get_bp was refused: not available on this robot (error 4))" in seen
+    assert "get_rv (get_rv, with 5 s to answer" in seen
+    assert chart.answers["get_rc"] == ""
+    assert patient.connections == 3, "what was not answered closed the connection, twice"
+
+
+@pytest.mark.parametrize(("deaf", "grade"), [(range(5, 6), "WARN"), (range(5, 10), "FAIL")])
+def test_lost_answers(deaf: range, grade: str) -> None:
+    patient = Patient(deaf=deaf)
+    chart = examined(patient)
+    assert (len(chart.states), len(chart.losses)) == (40 - len(deaf), len(deaf))
+    assert told(chart)["link"][0] == grade
+    assert patient.connections == 1 + len(deaf)
+
+
+def test_nobody_there_any_more() -> None:
+    chart = examined(Patient(deaf=range(1, 1000)))
+    assert len(chart.losses) == 10
+    ((what, (grade, seen)),) = told(chart).items()
+    assert (what, grade) == ("link", "FAIL")
+    assert "no answer to 10 questions" in seen
+
+
+def test_a_slow_link() -> None:
+    chart = examined(Patient(), time=Time(0.3))
+    assert told(chart)["link"] == ("WARN", "40 of 40 gs answered; 300.00 ms p50, 300.00 ms p99: slow")
+
+
+def test_the_counts_of_a_line() -> None:
+    chart = examined(Patient())
+    assert "line" not in told(chart)
+    assert told(replace(chart, link={"exchanges": 5, "skipped_bytes": 0}))["line"][0] == "OK"
+    spoilt = told(replace(chart, link={"skipped_bytes": 3, "checksum_errors": 1}))["line"]
+    assert spoilt == ("WARN", "3 skipped bytes, 1 checksum errors")
+
+
+def test_percentiles_by_nearest_rank() -> None:
+    assert [percentile_s([5, 1, 4, 2, 3], share) for share in (0.0, 0.2, 0.21, 0.5, 0.99, 1.0)] == [1, 1, 2, 3, 5, 5]
+
+
+@pytest.mark.parametrize("what", ["sim:thesis_room", "sim:thesis_room?noisy=1", "sim:centre_vertex?robot=scout"])
+def test_simulated_robots_are_well(what: str) -> None:
+    time = Time()
+    chart = Examination(opening_of(what, Wanted()).talk, time.clock, time.sleep).run()
+    assert {finding.grade.name for finding in report(chart)} == {"OK"}
+    assert len({state.pose for state in chart.states}) == 1
+
+
+def test_a_dead_sonar_of_a_simulated_robot() -> None:
+    simulation = Simulation(load_world("thesis_room"))
+    simulation.add_robot(1, setup=replace(NOISY, sonar=SonarNoise(std_share=0.01, least_std_in=0.05, dead=(5,))))
+    time = Time()
+
+    def opens() -> Backend:
+        return NserverBackend(MemoryStream(InProcess(Emulator(simulation))))
+
+    found = told(Examination(opens, time.clock, time.sleep).run())
+    assert {what: grade for what, (grade, _) in found.items() if grade != "OK"} == {"sonar 5": "FAIL"}

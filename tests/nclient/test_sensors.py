@@ -1,0 +1,129 @@
+"""What states tell of sensors: each thing that can be wrong, and that none of it is said of a robot that is well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from random import Random
+
+import pytest
+
+from nclient import diagnostics
+from nclient.diagnostics import Finding, Grade, worst
+from nclient.protocol.types import N150, N200, SCOUT, Model
+from nclient.state import RobotState
+
+
+def state(slots: Mapping[int, int] | None = None, model: Model = N150, clock_ms: int | None = 0,
+          raw_volts: tuple[int, int] | None = (255, 255)) -> RobotState:
+    """A state; slots that are not given as a robot at rest has them, which sees walls at 50 in."""
+    raw = [0] * 17 + [50] * 16 + [model.bumper_rest] + [0] * 11
+    for slot, value in (slots or {}).items():
+        raw[slot] = value
+    return RobotState(model, tuple(raw), clock_ms=clock_ms, raw_volts=raw_volts)
+
+
+def rings(columns: Sequence[Sequence[int]], count: int = 20) -> list[RobotState]:
+    """States whose sonar k reads columns[k], round and round."""
+    return [state({17 + k: column[n % len(column)] for k, column in enumerate(columns)}) for n in range(count)]
+
+
+def noisy(seed: int = 1) -> list[list[int]]:
+    chance = Random(seed)
+    return [[round(far * (1 + chance.gauss(0, 0.01))) for _ in range(20)] for far in range(20, 180, 10)]
+
+
+def grades(findings: list[Finding]) -> list[tuple[str, str]]:
+    return [(finding.grade.name, finding.what) for finding in findings]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_noisy_ring_that_is_well(seed: int) -> None:
+    assert grades(diagnostics.sonars(rings(noisy(seed)))) == [("OK", "sonars")]
+
+
+def test_a_ring_without_noise_is_well() -> None:
+    assert grades(diagnostics.sonars(rings([[30]] * 15 + [[255]]))) == [("WARN", "sonars")]
+    assert grades(diagnostics.sonars(rings([[30]] * 13 + [[255]] * 3))) == [("OK", "sonars")]
+    assert "13 of 16" in diagnostics.sonars(rings([[30]] * 13 + [[255]] * 3))[0].seen
+
+
+def test_dead_sonars() -> None:
+    columns = noisy()
+    columns[3], columns[9] = [0], [255]
+    findings = diagnostics.sonars(rings(columns))
+    assert grades(findings) == [("FAIL", "sonar 3"), ("WARN", "sonars")]
+    assert "hear nothing while both neighbours do: 9" in findings[1].seen
+    assert grades(diagnostics.sonars(rings([[255]] * 16))) == [("WARN", "sonars")]
+
+
+def test_a_stuck_sonar_is_steadier_than_nearer_ones() -> None:
+    columns = noisy()
+    columns[15] = [170]
+    assert grades(diagnostics.sonars(rings(columns))) == [("WARN", "sonar 15")]
+    assert grades(diagnostics.sonars(rings(columns, count=9))) == [("OK", "sonars")], "too few to tell"
+    columns[15] = [20]
+    assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "near ones are steady by nature"
+    columns = [[30]] * 16
+    columns[1], columns[2], columns[3], columns[4] = [40, 41], [40, 41], [40, 41], [100]
+    assert grades(diagnostics.sonars(rings(columns))) == [("OK", "sonars")], "by one, rounding flickers"
+    columns[1], columns[2], columns[3] = [20, 22], [20, 22], [20, 22]
+    assert len(diagnostics.sonars(rings(columns))) == 13
+
+
+def test_infrareds() -> None:
+    def states(*columns: Sequence[int]) -> list[RobotState]:
+        return [state({1 + k: column[n % len(column)] for k, column in enumerate(columns)}, N200) for n in range(12)]
+
+    changing = [[3, 5], [4, 6], [2, 7]]
+    assert grades(diagnostics.infrareds(states(*changing, *[[15]] * 13))) == [("OK", "infrareds")]
+    assert grades(diagnostics.infrareds(states(*changing, [9], *[[15]] * 12))) == [("WARN", "infrared 3")]
+    assert grades(diagnostics.infrareds(states(*[[0]] * 16))) == [("FAIL", "infrareds")]
+
+
+@pytest.mark.parametrize(("bits", "grade", "told"), [
+    ([0, 0], "OK", "none"), ([8, 8 + 1], "FAIL", "all the time: 3"), ([0, 1 << 19], "WARN", "now and then: 19"),
+])
+@pytest.mark.parametrize("model", [N150, SCOUT])
+def test_bumpers(model: Model, bits: list[int], grade: str, told: str) -> None:
+    found = diagnostics.bumpers([state({33: model.bumper_rest | each}, model) for each in bits])
+    assert (found.grade.name, told in found.seen) == (grade, True)
+
+
+@pytest.mark.parametrize(("raw", "grade", "seen"), [
+    (255, "OK", "12.00 V"), (224, "OK", "11.12 V"), (223, "WARN", "11.10 V: low"), (202, "WARN", "10.50 V: low"),
+    (201, "FAIL", "10.48 V: empty"), (0, "FAIL", "4.80 V: empty"),
+])
+def test_batteries_by_the_formula(raw: int, grade: str, seen: str) -> None:
+    computer, motors = diagnostics.batteries(state(raw_volts=(raw, 255)))
+    assert (computer.what, computer.grade.name, computer.seen) == ("computer", grade, seen)
+    assert (motors.what, motors.seen) == ("motors", "12.85 V")
+    assert grades(diagnostics.batteries(state(raw_volts=None))) == [("WARN", "battery")]
+
+
+@pytest.mark.parametrize(("times", "grade", "told"), [
+    ([0, 100, 200], "OK", "went forward 0.2 s"), ([2**32 - 50, 50], "OK", "went forward 0.1 s"),
+    ([500, 400, 900], "FAIL", "went back 1 times, by 0.1 s"), ([7, 7], "WARN", "stands still"),
+    ([None, 7], "WARN", "never told"),
+])
+def test_the_clock(times: list[int | None], grade: str, told: str) -> None:
+    found = diagnostics.clock([state(clock_ms=each) for each in times], 0.1)
+    assert (found.grade.name, told in found.seen) == (grade, True)
+
+
+def test_how_fast_the_clock_goes() -> None:
+    found = diagnostics.clock([state(clock_ms=0), state(clock_ms=3000)], 2.0)
+    assert found.seen == "went forward 3.0 s, 1.50 s a second"
+
+
+def test_a_robot_that_moves() -> None:
+    assert diagnostics.motion([state(), state()]).grade is Grade.OK
+    for moved in (state({41: 2}), state({39: -1})):
+        assert diagnostics.motion([state(), moved]).grade is Grade.WARN
+
+
+def test_findings_as_lines() -> None:
+    found = Finding(Grade.FAIL, "sonar 3", "reads 0", "mend it")
+    assert str(found) == "FAIL  sonar 3      reads 0; mend it"
+    assert str(Finding(Grade.OK, "clock", "goes")) == "OK    clock        goes"
+    assert worst([found, Finding(Grade.WARN, "a", "b")]) is Grade.FAIL
+    assert worst([]) is Grade.OK

@@ -1,0 +1,223 @@
+"""What a daemon's owner may do: each command does it; what is asked wrongly changes nothing and says what is right."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fuzz.messages import FakeServer
+from nclient.faults.plan import Direction, Drop, Plan, Rule, plan_text
+from nserver_emu.control.commands import BY_NAME, answer_line
+from nserver_emu.persistence import snapshot
+from nserver_emu.server.context import Pace
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.link import FaultDesk
+from tests.nserver_emu.server.wire_client import ORIGIN, simulation
+from worlds.files import parse_world
+
+PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
+
+
+class House(FakeServer):
+    """A daemon without a socket, that remembers what it was told."""
+
+    def __init__(self, pace: Pace | None = None) -> None:
+        self.emulator = Emulator(simulation(seed=5), pace=pace)
+        self.faults = FaultDesk(lambda: 0.0)
+        self.changes: list[dict[str, Any]] = []
+        self.paces: list[tuple[float | None, bool]] = []
+
+    def step(self, dt_s: float) -> None:
+        self.emulator.simulation.step(dt_s)
+
+    def paced(self) -> None:
+        self.paces.append((self.emulator.pace.factor, self.emulator.pace.paused))
+
+    def changed(self, what: Mapping[str, Any]) -> None:
+        self.changes.append(dict(what))
+
+    def told(self, request: object) -> dict[str, Any]:
+        line = request if isinstance(request, bytes) else json.dumps(request).encode()
+        answer = answer_line(self, line)
+        assert answer.endswith(b"\n")
+        assert answer.count(b"\n") == 1
+        whole: dict[str, Any] = json.loads(answer)
+        return whole
+
+    def said(self, command: str, argument: object = None) -> dict[str, Any]:
+        answer = self.told({"command": command, "argument": argument})
+        assert answer["ok"], answer
+        said: dict[str, Any] = answer["said"]
+        return said
+
+
+def test_a_look_at_everything() -> None:
+    house = House()
+    robot = house.emulator.simulation.robots[1]
+    robot.set_velocities(10.0, 0.0, 0.0)
+    house.step(1.0)
+    said = house.said("status")
+    assert (said["world"], said["seed"], said["time_s"], said["speed"], said["paused"]) == (
+        "thesis_room", 5, 1.0, 1.0, False,
+    )  # fmt: skip
+    (told,) = said["robots"]
+    assert (told["number"], told["model"], told["moving"], told["bumpers"]) == (1, "n150", True, 0)
+    assert (told["x_in"], told["y_in"]) == pytest.approx((robot.actual.x_in, robot.actual.y_in), abs=1e-3)
+    assert told["x_in"] > ORIGIN.x_in
+    assert told["steering_deg"] == pytest.approx(math.degrees(robot.actual.steering_rad), abs=0.01)
+    assert said["lines"] == {"nserver": "127.0.0.1:7019", "serial:1": "/tmp/robot"}
+    assert said["connections"][0]["name"] == "127.0.0.1:1"
+    assert said["faults"] == {"rules": 0, "struck": {}}
+
+
+def test_time_is_the_owners() -> None:
+    house = House()
+    assert house.said("pause") == {"time_s": 0.0, "speed": 1.0, "paused": True, "lockstep_s": None}
+    assert house.said("step", "0.5")["time_s"] == 0.5
+    assert house.said("step", 0.25)["time_s"] == 0.75
+    assert house.said("resume")["paused"] is False
+    assert house.said("speed", "10")["speed"] == 10.0
+    assert house.said("speed", "max")["speed"] == "max"
+    assert house.paces == [(1.0, True)] * 3 + [(1.0, False), (10.0, False), (None, False)]
+
+
+def test_in_lockstep_there_is_no_speed() -> None:
+    house = House(Pace(lockstep_s=0.1))
+    answer = house.told({"command": "speed", "argument": "2"})
+    assert (answer["ok"], "start nserver without --lockstep" in answer["error"]) == (False, True)
+    assert house.said("pause")["lockstep_s"] == 0.1
+
+
+def test_a_plan_comes_into_force_counts_and_goes() -> None:
+    house = House()
+    assert house.said("faults set", {"text": plan_text(PLAN), "file": "p.toml"}) == {"rules": 1}
+    assert house.faults.plan == PLAN
+    assert house.said("faults show") == {"plan": plan_text(PLAN)}
+    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    counts = {"nserver": {"it": {"seen": 0, "drop": 0}}, "serial:1": {"it": {"seen": 1, "drop": 1}}}
+    assert house.said("faults counts") == {"counts": counts}
+    assert house.said("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
+    assert house.said("faults reset") == {"counts": counts}
+    assert house.said("status")["faults"] == {"rules": 1, "struck": {}}
+    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    assert house.said("faults clear") == {"counts": counts}
+    assert house.said("faults counts") == {"counts": {}}
+
+
+def test_noise_is_switched_told_and_noted() -> None:
+    house = House()
+    assert house.said("noise", "sensors=measured") == {"noise": {"1": {"sensors": "measured", "motion": "ideal"}}}
+    assert house.said("noise", {"motion": "noisy", "robot": 1})["noise"]["1"]["motion"] == "noisy"
+    assert house.said("status")["robots"][0]["noise"] == {"sensors": "measured", "motion": "noisy"}
+    for wrong in (7, "loud", {"sensors": "loud"}):
+        assert "noise: " in house.told({"command": "noise", "argument": wrong})["error"]
+    assert house.changes == [{"noise": {"sensors": "measured"}}, {"noise": {"motion": "noisy", "robot": 1}}]
+
+
+def test_the_world_is_shown_and_another_put_in_its_place() -> None:
+    house = House()
+    text = house.said("world show")["text"]
+    assert parse_world(text, "", "").name == "thesis_room"
+    changed = {"text": text.replace("thesis_room", "mine"), "file": "x.toml"}
+    assert house.said("world set", changed) == {"world": "mine"}
+    assert house.said("status")["world"] == "mine"
+    for wrong in ("name", {"file": "x"}, {"text": text, "file": 3}):
+        assert "world set: the text of a world file" in house.told({"command": "world set", "argument": wrong})["error"]
+    broken = {"command": "world set", "argument": {"text": "]", "file": "x.toml"}}
+    assert "x.toml: is no TOML" in house.told(broken)["error"]
+    assert house.changes == [{"shown": True}, {"world": changed}]
+
+
+def test_the_simulation_is_saved(tmp_path: Path) -> None:
+    house = House()
+    house.step(2.0)
+    path = tmp_path / "now.json"
+    assert house.said("save", str(path)) == {"saved": str(path)}
+    again = Emulator(simulation())
+    snapshot.restore(again, path)
+    assert again.simulation.time_s == 2.0
+
+
+def test_the_commands_tell_of_themselves() -> None:
+    commands = House().said("help")["commands"]
+    assert list(commands) == list(BY_NAME)
+    assert commands["speed"][0] == "X"
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (b"what", 'a request is a line such as {"command"'),
+        (b"[]", "a request is a line"),
+        (b'"x"', "a request is a line"),
+        (b"{}", "a request is a line"),
+        (b"[" * 100_000, "a request is a line"),
+        ({"command": "puase"}, "no command 'puase'; there are status, .*; did you mean pause?"),
+        ({"command": 5}, "no command 5"),
+        ({"command": "speed"}, "speed wants X"),
+        ({"command": "speed", "argument": "fast"}, "speed: max, or a number from 0.1 to 999, not 'fast'"),
+        ({"command": "speed", "argument": 1000}, "from 0.1 to 999, not 1000"),
+        ({"command": "speed", "argument": True}, "not True"),
+        ({"command": "speed", "argument": [1]}, "not [1]"),
+        ({"command": "speed", "argument": 10**400}, "from 0.1 to 999, not 1000"),
+        ({"command": "step", "argument": -(10**400)}, "step: seconds from 0 to 60, not -1000"),
+        ({"command": "step", "argument": 61}, "step: seconds from 0 to 60, not 61"),
+        ({"command": "save", "argument": 5}, "save: the name of a file, not 5"),
+        ({"command": "save", "argument": "/nowhere/at/all"}, "cannot be written"),
+        ({"command": "save", "argument": "a\0b"}, "cannot be written: embedded null byte"),
+        ({"command": "faults set", "argument": "x"}, "faults set: the text of a plan"),
+        ({"command": "faults set", "argument": {}}, "faults set: the text of a plan"),
+        ({"command": "faults set", "argument": {"text": "x", "file": "p.toml"}}, "p.toml: is no TOML"),
+        ({"command": "faults set", "argument": {"text": "[[rule]]\ndo='nak'\nline='serial:2'"}}, "no serial:2 here"),
+    ],
+)
+def test_what_is_asked_wrongly_changes_nothing_and_says_what_is_right(request_: object, words: str) -> None:
+    house = House()
+    before = house.said("status")
+    answer = house.told(request_)
+    assert answer["ok"] is False
+    for part in words.split(".*"):
+        assert part in answer["error"]
+    assert house.said("status") == before
+
+
+def test_robots_are_stopped_for_good_and_released() -> None:
+    house = House()
+    house.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
+    assert house.said("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
+    assert house.emulator.simulation.robots[1].still((0, 1, 2))
+    assert house.said("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
+    assert house.said("release", "1") == {"held": {}}
+    assert house.said("stop", 1)["held"]
+    assert house.said("release")["held"] == {}
+    assert house.said("status")["robots"][0]["held"] is None
+    for wrong in ("7", "all", 1.0, [1]):
+        error = house.told({"command": "stop", "argument": wrong})["error"]
+        assert error == f"stop: no robot {wrong}; there are 1"
+    assert house.said("status")["robots"][0]["held"] is None
+
+
+def test_an_obstacle_is_moved_by_its_corners() -> None:
+    house = House()
+    house.emulator.simulation.change_world(parse_world(WITH_OBSTACLE, "w", "w"))
+    wanted = {"corners": [[60, 60], [70, 60], [70, 70]], "by": [1, 2]}
+    assert house.said("obstacle", wanted)["is"] == [[61, 62], [71, 62], [71, 72]]
+    assert house.emulator.simulation.world.obstacles[0].corners_in[0] == (61.0, 62.0)
+    assert house.said("obstacle", '{"corners": [[61, 62], [71, 62], [71, 72]]}')["obstacles"] == 0
+    assert len(house.changes) == 2
+    for wrong in (3, "{", [1]):
+        assert "obstacle: such as" in house.told({"command": "obstacle", "argument": wrong})["error"]
+    assert len(house.changes) == 2
+
+
+WITH_OBSTACLE = """
+[[room]]
+corners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]
+[[obstacle]]
+corners_in = [[60, 60], [70, 60], [70, 70]]
+"""

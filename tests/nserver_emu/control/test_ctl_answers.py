@@ -1,0 +1,43 @@
+"""What `nserver ctl` is answered by something that is no daemon of this version: an error in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.errors import ControlError
+from nserver_emu.control.cli import NO_ANSWER, said_in, shown
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"", b"\n", b"\xff\n", b"[" * 5000 + b"\n", b"[]\n", b"3\n", b"null\n", b"{}\n", b'{"ok": false}\n',
+        b'{"ok": true}\n', b'{"ok": true, "said": 3}\n', b"1" * 5000 + b"\n",
+    ],
+)  # fmt: skip
+def test_what_is_no_answer_is_told(answer: bytes) -> None:
+    with pytest.raises(ControlError, match=NO_ANSWER):
+        said_in(answer)
+
+
+def test_a_refusal_says_why_or_that_it_does_not() -> None:
+    with pytest.raises(ControlError, match="it cannot be"):
+        said_in(b'{"ok": false, "error": "it cannot be"}')
+    for wordless in (b"", b" ", rb"\n\t"):
+        with pytest.raises(ControlError, match="without a word"):
+            said_in(b'{"ok": 0, "error": "%s"}' % wordless)
+    with pytest.raises(ControlError, match=r"\\ud800"):
+        said_in(b'{"ok": false, "error": "\\ud800"}')
+
+
+@pytest.mark.parametrize(
+    "said", ['{"plan": 3}', '{"robots": [{}]}', '{"held": [1]}', '{"counts": {"a": 1}}', '{"noise": "x"}',
+             '{"time_s": 1' + 400 * "0" + ', "paused": true}'],
+)  # fmt: skip
+def test_what_another_version_says_is_told_and_json_shows_it(said: str) -> None:
+    with pytest.raises(ControlError, match=f"{NO_ANSWER} .*--json shows it as it is"):
+        shown(said_in(b'{"ok": true, "said": %s}' % said.encode()))
+
+
+def test_half_a_surrogate_is_shown_as_it_was_spelt() -> None:
+    assert shown({"saved": "\ud800"}) == [r"saved: \ud800"]

@@ -1,0 +1,116 @@
+"""The file of --save: now and then, never an older state over a newer one, and a disk that refuses."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nclient.common.arguments import Parser
+from nserver_emu.persistence import autosave, snapshot
+from nserver_emu.persistence.autosave import SaveFile, autosaved
+from nserver_emu.server.handlers.table import Emulator
+from tests.nserver_emu.server.wire_client import simulation
+
+
+def saved_s(path: Path) -> float:
+    """The clock of the simulation in a file."""
+    emulator = Emulator(simulation())
+    snapshot.restore(emulator, path)
+    return emulator.simulation.time_s
+
+
+async def until(there: Callable[[], bool]) -> None:
+    async with asyncio.timeout(60):
+        while not there():
+            await asyncio.sleep(0.005)
+
+
+def test_now_and_then_while_it_lasts(tmp_path: Path) -> None:
+    emulator, path = Emulator(simulation()), tmp_path / "saved.json"
+
+    async def scenario() -> None:
+        async with autosaved(SaveFile(emulator, path), 0.01):
+            await until(path.exists)
+            emulator.pass_time(3.0)
+            await until(lambda: saved_s(path) == 3.0)
+        path.unlink()
+        async with autosaved(None, None), autosaved(SaveFile(emulator, path), None):
+            await asyncio.sleep(0.05)
+
+    asyncio.run(scenario())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_older_state_that_was_long_on_its_way_takes_no_newer_ones_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator, path = Emulator(simulation()), tmp_path / "saved.json"
+
+    async def scenario() -> None:
+        gate = asyncio.Event()
+
+        async def late(write: Callable[..., None], *args: Any) -> None:
+            await gate.wait()
+            write(*args)
+
+        monkeypatch.setattr(asyncio, "to_thread", late)
+        file = SaveFile(emulator, path)
+        saving = asyncio.create_task(file.save_aside())
+        await asyncio.sleep(0)
+        emulator.pass_time(2.0)
+        file.save()
+        gate.set()
+        await saving
+
+    asyncio.run(scenario())
+    assert saved_s(path) == 2.0
+
+
+def test_what_cannot_be_saved_is_told_once_and_again_when_it_can(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "folder" / "saved.json"
+
+    async def scenario() -> None:
+        file = SaveFile(Emulator(simulation()), path)
+        for _ in range(3):
+            await file.save_aside()
+        path.parent.mkdir()
+        for _ in range(2):
+            await file.save_aside()
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(scenario())
+    assert [record.getMessage() for record in caplog.records] == [
+        f"not saved: {path}: cannot be written: No such file or directory; name a file in a folder that is there and "
+        "may be written to; the run goes on, and it is tried again each time",
+        f"{path}: saved again",
+    ]
+    assert json.loads(path.read_text())["format"] == snapshot.FORMAT
+
+
+@pytest.mark.parametrize(("words", "told"), [
+    (["--autosave", "60"], "--autosave needs a file: add --save FILE"),
+    (["--save", "x", "--autosave", "0.5"], "seconds from 1 to 86400, not '0.5'"),
+    (["--save", "x", "--autosave", "nan"], "not 'nan'"),
+    (["--save", "x", "--autosave", "often"], "not 'often'"),
+])
+def test_wrong_usage(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser(prog="nserver")
+    autosave.add_options(parser)
+    with pytest.raises(SystemExit, match="2"):
+        autosave.refuse(parser, parser.parse_args(words))
+    assert told in capsys.readouterr().err
+
+
+def test_right_usage() -> None:
+    parser = Parser()
+    autosave.add_options(parser)
+    for words in ([], ["--save", "x"], ["--save", "x", "--autosave", "1"]):
+        autosave.refuse(parser, parser.parse_args(words))

@@ -1,0 +1,410 @@
+"""What each command does to a simulated N150, in wire units, on simulated time."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from nclient.protocol import codec
+from nclient.protocol.commands import COMMANDS, Call, Command
+from nclient.protocol.replies import Reply
+from nclient.protocol.types import EVERYTHING, Mask, Position
+from nserver_emu.server.handlers.table import HANDLERS, Emulator
+from nserver_emu.server.session import Session
+from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
+from worlds.world import StartPose
+
+
+@pytest.fixture
+def emulator() -> Emulator:
+    return Emulator(simulation(), port=7019)
+
+
+@pytest.fixture
+def client(emulator: Emulator) -> WireClient:
+    return meet(emulator)[0]
+
+
+ARGUMENTS: dict[str, tuple[object, ...]] = {
+    "ct": EVERYTHING.smask,
+    "tk": ("hello",),
+    "special_request": (200, 1, 2),
+    "motion_check": (0, 1000, 1000, 2000, 2000),
+    **dict.fromkeys(("add_obstacle", "delete_obstacle"), (3, 400, 400, 500, 400, 400, 500)),
+    "move_obstacle": (3, 400, 400, 500, 400, 400, 500, 5, 5),
+}
+
+
+def arguments(row: Command) -> tuple[int, ...]:
+    return ARGUMENTS.get(row.name, (0,) * len(row.arguments))  # type: ignore[return-value]  # tk has a text
+
+
+TESTED_ON_THEIR_OWN = ("zr", "connect_robot")
+"""Answered later, and answered before anything else."""
+ANSWERED_AT_ONCE = [r for r in COMMANDS if r.has_tcp_reply and r.tcp_type and r.name not in TESTED_ON_THEIR_OWN]
+
+
+REFUSALS = {
+    **dict.fromkeys(("special_request", "arm_zr", "arm_ws", "arm_mv", "real_robot"), 4),
+    **dict.fromkeys(("conf_ir", "get_ir", "conf_ls", "get_ls", "conf_sg", "get_sg"), 4),
+    **dict.fromkeys(("delete_obstacle", "move_obstacle"), 2),
+    **dict.fromkeys(("quit_server", "sim_control"), 5),
+}
+"""What a plain N150 in a plain setup does not do, and the code that says so."""
+
+
+@pytest.mark.parametrize("row", ANSWERED_AT_ONCE, ids=lambda row: row.name)
+def test_every_command_is_answered_and_what_is_not_there_says_so(row: Command, client: WireClient) -> None:
+    reply = client.ask(row.name, *arguments(row))
+    code = REFUSALS.get(row.name, 0 if row.name in HANDLERS else 4)
+    if code:
+        assert (reply.kind, reply.values) == ("error", (code,))
+    else:
+        assert reply.kind == row.tcp_reply.kind
+
+
+def test_connect_answers_the_port_and_0_for_a_robot_that_is_not_there(emulator: Emulator) -> None:
+    session = Session(emulator.answer)
+
+    def exchange(data: bytes) -> bytes:
+        session.receive(data)
+        return session.answers(9)
+
+    client = WireClient(exchange)
+    assert client.ask("connect_robot", 9, 1).values == (0,)
+    assert client.ask("gs").values == (3,)
+    assert client.ask("connect_robot", 1, 1).values == (7019,)
+    assert client.ask("gs").kind == "state"
+
+
+def test_a_fresh_robot_stands_at_its_start_and_shows_rest(client: WireClient) -> None:
+    slots = client.ask("gs").slots
+    assert slots[0] == 10
+    assert [slots[k] for k in range(33, 42)] == [0] * 9
+    assert all(6 <= slots[k] <= 255 for k in range(17, 33))
+
+
+def test_vm_shows_a_velocity_at_once_and_none_after_st(emulator: Emulator, client: WireClient) -> None:
+    slots = client.ask("vm", 100, -50, 0).slots
+    assert [slots[k] for k in (38, 39, 40, 41)] == [100, -50, 0, 3]
+    emulator.simulation.step(1.0)
+    slots = client.ask("gs").slots
+    assert slots[36] == 3600 - 50
+    assert slots[37] == 0
+    assert math.hypot(slots[34], slots[35]) == pytest.approx(100, abs=1)
+    slots = client.ask("st").slots
+    assert [slots[k] for k in (38, 39, 40, 41)] == [0, 0, 0, 0]
+
+
+def test_a_noisy_robot_ramps_but_its_first_answer_shows_a_velocity() -> None:
+    noisy, _ = meet(Emulator(simulation(noisy=True)))
+    slots = noisy.ask("vm", 100, 0, 0).slots
+    assert 0 < slots[38] < 100
+    assert slots[41] == 1
+
+
+def test_pr_goes_its_way_at_the_speed_of_sp_and_stops_exactly_there(emulator: Emulator, client: WireClient) -> None:
+    client.ask("sp", 50, 450, 450)
+    client.ask("pr", 100, 900, -900)
+    emulator.simulation.step(1.0)
+    assert client.ask("get_rv").slots == {38: 50, 39: 450, 40: -450}
+    emulator.simulation.step(1.01)
+    assert client.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
+    assert [client.ask("get_rc").slots[k] for k in (36, 37)] == [900, 2700]
+
+
+def test_pa_goes_to_positions_and_the_short_way_round(emulator: Emulator, client: WireClient) -> None:
+    client.ask("pr", 60, 0, 0)
+    emulator.simulation.step(2.0)
+    client.ask("da", 1800, 0)
+    assert client.ask("pa", 100, 1900, 3500).slots[41] == 7
+    emulator.simulation.step(5.0)
+    slots = client.ask("gs").slots
+    assert (slots[36], slots[37], slots[41]) == (1900, 3500, 0)
+    client.ask("pa", 0, 1900, 3500)
+    emulator.simulation.step(5.0)
+    counts = emulator.simulation.robots[1].counts
+    assert counts[0] == pytest.approx(0.0, abs=1e-9)
+    assert math.degrees(counts[1]) == pytest.approx(10.0)
+    assert client.ask("pa", 0, 1900, 3500).slots[41] == 0
+
+
+def test_get_ra_tells_accelerations_in_the_places_of_velocities() -> None:
+    emulator = Emulator(simulation(noisy=True))
+    client, _ = meet(emulator)
+    client.ask("ac", 100, 200, 300)
+    client.ask("vm", 100, -100, 100)
+    assert client.ask("get_ra").slots == {38: 100, 39: -200, 40: 300}
+    emulator.simulation.step(5.0)
+    assert client.ask("get_ra").slots == {38: 0, 39: 0, 40: 0}
+
+
+def test_mv_commands_each_axis_in_its_own_mode(emulator: Emulator, client: WireClient) -> None:
+    client.ask("mv", 1, 100, 5, 100, 0, 0)
+    client.ask("mv", 0, 0, 2, 100, 0, 0)
+    emulator.simulation.step(0.5)
+    assert client.ask("get_rv").slots == {38: 100, 39: 100, 40: 0}
+    emulator.simulation.step(0.51)
+    assert client.ask("get_rv").slots == {38: 100, 39: 0, 40: 0}
+
+
+def test_mv_in_a_mode_that_clients_refuse_moves_nothing(client: WireClient) -> None:
+    assert client.ask("mv", 1, 100, 6, 0, 0, 0).values == (2,)
+    assert client.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
+
+
+def test_lp_lets_go(client: WireClient) -> None:
+    client.ask("vm", 100, 0, 0)
+    assert client.ask("lp").slots[41] == 0
+
+
+def test_ac_is_taken_and_has_its_effect_where_the_setup_ramps() -> None:
+    emulator = Emulator(simulation(noisy=True))
+    client, _ = meet(emulator)
+    client.ask("ac", 50, 500, 500)
+    client.ask("vm", 100, 0, 0)
+    emulator.simulation.step(1.0)
+    assert client.ask("get_rv").slots[38] == 50
+
+
+def test_ws_answers_when_the_named_axes_are_still(emulator: Emulator) -> None:
+    client, session = meet(emulator)
+    client.ask("sp", 100, 450, 450)
+    client.ask("pr", 100, 0, 0)
+    assert client.send("ws", codec.tcp_request(Call("ws", (1, 1, 1, 20)))) == []
+    emulator.simulation.step(0.9)
+    assert session.tick() == b""
+    emulator.simulation.step(0.2)
+    assert session.tick() != b""
+    assert client.ask("ws", 1, 1, 1, 20).kind == "state"
+
+
+def test_ws_answers_after_its_timeout_without_stopping_anything(emulator: Emulator) -> None:
+    client, session = meet(emulator)
+    client.ask("vm", 20, 0, 0)
+    assert client.ask("ws", 0, 1, 1, 9).slots[38] == 20
+    client.send("ws", codec.tcp_request(Call("ws", (1, 0, 0, 2))))
+    emulator.simulation.step(1.9)
+    assert session.tick() == b""
+    emulator.simulation.step(0.2)
+    assert session.tick() != b""
+    assert client.ask("get_rv").slots[38] == 20
+
+
+def test_zr_is_answered_at_the_bumpers_zero_with_all_read_as_zero(emulator: Emulator) -> None:
+    client, session = meet(emulator)
+    client.ask("pr", 100, 900, 450)
+    emulator.simulation.step(5.0)
+    assert client.send("zr", codec.tcp_request(Call("zr"))) == []
+    for _ in range(100):
+        emulator.simulation.step(0.1)
+        if session.tick():
+            break
+    assert client.ask("get_rc").slots == {34: 0, 35: 0, 36: 0, 37: 0}
+
+
+def test_dp_and_da_change_what_the_encoders_say_and_not_where_the_robot_is(client: WireClient) -> None:
+    sonars = client.ask("get_sn").slots
+    client.ask("dp", -1234, 5678)
+    client.ask("da", 900, -1800)
+    assert client.ask("get_rc").slots == {34: -1234, 35: 5678, 36: 900, 37: 1800}
+    assert client.ask("get_sn").slots == sonars
+    assert client.ask("sim_truth").values[2:6] == (0, 0, 0, 0)
+
+
+def test_place_robot_moves_both_robots(client: WireClient) -> None:
+    assert client.ask("place_robot", 100, 200, 900, 450).kind == "simple"
+    assert client.ask("get_rc").slots == {34: 100, 35: 200, 36: 900, 37: 450}
+    assert client.ask("sim_truth").values[2:6] == (10_000, 20_000, 90_000, 45_000)
+
+
+def test_place_robot_into_a_wall_is_refused_and_moves_nothing(client: WireClient) -> None:
+    assert client.ask("place_robot", -120, 0, 0, 0).values == (2,)
+    assert client.ask("get_rc").slots[34] == 0
+
+
+def test_conf_tm_stops_the_motion_when_no_command_comes(emulator: Emulator, client: WireClient) -> None:
+    client.ask("conf_tm", 2)
+    client.ask("vm", 10, 0, 0)
+    for _ in range(3):
+        emulator.simulation.step(1.9)
+        assert client.ask("get_rv").slots[38] == 10
+    emulator.simulation.step(2.1)
+    assert client.ask("get_rv").slots[38] == 0
+
+
+def test_a_command_that_is_not_there_yet_feeds_the_time_out_too(emulator: Emulator, client: WireClient) -> None:
+    client.ask("conf_tm", 2)
+    client.ask("vm", 10, 0, 0)
+    for _ in range(3):
+        emulator.simulation.step(1.9)
+        client.ask("refresh_all")
+    assert client.ask("get_rv").slots[38] == 10
+
+
+def test_sonars_fire_in_the_order_and_at_the_rate_of_conf_sn(emulator: Emulator, client: WireClient) -> None:
+    client.ask("conf_sn", 10, 3, 5, 255, *[0] * 13)
+    before = client.ask("get_sn").slots
+    emulator.simulation.robots[1].place(30.0, 20.0, 0.0, 0.0)
+    emulator.simulation.step(0.05)
+    once = client.ask("get_sn").slots
+    emulator.simulation.step(0.04)
+    twice = client.ask("get_sn").slots
+    assert {slot for slot in before if once[slot] != before[slot]} == {17 + 5}
+    assert {slot for slot in before if twice[slot] != before[slot]} == {17 + 3, 17 + 5}
+
+
+@pytest.mark.parametrize(
+    ("args", "like"),
+    [
+        ((15, 3, 16, *[0] * 14), (15, 3, *[255] * 15)),
+        ((15, 3, -1, *[0] * 14), (15, 3, *[255] * 15)),
+        ((0, *range(16)), (1, *range(16))),
+        ((-7, *range(16)), (1, *range(16))),
+        ((100_000, *range(16)), (255, *range(16))),
+    ],
+)
+def test_conf_sn_takes_of_what_no_ring_has_what_it_can(args: tuple[int, ...], like: tuple[int, ...]) -> None:
+    def heard(numbers: tuple[int, ...]) -> list[Reply]:
+        emulator = Emulator(simulation())
+        client, _ = meet(emulator)
+        client.ask("ct", *EVERYTHING.with_position(Position.SONAR).smask)
+        client.ask("vm", 100, 0, 100)
+        replies = [client.ask("conf_sn", *numbers)]
+        for _ in range(30):
+            emulator.pass_time(0.11)
+            replies.append(client.ask("gs"))
+        return replies
+
+    assert heard(args) == heard(like)
+    assert heard(args)[0].kind == "state"
+
+
+def test_a_masked_sensor_keeps_the_value_last_sent_on_its_connection(emulator: Emulator, client: WireClient) -> None:
+    no_sonar_3 = Mask(tuple(0 if slot in (0, 20, 34) else 1 for slot in range(44)))
+    first = client.ask("gs").slots
+    client.ask("ct", *no_sonar_3.smask)
+    client.ask("place_robot", 300, 400, 900, 0)
+    client.ask("conf_sn", 1, *range(16))
+    emulator.simulation.step(0.1)
+    slots = client.ask("gs").slots
+    assert slots[20] == first[20]
+    assert slots[34] == first[34]
+    assert slots[35] == 400
+    assert [slots[k] for k in (17, 18, 19)] != [first[k] for k in (17, 18, 19)]
+    other, _ = meet(emulator)
+    assert other.ask("ct", *no_sonar_3.smask).slots[20] == 0
+
+
+def test_position_data_comes_with_the_reading_at_its_own_instant(emulator: Emulator, client: WireClient) -> None:
+    reply = client.ask("ct", *EVERYTHING.with_position(Position.SONAR | Position.BUMPER).smask)
+    assert set(reply.stamps) == {f"sonar_{i}" for i in range(16)} | {"bumper"}
+    client.ask("vm", 100, 0, 0)
+    client.ask("conf_sn", 15, *range(16))
+    emulator.simulation.step(0.3)
+    stamps = client.ask("get_sn").stamps
+    assert [stamps[f"sonar_{k}"].x for k in range(5)] == [0, 6, 12, 18, 24]
+    assert [stamps[f"sonar_{k}"].sensor_time for k in range(5)] == [0, 60, 120, 180, 240]
+    assert stamps["sonar_4"].v_trans == 100
+    assert client.ask("get_bp").stamps["bumper"].x == 30
+
+
+def test_the_bumper_that_touches_is_set_and_the_motor_bit_clears() -> None:
+    emulator = Emulator(simulation(start=StartPose(0.0, 40.0, math.pi, 0.0)))
+    client, _ = meet(emulator)
+    client.ask("vm", 100, 0, 0)
+    emulator.simulation.step(3.0)
+    slots = client.ask("gs").slots
+    assert slots[33] == 1 << 10
+    assert (slots[38], slots[41]) == (0, 0)
+    assert client.ask("get_bp").slots == {33: 1 << 10}
+    client.ask("vm", -100, 0, 0)
+    emulator.simulation.step(0.5)
+    assert client.ask("gs").slots[33] == 0
+
+
+def test_the_robot_of_a_client_that_is_gone_stops_but_not_another_ones(emulator: Emulator) -> None:
+    first, first_session = meet(emulator)
+    second, second_session = meet(emulator)
+    first.ask("vm", 100, 0, 0)
+    second.ask("vm", 50, 0, 0)
+    emulator.leave(first_session.visit)
+    assert second.ask("get_rv").slots[38] == 50
+    second.send("disconnect_robot", codec.tcp_request(Call("disconnect_robot", (1, 1))))
+    assert second_session.closing
+    assert first.ask("get_rv").slots[38] == 0
+
+
+def test_the_truth_names_time_pose_seed_and_robot() -> None:
+    emulator = Emulator(simulation(noisy=True, seed=7))
+    client, _ = meet(emulator)
+    client.ask("vm", 50, 0, 0)
+    emulator.simulation.step(4.0)
+    reply: Reply = client.ask("sim_truth")
+    marker, clock, x, y, *_, seed, robot_id = reply.values
+    assert (marker, clock, seed, robot_id) == (1, 4000, 7, 1)
+    odometry = client.ask("get_rc").slots
+    assert (x / 1000, y / 1000) != (odometry[34] / 10, odometry[35] / 10)
+    assert abs(x / 1000 - odometry[34] / 10) < 3
+
+
+def test_encoders_never_leave_their_words(emulator: Emulator, client: WireClient) -> None:
+    client.ask("dp", 2**31 - 1, -(2**31))
+    client.ask("vm", 200, 0, 0)
+    emulator.simulation.step(1.0)
+    assert client.ask("gs").slots[34] == 2**31 - 1
+    client.ask("da", 450, 450)
+    client.ask("dp", -(2**31), -(2**31))
+    client.ask("vm", -200, 0, 0)
+    emulator.simulation.step(1.0)
+    assert client.ask("get_rc").slots == {34: -(2**31), 35: -(2**31), 36: 450, 37: 450}
+
+
+@pytest.mark.parametrize("days", [24.9, 49.8, 400.0])
+def test_the_clock_goes_round_like_its_word(days: float, emulator: Emulator, client: WireClient) -> None:
+    emulator.simulation.robots.clear()
+    emulator.simulation.step(days * 86400)
+    emulator.simulation.add_robot(1)
+    assert client.ask("gs").clock == round(days * 86_400_000) % 2**32
+    assert client.ask("get_bp").clock == round(days * 86_400_000) % 2**32
+    assert client.ask("sim_truth").values[1] % 2**32 == round(days * 86_400_000) % 2**32
+
+
+def test_only_the_axes_of_a_client_that_is_gone_stop_and_limits_are_no_motion(emulator: Emulator) -> None:
+    driver, driver_session = meet(emulator)
+    helper, helper_session = meet(emulator)
+    driver.ask("vm", 50, 0, 20)
+    helper.ask("mv", 5, 100, 4, 300, 0, 0)
+    emulator.leave(helper_session.visit)
+    assert driver.ask("get_rv").slots == {38: 50, 39: 0, 40: 20}
+    steerer, _ = meet(emulator)
+    steerer.ask("mv", 0, 0, 1, 30, 0, 0)
+    emulator.leave(driver_session.visit)
+    assert steerer.ask("get_rv").slots == {38: 0, 39: 30, 40: 0}
+
+
+def test_the_answers_to_questions_count_as_sent_too(client: WireClient) -> None:
+    nothing = Mask((0,) * 44)
+    client.ask("ct", *nothing.smask)
+    client.ask("dp", 70, 80)
+    assert client.ask("gs").slots[34] == 0
+    sonars = client.ask("get_sn").slots
+    client.ask("get_rc")
+    slots = client.ask("gs").slots
+    assert {slot: slots[slot] for slot in sonars} == sonars
+    assert (slots[34], slots[35]) == (70, 80)
+
+
+def test_a_connection_keeps_its_robot_when_another_is_not_there(client: WireClient) -> None:
+    assert client.ask("connect_robot", 2, 1).values == (0,)
+    assert client.ask("gs").kind == "state"
+
+
+def test_asking_for_the_truth_keeps_no_robot_moving(emulator: Emulator, client: WireClient) -> None:
+    client.ask("conf_tm", 1)
+    client.ask("vm", 50, 0, 0)
+    for _ in range(4):
+        emulator.pass_time(0.4)
+        client.ask("sim_truth")
+    assert client.ask("get_rv").slots[38] == 0

@@ -1,0 +1,189 @@
+"""Speech and the arm's packets over the wire."""
+
+from __future__ import annotations
+
+import pytest
+
+from nclient.protocol import codec
+from nclient.protocol.commands import Call
+from nclient.protocol.replies import Reply
+from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.server.context import KEPT, Transcript, Utterance
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import Session
+from nserver_emu.simulation.models import MODELS
+from nserver_emu.simulation.noise import IDEAL
+from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.server.wire_client import ORIGIN, WireClient, meet, simulation
+from worlds.files import load_world
+
+RELATIVE = 2
+
+
+@pytest.fixture
+def emulator() -> Emulator:
+    made = Simulation(load_world("thesis_room"))
+    made.add_robot(1, ORIGIN, MODELS["n200"], IDEAL)
+    return Emulator(made)
+
+
+@pytest.fixture
+def met(emulator: Emulator) -> tuple[WireClient, Session]:
+    client, session = meet(emulator)
+    return client, session
+
+
+def answer(reply: Reply) -> tuple[int, ...]:
+    """Packet type and the 32-bit numbers of a packet that says its own length rightly."""
+    low, high, serial, packet_type, *data = reply.values
+    assert (low + 256 * high, serial) == (len(reply.values), 0)
+    return packet_type, *[int.from_bytes(bytes(data[k : k + 4]), "little") for k in range(0, len(data), 4)]
+
+
+def later(emulator: Emulator, session: Session, client: WireClient, name: str, *args: int) -> tuple[float, Reply]:
+    """A question that is answered later: after how many seconds, and what."""
+    began_s = emulator.simulation.time_s
+    assert client.send(name, codec.tcp_request(Call(name, args))) == []
+    for _ in range(2000):
+        emulator.simulation.step(0.01)
+        if data := session.tick():
+            (reply,) = client.read(name, data)
+            return emulator.simulation.time_s - began_s, reply
+    raise AssertionError("never answered")
+
+
+def test_what_is_said_is_kept_with_who_and_when(emulator: Emulator, met: tuple[WireClient, Session]) -> None:
+    emulator.simulation.step(1.5)
+    met[0].send("tk", codec.tcp_request(Call("tk", ("hello",))))
+    assert emulator.transcript.said == (Utterance(1.5, 1, "hello"),)
+
+
+def test_a_transcript_forgets_its_oldest() -> None:
+    transcript = Transcript()
+    for number in range(KEPT + 5):
+        transcript.add(Utterance(0.0, 1, str(number)))
+    assert (len(transcript.said), transcript.said[0].text) == (KEPT, "5")
+
+
+def test_the_arm_moves_and_wait_answers_when_it_is_there(
+    emulator: Emulator, met: tuple[WireClient, Session]
+) -> None:
+    client, session = met
+    assert answer(client.ask("arm_mv", RELATIVE, 1000, RELATIVE, 200)) == (42, 1)
+    seconds, reply = later(emulator, session, client, "arm_ws", 1, 1, 30_000)
+    assert seconds == pytest.approx(10 / 5 + 5 / 10, abs=0.02)
+    packet_type, result, left_ms = answer(reply)
+    assert (packet_type, result) == (41, 1)
+    assert left_ms == pytest.approx(30_000 - 1000 * seconds, abs=2)
+    assert emulator.arms[1].lift.position_in == pytest.approx(10.0)
+    assert answer(client.ask("arm_ws", 1, 1, 500)) == (41, 1, 500)
+
+
+def test_wait_answers_0_after_its_time_out_and_only_for_what_it_names(
+    emulator: Emulator, met: tuple[WireClient, Session]
+) -> None:
+    client, session = met
+    client.ask("arm_mv", RELATIVE, 4000, 0, 0)
+    assert answer(client.ask("arm_ws", 0, 1, 1000)) == (41, 1, 1000)
+    assert answer(client.ask("arm_ws", 1, 0, 0)) == (41, 0, 0)
+    seconds, reply = later(emulator, session, client, "arm_ws", 1, 0, 500)
+    assert seconds == pytest.approx(0.5, abs=0.02)
+    assert answer(reply) == (41, 0, 0)
+
+
+def test_zero_answers_when_the_arm_is_home(emulator: Emulator, met: tuple[WireClient, Session]) -> None:
+    client, session = met
+    client.ask("arm_mv", RELATIVE, 500, RELATIVE, 100)
+    emulator.simulation.step(10.0)
+    seconds, reply = later(emulator, session, client, "arm_zr", 0)
+    assert seconds > 1.0
+    assert answer(reply) == (40, 1)
+    assert emulator.arms[1].lift.position_in == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("mode", [-1, 6, 99])
+def test_a_mode_the_arm_does_not_have_is_refused(met: tuple[WireClient, Session], mode: int) -> None:
+    assert met[0].ask("arm_mv", mode, 0, 0, 0).values == (2,)
+
+
+@pytest.mark.parametrize(
+    ("name", "args"), [("arm_mv", (0, 0, 0, 0)), ("arm_zr", (0,)), ("arm_ws", (1, 1, 0)), ("special_request", (99, 1))]
+)
+def test_a_robot_without_an_arm_refuses(name: str, args: tuple[int, ...]) -> None:
+    client, _ = meet(Emulator(simulation()))
+    assert client.ask(name, *args).values == (4,)
+
+
+def test_a_user_packet_nobody_wrote_a_program_for_is_refused(met: tuple[WireClient, Session]) -> None:
+    assert met[0].ask("special_request", 99, 1, 2, 3).values == (4,)
+
+
+def running(emulator: Emulator) -> tuple[WireClient, Session]:
+    """A client whose arm's lift runs up at 1 in/s."""
+    client, session = meet(emulator)
+    client.ask("arm_mv", 1, 100, 0, 0)
+    emulator.pass_time(1.0)
+    assert emulator.arms[1].lift.moving
+    return client, session
+
+
+def settled_in(emulator: Emulator) -> float:
+    """How high the lift is when it stands; it has a minute for that."""
+    emulator.pass_time(60.0)
+    assert emulator.arms[1].still()
+    return emulator.arms[1].lift.position_in
+
+
+def test_st_stops_the_arm_too(emulator: Emulator) -> None:
+    client, _ = running(emulator)
+    client.ask("st")
+    assert 0.9 < settled_in(emulator) < 1.1
+
+
+def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
+    _, session = running(emulator)
+    other, other_session = meet(emulator)
+    other.ask("arm_mv", 5, 100, 4, 100)
+    emulator.leave(other_session.visit)
+    assert emulator.arms[1].lift.moving
+    emulator.leave(session.visit)
+    assert 0.9 < settled_in(emulator) < 1.1
+
+
+def test_a_client_that_takes_the_arm_over_goes_on_when_the_first_leaves(emulator: Emulator) -> None:
+    _, session = running(emulator)
+    other, _ = meet(emulator)
+    other.ask("arm_mv", 2, 1000, 2, 100)
+    emulator.leave(session.visit)
+    assert settled_in(emulator) == pytest.approx(11.0, abs=0.1)
+
+
+@pytest.mark.parametrize("step_s", [0.1, 5.0])
+def test_the_time_out_stops_the_arm_when_it_strikes(emulator: Emulator, step_s: float) -> None:
+    client, _ = running(emulator)
+    client.ask("conf_tm", 2)
+    for _ in range(round(5.0 / step_s)):
+        emulator.simulation.step(step_s)
+    client.ask("gs")
+    assert settled_in(emulator) == pytest.approx(3.0, abs=0.1)
+
+
+def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
+    client, session = meet(emulator)
+    client.ask("conf_tm", 1)
+    client.ask("arm_mv", 5, 100, 0, 0)
+    client.ask("arm_mv", 2, 500, 0, 0)
+    session.receive(codec.tcp_request(Call("arm_ws", (1, 1, 30_000))))
+    assert session.answers(most=1) == b""
+    assert settled_in(emulator) == pytest.approx(5.0)
+    (reply,) = client.read("arm_ws", session.tick())
+    assert answer(reply)[:2] == (41, 1)
+
+
+def test_the_arm_of_a_restored_robot_stops_with_who_finds_it(emulator: Emulator) -> None:
+    running(emulator)
+    restored = Emulator(simulation())
+    loads(restored, dumps(emulator))
+    _, session = meet(restored)
+    restored.leave(session.visit)
+    assert 0.9 < settled_in(restored) < 1.1

@@ -1,0 +1,191 @@
+"""Noise and world changed while it runs: clients hear it, snapshots keep it, the same switches give the same bytes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nclient.errors import ControlError, WorldFileError
+from nserver_emu.persistence import snapshot
+from nserver_emu.server.config import Setting
+from nserver_emu.server.handlers.runtime_settings import (
+    MOST_SHOWN,
+    noise_of,
+    noise_words,
+    put_world,
+    show_world,
+    switch_noise,
+)
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.simulation.noise import IDEAL, SETUPS
+from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
+from worlds.files import load_world
+from worlds.world import Path as WayPoints
+from worlds.world import Polygon, StartPose, World
+from worlds.writing import world_text
+
+
+def sonars(client: WireClient) -> tuple[int, ...]:
+    slots = client.ask("gs").slots
+    return tuple(slots[slot] for slot in range(17, 33))
+
+
+def heard(emulator: Emulator, client: WireClient, looks: int = 6) -> set[tuple[int, ...]]:
+    """What a client's sonars read, a whole round of the ring apart."""
+    found = set()
+    for _ in range(looks):
+        emulator.pass_time(1.0)
+        found.add(sonars(client))
+    return found
+
+
+def test_a_client_hears_the_noise_switched_on_and_off() -> None:
+    emulator = Emulator(simulation(seed=4))
+    client, _ = meet(emulator)
+    (exact,) = heard(emulator, client)
+    assert switch_noise(emulator, {"sensors": "noisy", "robot": 1}) == {"1": {"sensors": "noisy", "motion": "ideal"}}
+    assert sonars(client) == exact
+    assert len(heard(emulator, client)) == 6
+    assert switch_noise(emulator, {"sensors": "ideal"})["1"]["sensors"] == "ideal"
+    emulator.pass_time(1.0)
+    assert heard(emulator, client) == {exact}
+
+
+def test_odometry_strays_robot_by_robot() -> None:
+    emulator = Emulator(Setting(others=(("n150", StartPose(70.0, 70.0)),), start=StartPose(20.0, 20.0)).simulation())
+    switch_noise(emulator, {"motion": "noisy", "robot": 2})
+    for number in (1, 2):
+        client, _ = meet(emulator)
+        client.ask("connect_robot", number, 0)
+        client.ask("pr", 200, 900, 0)
+    emulator.pass_time(20.0)
+    one, two = emulator.simulation.robots.values()
+    assert one.actual == one.encoder
+    assert two.actual != two.encoder
+    assert noise_of(one) == {"sensors": "ideal", "motion": "ideal"}
+    assert noise_of(two) == {"sensors": "ideal", "motion": "noisy"}
+
+
+def a_run(switches: dict[int, dict[str, Any]], saved: Path | None = None) -> list[object]:
+    """What a client is told over twenty seconds, noise switched meanwhile; at half of it saved and restored."""
+    setting = Setting(robot="n200", seed=8, start=StartPose(40.0, 40.0))
+    emulator = Emulator(setting.simulation())
+    client, _ = meet(emulator)
+    client.ask("pr", 200, 900, 300)
+    told: list[object] = []
+    for second in range(20):
+        if second in switches:
+            switch_noise(emulator, switches[second])
+        if second == 10 and saved is not None:
+            snapshot.save(emulator, saved)
+            emulator = Emulator(Setting().simulation())
+            snapshot.restore(emulator, saved)
+            client, _ = meet(emulator)
+        emulator.pass_time(1.0)
+        told += [client.ask("gs"), client.ask("sim_truth").values]
+    return told
+
+
+SWITCHES: dict[int, dict[str, Any]] = {
+    3: {"sensors": "measured"}, 6: {"motion": "noisy", "robot": 1}, 14: {"sensors": "noisy"},
+}  # fmt: skip
+
+
+def test_the_same_switches_give_the_same_bytes_and_others_give_others() -> None:
+    assert a_run(SWITCHES) == a_run(SWITCHES)
+    assert a_run(SWITCHES) != a_run(SWITCHES | {15: {"sensors": "ideal"}})
+    assert a_run(SWITCHES) != a_run({})
+
+
+def test_a_snapshot_keeps_what_was_switched(tmp_path: Path) -> None:
+    assert a_run(SWITCHES, tmp_path / "kept.json") == a_run(SWITCHES)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        ({"sensors": "loud"}, "sensors is one of ideal, noisy, measured, not loud"),
+        ({"motion": 3}, "motion is one of ideal, noisy, worn, not 3"),
+        ({"motion": "nosy"}, "noisy"),
+        ({"sensors": "noisy", "robot": 7}, "no robot 7; there are 1"),
+        ({"sensors": "noisy", "robot": "1"}, "no robot 1"),
+        ({"sensors": "noisy", "turret": "x"}, "not 'turret'"),
+        ({"robot": 1}, "sensors and motion were both left out"),
+    ],
+)  # fmt: skip
+def test_what_is_no_noise_is_refused_with_what_is(wanted: dict[str, Any], said: str) -> None:
+    emulator = Emulator(simulation())
+    with pytest.raises(ControlError, match=said):
+        switch_noise(emulator, wanted)
+    assert emulator.simulation.robots[1].setup == IDEAL
+
+
+def test_noise_in_words() -> None:
+    assert noise_words("robot=2 sensors=measured") == {"robot": 2, "sensors": "measured"}
+    for text in ("", "sensors", "sensors=", "robot=1 noisy"):
+        with pytest.raises(ControlError, match="such as sensors=measured"):
+            noise_words(text)
+    assert "measured" in SETUPS
+
+
+def test_another_world_takes_the_place_of_the_one_there() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    before = sonars(client)
+    put_world(emulator, world_text(load_world("several_walls")), "mine.toml")
+    emulator.pass_time(1.0)
+    assert emulator.simulation.world.name == "several_walls"
+    assert sonars(client) != before
+
+
+def test_a_world_where_a_robot_has_no_room_or_that_is_none_changes_nothing() -> None:
+    emulator = Emulator(simulation())
+    world = emulator.simulation.world
+    with pytest.raises(ControlError, match=r"far\.toml: robot 1 stands where there is no room for it"):
+        put_world(emulator, '[[room]]\ncorners_in = [[500, 0], [600, 0], [600, 100]]\n', "far.toml")
+    with pytest.raises(WorldFileError, match=r"bad\.toml: is no TOML"):
+        put_world(emulator, "[[room", "bad.toml")
+    assert emulator.simulation.world is world
+
+
+TWELVE = tuple(
+    (60.123456789 + 9 * math.cos(k * math.tau / 12), 50.1 + 9 * math.sin(k * math.tau / 12)) for k in range(12)
+)
+ROOM = Polygon(((-30.0, -30.0), (120.0, -30.0), (120.0, 120.0), (-30.0, 120.0)), "hall")
+
+
+def a_world() -> World:
+    """More than the wire can say: twelve corners, names, tenths of tenths, a start that something stands on, a path."""
+    things = (Polygon(TWELVE, "pillar"), Polygon(((20.25, 80.0), (30.1, 80.0), (30.1, 90.0)), "table"))
+    starts = (StartPose(0.0, 0.0, 0.1, 0.2), StartPose(60.0, 50.0, 1 / 3, 2 / 3))
+    paths = {"round": WayPoints("round", "5.1", starts[1], ((60.0, 50.0), (5.0, 5.0)))}
+    return World("w", "t", (ROOM,), obstacles=things, starts=starts, paths=paths)
+
+
+def test_a_world_that_was_shown_comes_back_as_the_very_same() -> None:
+    emulator = Emulator(simulation())
+    world = a_world()
+    emulator.simulation.change_world(world)
+    before = show_world(emulator)
+    meet(emulator)[0].ask("new_world")
+    emptied = emulator.simulation.world
+    after = show_world(emulator)
+    put_world(emulator, "[[room]]\ncorners_in = [[-50, -50], [90, -50], [90, 90], [-50, 90]]", "other.toml")
+    assert put_world(emulator, before, "before") is world
+    assert emulator.simulation.world is world
+    assert put_world(emulator, after, "after") is emptied
+    assert put_world(emulator, before + "# edited", "edited.toml") is not world
+
+
+def test_no_more_worlds_are_kept_than_steps_can_be_taken_back() -> None:
+    emulator = Emulator(simulation())
+    first = emulator.simulation.world
+    text = show_world(emulator)
+    for k in range(MOST_SHOWN):
+        emulator.simulation.change_world(World(f"w{k}", "", (ROOM,)))
+        show_world(emulator)
+    assert len(emulator.shown) == MOST_SHOWN
+    assert put_world(emulator, text, "first") is not first

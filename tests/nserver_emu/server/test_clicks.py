@@ -1,0 +1,64 @@
+"""get_robot_conf: waits for a click while a page is open, in its turn, and for nobody who is gone."""
+
+from __future__ import annotations
+
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.session import Session
+from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
+
+HERE, CLICKED = (0, 0, 0, 0), (120, -30, 900, 450)
+
+
+def waiting(emulator: Emulator) -> tuple[WireClient, Session]:
+    client, session = meet(emulator)
+    assert client.send("gs", bytes.fromhex("00c80000")) == []
+    assert session.waiting
+    return client, session
+
+
+def test_without_a_page_it_is_where_the_robot_is() -> None:
+    client, _ = meet(Emulator(simulation()))
+    assert client.ask("get_robot_conf").values == HERE
+
+
+def test_a_click_answers_all_who_wait_at_that_robot() -> None:
+    emulator = Emulator(simulation())
+    emulator.clicks.open = True
+    ends = [waiting(emulator) for _ in range(2)]
+    emulator.pass_time(5.0)
+    assert emulator.clicks.asked() == {1: 2}
+    assert not emulator.clicks.answer(2, CLICKED)
+    assert emulator.clicks.answer(1, CLICKED)
+    for client, session in ends:
+        (reply,) = client.read("get_robot_conf", session.tick())
+        assert reply.values == CLICKED
+    assert emulator.clicks.asked() == {}
+
+
+def test_when_the_page_closes_nobody_waits_on() -> None:
+    emulator = Emulator(simulation())
+    emulator.clicks.open = True
+    client, session = waiting(emulator)
+    emulator.clicks.open = False
+    (reply,) = client.read("get_robot_conf", session.tick())
+    assert reply.values == HERE
+    assert emulator.clicks.asked() == {}
+
+
+def test_who_is_gone_is_asked_for_no_more() -> None:
+    emulator = Emulator(simulation())
+    emulator.clicks.open = True
+    _, session = waiting(emulator)
+    _, other = waiting(emulator)
+    emulator.leave(session.visit)
+    assert emulator.clicks.asked() == {1: 1}
+    emulator.leave(other.visit)
+    assert emulator.clicks.asked() == {}
+
+
+def test_in_lockstep_time_does_not_run_while_somebody_looks_for_the_mouse() -> None:
+    emulator = Emulator(simulation())
+    emulator.clicks.open = True
+    emulator.pace.lockstep_s = 0.1
+    client, _ = meet(emulator)
+    assert client.ask("get_robot_conf").values == HERE

@@ -1,0 +1,41 @@
+"""A connection that is closed is gone at once: it does not wait for Python to look for garbage, which is seldom."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import weakref
+
+import pytest
+
+from nclient.faults.plan import Delay, Plan, Rule
+from nserver_emu.server.connection import Connection, Talker
+from tests.nserver_emu.server.daemon_house import House, with_daemon
+
+
+@pytest.mark.parametrize("faults", [False, True])
+@pytest.mark.parametrize("talks", [False, True])
+def test_nothing_of_it_is_left(talks: bool, faults: bool) -> None:
+    plan = Plan((Rule("late", (Delay(0.001),), commands=("gs",)),))
+
+    async def visit(house: House) -> None:
+        if faults:
+            house.daemon.faults.put(plan, house.daemon.lines())
+        client = await (house.call() if talks else house.knock())
+        if talks:
+            await client.ask("gs")
+        while not house.daemon.connections:
+            await asyncio.sleep(0.005)
+        gone: list[weakref.ref[Talker]] = [weakref.ref(one) for one in house.daemon.connections]
+        assert [type(one()) for one in gone] == [Connection]
+        client.writer.close()
+        async with asyncio.timeout(30):
+            while any(one() for one in gone):
+                await asyncio.sleep(0.01)
+
+    gc.collect()
+    gc.disable()
+    try:
+        with_daemon(visit)
+    finally:
+        gc.enable()

@@ -1,0 +1,152 @@
+"""A plan of faults in a daemon, on real sockets: late answers keep their order, and a flood of them stalls nobody."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from nclient.faults.plan import Corrupt, Delay, Direction, Drop, Nak, Plan, Rule, When
+from nclient.protocol import codec
+from nclient.protocol.commands import Call
+from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.server.daemon_house import serving
+from tests.nserver_emu.server.wire_client import ORIGIN, simulation
+from worlds.files import load_world
+
+REQUEST = frozenset({Direction.REQUEST})
+
+
+class Client:
+    """A plain client, 32-bit or 64-bit, that may ask many things at once."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, wide: bool) -> None:
+        self._reader, self._writer, self._wide = reader, writer, wide
+        self._framer = TcpFramer(reply_bounds, wide=wide)
+        self._frames: list[TcpFrame] = []
+
+    def send(self, *calls: Call) -> None:
+        self._writer.write(b"".join(codec.tcp_request(call, wide=self._wide) for call in calls))
+
+    async def types(self, count: int) -> list[int]:
+        while len(self._frames) < count:
+            data = await self._reader.read(65536)
+            assert data, "the daemon closed the connection"
+            self._frames += [frame for frame in self._framer.receive(data) if isinstance(frame, TcpFrame)]
+        found, self._frames = self._frames[:count], self._frames[count:]
+        return [frame.type for frame in found]
+
+    async def close(self) -> None:
+        self._writer.close()
+        await self._writer.wait_closed()
+
+
+Knock = Callable[..., Awaitable[Client]]
+
+
+def with_daemon(
+    plan: Plan | None, visit: Callable[[Daemon, Knock], Awaitable[None]], world: Simulation | None = None
+) -> None:
+    async def evening() -> None:
+        daemon = Daemon(Emulator(world or simulation()))
+        port = await daemon.listen("127.0.0.1", 0)
+        if plan is not None:
+            daemon.faults.put(plan, daemon.lines())
+        clients: list[Client] = []
+
+        async def knock(wide: bool = False) -> Client:
+            clients.append(Client(*await asyncio.open_connection("127.0.0.1", port), wide))
+            clients[-1].send(Call("connect_robot", (1, 7)))
+            assert await clients[-1].types(1) == [82]
+            return clients[-1]
+
+        try:
+            async with serving(daemon):
+                await visit(daemon, knock)
+        finally:
+            for client in clients:
+                await client.close()
+
+    asyncio.run(evening())
+
+
+def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> None:
+    late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        flooding, other = await knock(), await knock()
+        flooding.send(*[Call("gs"), Call("get_rc")] * count)
+        other.send(Call("st"))
+        assert await other.types(1) == [80]
+        assert await flooding.types(2 * count) == [80, 88] * count
+        assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
+
+    with_daemon(late, visit)
+
+
+def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_being_read() -> None:
+    """Twenty answers with a laser's columns are more than may be on the way, and none of them is late."""
+    plan = Plan((Rule("late", (Delay(0.01),), commands=("get_rc",)),))
+    laser = Simulation(load_world("thesis_room"))
+    laser.add_robot(1, ORIGIN, N200)
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        client = await knock()
+        client.send(*[Call("gs")] * 20)
+        assert await client.types(20) == [80] * 20
+        client.send(Call("st"))
+        assert await client.types(1) == [80]
+        await client.close()
+        while daemon.connections:
+            await asyncio.sleep(0.005)
+
+    with_daemon(plan, visit, laser)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
+    plan = Plan((Rule("no", (Nak(),), When(every=2), ("vm",), REQUEST),))
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        client = await knock(wide)
+        for answer in (80, 91, 80, 91):
+            client.send(Call("vm", (1, 2, 3)))
+            assert await client.types(1) == [answer]
+        client.send(Call("get_rc"))
+        assert await client.types(1) == [88]
+        assert [visitor["refused"] for visitor in daemon.visitors()] == [0]
+
+    with_daemon(plan, visit)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
+    plan = Plan((Rule("lost", (Drop(),), commands=("get_rc",)),))
+
+    async def visit(daemon: Daemon, knock: Knock) -> None:
+        client = await knock(wide)
+        for in_force, answered in ((False, [88, 80]), (True, [80]), (False, [88, 80]), (True, [80])):
+            if in_force:
+                daemon.faults.put(plan, daemon.lines())
+            else:
+                daemon.faults.clear()
+            client.send(Call("get_rc"), Call("gs"))
+            assert await client.types(len(answered)) == answered
+
+    with_daemon(None, visit)
+
+
+def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
+    plan = Plan((Rule("odd", (Corrupt(place=0),), When(at=(1,)), ("gs",), REQUEST),))
+
+    async def visit(_: Daemon, knock: Knock) -> None:
+        client = await knock()
+        client.send(Call("gs"), Call("gs"))
+        assert await client.types(2) == [91, 80]
+
+    with_daemon(plan, visit)

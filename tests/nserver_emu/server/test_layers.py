@@ -1,0 +1,137 @@
+"""What a window can show: tracks that are kept bounded, and every layer as plain data."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from math import cos, hypot, sin
+
+import pytest
+
+from nserver_emu.persistence.snapshot import dumps, loads
+from nserver_emu.server.graphics import FORGOTTEN_AT_ONCE, MOST_POINTS, POINT_IN, Layer, Trace
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.simulation.models import N200
+from nserver_emu.simulation.noise import MEASURED
+from nserver_emu.simulation.simulation import Simulation
+from tests.nserver_emu.server.wire_client import meet, simulation
+from worlds.files import load_world
+from worlds.world import StartPose
+
+
+def n200() -> Emulator:
+    made = Simulation(load_world("thesis_room"), seed=2)
+    made.add_robot(1, StartPose(20.0, 45.0, 0.3, 0.2), N200, MEASURED)
+    return Emulator(made)
+
+
+def test_a_track_has_a_point_every_half_inch_and_forgets_its_oldest() -> None:
+    trace = Trace()
+    for number in range(20 * MOST_POINTS):
+        trace.go(0.1 * number, 0.0)
+    assert len(trace.points) == MOST_POINTS
+    gaps = [after[0] - before[0] for before, after in zip(trace.points[:-1], trace.points[1:], strict=True)]
+    assert min(gaps) >= POINT_IN
+    assert max(gaps) < POINT_IN + 0.11
+    assert trace.points[-1][0] > 0.1 * 20 * MOST_POINTS - 1.0
+
+
+def test_a_full_track_takes_little_memory() -> None:
+    tracemalloc.start()
+    try:
+        trace = Trace()
+        for number in range(MOST_POINTS + FORGOTTEN_AT_ONCE - 1):
+            trace.go(float(number), 0.5)
+        taken, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert trace.points == trace.at(range(trace.first, trace.gone + 1))
+    assert trace.points[-1] == (float(number), 0.5)
+    assert taken < 20 * (MOST_POINTS + FORGOTTEN_AT_ONCE), "two coordinates of eight bytes, and room to grow"
+
+
+def test_the_two_robots_leave_tracks_that_dp_and_noise_tell_apart() -> None:
+    emulator = Emulator(simulation(noisy=True, seed=3))
+    client, _ = meet(emulator)
+    client.ask("dp", 1000, 1000)
+    client.ask("vm", 100, 0, 0)
+    emulator.pass_time(3.0)
+    client.ask("st")
+    emulator.pass_time(60.0)
+    shown = emulator.layers(1)
+    actual, believed = shown["actual_trace"], shown["encoder_trace"]
+    robot = emulator.simulation.robots[1]
+    assert actual[0] == [0.0, 0.0]
+    assert believed[0] == [0.0, 0.0]
+    assert believed[1] == pytest.approx([100.5, 100.0], abs=0.6)
+    assert hypot(actual[-1][0] - robot.actual.x_in, actual[-1][1] - robot.actual.y_in) < POINT_IN
+    assert hypot(believed[-1][0] - robot.encoder.x_in, believed[-1][1] - robot.encoder.y_in) < POINT_IN
+    assert 20 < len(actual) <= 62
+    client.ask("refresh_all")
+    assert emulator.layers(1) == shown
+
+
+def test_every_layer_is_plain_data_and_says_what_the_wire_says() -> None:
+    emulator = n200()
+    client, _ = meet(emulator)
+    client.ask("draw_line", 1, 2, 3, 4, 3)
+    emulator.pass_time(1.0)
+    shown = emulator.layers(1)
+    assert json.loads(json.dumps(shown)) == shown
+    assert set(shown) == {layer.value for layer in Layer}
+    slots = client.ask("gs").slots
+    assert shown["sonar"] == [slots[slot] for slot in range(17, 33)]
+    assert shown["infrared"] == [slots[slot] for slot in range(1, 17)]
+    assert shown["bumper"] == slots[33]
+    laser = client.ask("get_ls").laser
+    assert laser is not None
+    assert [round(10 * number) for point in shown["laser"] for number in point] == pytest.approx(laser[1:], abs=1)
+    assert shown["client_graphics"] == [{"figure": "line", "numbers": [1, 2, 3, 4], "colour": "Blue", "xor": True}]
+
+
+def test_a_robot_without_infrareds_and_laser_shows_none() -> None:
+    shown = Emulator(simulation()).layers(1)
+    assert (shown["infrared"], shown["laser"], shown["actual_trace"]) == ([], [], [[0.0, 0.0]])
+    with pytest.raises(KeyError):
+        Emulator(simulation()).layers(2)
+
+
+def test_a_robot_that_is_made_or_restored_has_its_track() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    client.ask("create_robot", 2, 1)
+    assert emulator.layers(2)["actual_trace"] == []
+    client.ask("vm", 100, 200, 0)
+    emulator.pass_time(2.0)
+    restored = Emulator(simulation())
+    loads(restored, dumps(emulator))
+    assert restored.layers(2) == emulator.layers(2)
+    for each in (emulator, restored):
+        each.pass_time(1.0)
+    assert restored.layers(2) == emulator.layers(2)
+    track = emulator.layers(2)["actual_trace"]
+    assert len(track) > 15
+
+
+def test_a_track_knows_where_the_robot_was_put_down_and_gives_points_by_number() -> None:
+    trace = Trace()
+    for number in range(30):
+        trace.go(number + (50.0 if number >= 10 else 0.0), 0.0)
+    trace.go(0.0, 0.0)
+    assert (trace.gone, trace.first, trace.jumps) == (31, 1, (11, 31))
+    assert trace.at([1, 10, 11, 31]) == [(0.0, 0.0), (9.0, 0.0), (60.0, 0.0), (0.0, 0.0)]
+    for number in range(MOST_POINTS - 1):
+        trace.go(float(number + 1), 0.0)
+    assert (trace.first, trace.jumps) == (31, (11, 31))
+    trace.go(0.0, 0.0)
+    assert trace.first == 32
+    assert trace.jumps == (trace.gone,), "those of points that are forgotten are forgotten"
+    assert trace.at(range(trace.first, trace.gone + 1)) == trace.points
+
+
+def test_a_track_that_goes_round_and_round_never_jumps() -> None:
+    trace = Trace()
+    for number in range(1000):
+        trace.go(5.0 * cos(number), 5.0 * sin(number))
+    assert trace.gone == 1000
+    assert trace.jumps == ()

@@ -1,0 +1,243 @@
+"""The table of limits, its options and its page; and each limit on a real socket: the one over it, and the others."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import socket
+import struct
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from ipaddress import ip_network
+from pathlib import Path
+
+import pytest
+
+from nclient.common.allowlist import Access
+from nclient.protocol import codec
+from nclient.protocol.commands import BY_TCP_TYPE, Call
+from nserver_emu import cli
+from nserver_emu.server.admission import Door
+from nserver_emu.server.connection import REQUESTS_A_TURN
+from nserver_emu.server.context import Allowed
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of
+from tests.nserver_emu.server.daemon_house import Client, House, with_daemon
+from tests.nserver_emu.server.wire_client import simulation
+
+ROOT = Path(__file__).parents[3]
+GS = codec.tcp_request(Call("gs"))
+BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
+
+
+def at_home(limits: Limits, visit: Callable[[House], Awaitable[None]], emulator: Emulator | None = None) -> None:
+    """A visit to a daemon with these limits."""
+
+    async def limited(house: House) -> None:
+        house.daemon.door.limits = limits
+        await visit(house)
+
+    with_daemon(limited, emulator=emulator)
+
+
+async def is_closed(client: Client) -> bool:
+    """Whether the daemon lets go of it, well within the test's patience."""
+    try:
+        while data := await asyncio.wait_for(client.reader.read(65536), 30):
+            assert data
+    except ConnectionError:
+        pass
+    return True
+
+
+def parsed(*words: str) -> Limits:
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    return limits_of(parser.parse_args(words))
+
+
+
+def test_every_limit_is_a_row_with_an_enforcer_that_is_there() -> None:
+    assert {row.name: row.default for row in TABLE} == {row.name: getattr(Limits(), row.name) for row in TABLE}
+    for row in TABLE:
+        assert row.least <= row.default <= row.most
+        base = ROOT if row.where.startswith("nclient") else ROOT / "nserver_emu"
+        assert (base / row.where).is_file(), row.where
+
+
+@pytest.mark.parametrize("row", TABLE, ids=lambda row: row.name)
+def test_every_limit_has_an_option(row: object, capsys: pytest.CaptureFixture[str]) -> None:
+    (limit,) = (one for one in TABLE if one is row)
+    assert parsed() == Limits()
+    assert parsed(limit.option, str(limit.least)) == replace(Limits(), **{limit.name: limit.least})
+    assert limit.option in cli.whole_parser().format_help()
+    for wrong in (str(limit.most + 1), "-1", "many", *(() if limit.may_be_none else ("0",))):
+        with pytest.raises(SystemExit):
+            parsed(f"{limit.option}={wrong}")
+        assert f"{limit.least} to {limit.most}" in capsys.readouterr().err
+    if limit.may_be_none:
+        assert getattr(parsed(limit.option, "0"), limit.name) == 0
+
+
+def test_the_longest_frame_is_the_tables() -> None:
+    rows = BY_TCP_TYPE.values()
+    (frame,) = (row for row in TABLE if row.name == "frame")
+    assert frame.default == frame.most == max(row.tcp_words[1] for row in rows)
+    assert frame.least == max(row.tcp_words[0] for row in rows)
+
+
+@pytest.mark.parametrize("limits", [Limits(connections=2), Limits(per_address=2)], ids=["connections", "per address"])
+def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Limits) -> None:
+    async def visit(house: House) -> None:
+        first, second = await house.call(), await house.call()
+        assert await is_closed(await house.knock())
+        assert house.daemon.door.turned_away == 1
+        for client in (first, second):
+            assert (await client.ask("gs")).kind == "state"
+        second.writer.close()
+        while len(house.daemon.connections) == 2:
+            await asyncio.sleep(0.005)
+        assert (await (await house.call()).ask("gs")).kind == "state"
+
+    at_home(limits, visit)
+
+
+def test_from_another_address_there_is_room() -> None:
+    door = Door(Limits(per_address=1, connections=2))
+    assert "from there" in door.refusal("10.0.0.1", ["10.0.0.1"])
+    assert not door.refusal("10.0.0.2", ["10.0.0.1"])
+    assert "--limit-connections" in door.refusal("10.0.0.2", ["10.0.0.1", "10.0.0.3"])
+
+
+def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    door = Door(access=Access(()))
+    assert not door.refusal("10.0.0.1", [])
+    fenced = Door(access=Access((ip_network("10.9.9.0/24"),)))
+    assert "--allow" in fenced.refusal("10.0.0.1", [], "10.0.0.2")
+    assert not fenced.refusal("10.0.0.1", [], "10.0.0.1")
+    door.turn_away("10.0.0.1", "because")
+    door.turn_away("10.0.0.2", "because")
+    assert [record.getMessage()[:8] for record in caplog.records if record.levelname == "WARNING"] == ["10.0.0.1"]
+    assert door.turned_away == 2
+
+
+def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
+    async def visit(house: House) -> None:
+        fast, other = await house.call(), await house.call()
+        count, began = 60 + REQUESTS_A_TURN, time.monotonic()
+        fast.writer.write(GS * count)
+        assert (await other.ask("gs")).kind == "state"
+        for _ in range(count):
+            assert (await fast.reply("gs")).kind == "state"
+        assert time.monotonic() - began >= 0.2  # 20 at once, one more for CONNECT, then 200 a second
+
+    at_home(Limits(rate=200), visit)
+
+
+def test_who_asks_too_fast_one_by_one_is_slowed_as_well() -> None:
+    async def visit(house: House) -> None:
+        fast, began = await house.call(), time.monotonic()
+        for _ in range(60):
+            assert (await fast.ask("gs")).kind == "state"
+        assert time.monotonic() - began >= 0.15  # 20 at once, one of them CONNECT, then 200 a second
+
+    at_home(Limits(rate=200), visit)
+
+
+def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
+    async def visit(house: House) -> None:
+        client = await house.call()
+        assert (await client.ask("add_obstacle", *BOX)).kind == "simple"
+        long = (10, *(number for corner in range(10) for number in (corner * 10, 2000 + corner**2)))
+        assert (await client.ask("add_obstacle", *long)).values == (2,)
+        assert (await client.ask("gs")).kind == "state"
+
+    at_home(Limits(), visit, Emulator(simulation(), allowed=Allowed(frame=17)))
+
+
+def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest.LogCaptureFixture) -> None:
+    async def visit(house: House) -> None:
+        silent, talker, waiting = await house.call(), await house.call(), await house.call()
+        await waiting.ask("vm", 10, 0, 0)
+        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
+        while not any(one.session.waiting for one in house.daemon.connections):
+            await asyncio.sleep(0.01)
+        closed = asyncio.create_task(is_closed(silent))
+        while not closed.done():
+            await talker.ask("gs")
+            await asyncio.sleep(0.01)
+        assert len(house.daemon.connections) == 2
+        assert (await talker.ask("gs")).kind == "state"
+
+    at_home(Limits(idle=2), visit)
+    assert "said nothing for 2 s" in caplog.text
+
+
+def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
+    async def visit(house: House) -> None:
+        stalled, other = await house.call(), await house.call()
+        await stalled.ask("vm", 100, 0, 0)
+        closed = asyncio.create_task(is_closed(stalled))
+        for byte in codec.tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
+            if closed.done():
+                break
+            stalled.writer.write(bytes([byte]))
+            await asyncio.sleep(0.15)
+        assert await closed
+        assert (await other.ask("gs")).kind == "state"
+
+    at_home(Limits(stall=1), visit)
+
+
+def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def visit(house: House) -> None:
+        stalled = await house.call()
+        stalled.writer.write(struct.pack(">hH", 7777, 1000) + bytes(100))
+        assert (await stalled.reply("gs")).kind == "error"
+        assert await is_closed(stalled)
+
+    at_home(Limits(stall=1), visit)
+    assert "stopped in the middle of a request" in caplog.text
+    assert "vanished" not in caplog.text  # it was we who closed it
+
+
+def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCaptureFixture) -> None:
+    async def visit(house: House) -> None:
+        other, deaf = await house.call(), socket.socket()
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.setblocking(False)
+        loop = asyncio.get_running_loop()
+        await loop.sock_connect(deaf, ("127.0.0.1", house.port))
+        async def ask_on() -> None:
+            await loop.sock_sendall(deaf, codec.tcp_request(Call("connect_robot", (1, 1))))
+            while True:
+                await loop.sock_sendall(deaf, GS * 1000)
+
+        asking = asyncio.create_task(ask_on())
+        with deaf:
+            while not asking.done():
+                assert (await other.ask("gs")).kind == "state"
+                await asyncio.sleep(0.01)
+        assert isinstance(asking.exception(), ConnectionError)
+        assert len(house.daemon.connections) == 1
+
+    at_home(Limits(stall=1, write_queue=2048), visit)
+    assert "took no replies, for 1 s" in caplog.text
+
+
+def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
+    emulator = Emulator(simulation(), allowed=Allowed(obstacles=1, graphics=2))
+
+    async def visit(house: House) -> None:
+        client, other = await house.call(), await house.call()
+        replies = [await client.ask("add_obstacle", *BOX) for _ in range(2)]
+        assert [reply.values for reply in replies] == [(0,), (5,)]
+        for number in range(5):
+            assert (await client.ask("draw_line", number, 0, 0, 0, 1)).values == (0,)
+        assert [shape.numbers[0] for shape in emulator.graphics.shapes] == [3, 4]
+        assert (await other.ask("gs")).kind == "state"
+
+    at_home(Limits(), visit, emulator)

@@ -1,0 +1,121 @@
+"""The options for robots' own lines: whose line each is, and what is no such option."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+
+from nclient.errors import AddressError, ConnectionLost
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from nserver_emu.server.serial_lines import add_options, at_port, open_lines, refuse
+from nserver_emu.simulation.models import MODELS
+from tests.nserver_emu.server.line_host import emulated
+from worlds.world import StartPose
+
+
+def parsed(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--bind", default="127.0.0.1")
+    add_options(parser)
+    return parser.parse_args(words)
+
+
+def test_a_rate_without_a_serial_line_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = argparse.ArgumentParser()
+    refuse(parser, parsed("--baud", "38400", "--serial-link", "/tmp/q"))
+    refuse(parser, parsed("--robotd"))
+    with pytest.raises(SystemExit):
+        refuse(parser, parsed("--baud", "38400", "--robotd"))
+    assert "there is none: add --serial-link PATH" in capsys.readouterr().err
+
+
+def three_robots() -> Emulator:
+    emulator: Emulator = emulated()
+    for robot_id, model in ((2, "n200"), (3, "scout")):
+        emulator.simulation.add_robot(robot_id, StartPose(30.0 * robot_id, 0.0, 0.0, 0.0), MODELS[model])
+    return emulator
+
+
+def opened(*words: str) -> tuple[list[str], dict[str, str]]:
+    """What is printed, and the daemon's lines by name."""
+
+    async def start() -> tuple[list[str], dict[str, str]]:
+        daemon = Daemon(three_robots())
+        try:
+            told = await open_lines(daemon, parsed(*words))
+            return told, dict(daemon.places)
+        finally:
+            await daemon.close()
+
+    return asyncio.run(start())
+
+
+def test_lines_are_for_the_robots_in_their_order_unless_they_name_one(tmp_path: Path) -> None:
+    a, b, c = (str(tmp_path / name) for name in "abc")
+    told, places = opened("--serial-link", a, "--serial-link", f"{b}@3", "--serial-link", f"{c}@2", "--robotd", "0",
+                          "--robotd=0@3")  # fmt: skip
+    assert told[2:] == [f"listening serial {path}" for path in (a, b, c)]
+    assert all(line.startswith("listening robotd 127.0.0.1:") for line in told[:2])
+    assert {name: places[name] for name in ("serial:1", "serial:2", "serial:3")} == {
+        "serial:1": a, "serial:2": c, "serial:3": b}  # fmt: skip
+    assert [f"listening robotd {places[name]}" for name in ("robotd:1", "robotd:3")] == told[:2]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_of_several_lines_of_one_robot_all_are_told(tmp_path: Path) -> None:
+    a, b = (str(tmp_path / name) for name in "ab")
+    told, places = opened("--serial-link", f"{a}@1", "--serial-link", f"{b}@1", "--robotd", "0@1", "--robotd", "0@1")
+    assert places["serial:1"] == f"{a}, {b}"
+    assert [f"listening robotd {place}" for place in places["robotd:1"].split(", ")] == told[:2]
+
+
+def test_robotd_without_a_number_takes_the_usual_port_and_an_at_in_a_folder_is_part_of_the_path() -> None:
+    options = parsed("--robotd", "--serial-link", "/tmp/me@home/q")
+    assert options.robotd == [("65001", None)]
+    assert options.serial_link == [("/tmp/me@home/q", None)]
+    assert options.baud is None
+    assert parsed().robotd == parsed().serial_link == []
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("--robotd", "thesis_room"), "the world goes before --robotd"),
+        (("--robotd", "65536"), "a port is 0 to 65535, or PORT@ROBOT, not '65536'"),
+        (("--serial-link", "@2"), "a path such as"),
+        (("--serial-link", "/tmp/q@x"), "after @ comes the number of a robot"),
+        (("--baud", "300"), "a rate is 9600 to 4000000 bits a second, not '300'"),
+        (("--baud", "fast"), "not 'fast'"),
+    ],
+)
+def test_what_cannot_be_is_wrong_usage(
+    words: tuple[str, str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        parsed(*words)
+    assert stop.value.code == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_what_cannot_be_opened_says_why_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(AddressError, match="a line for robot 4: there is no such robot, but 1, 2, 3"):
+        opened("--serial-link", str(tmp_path / "a"), "--serial-link", f"{tmp_path}/b@4")
+    (tmp_path / "precious").write_text("x")
+    with pytest.raises(ConnectionLost, match="precious is there and no symbolic link"):
+        opened("--serial-link", str(tmp_path / "a"), "--serial-link", str(tmp_path / "precious"))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
+
+
+def test_a_system_without_pseudo_terminals_has_robotd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nserver_emu.server.pty", None)
+    with pytest.raises(ConnectionLost, match="this system has no pseudo-terminals; use --robotd"):
+        opened("--serial-link", str(tmp_path / "a"))
+
+
+def test_hosts_with_colons_stand_in_brackets() -> None:
+    assert (at_port("::1", 5), at_port("localhost", 5)) == ("[::1]:5", "localhost:5")

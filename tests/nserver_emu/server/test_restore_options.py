@@ -1,0 +1,241 @@
+"""What may stand beside --restore and --replay, and at whose pace a restored simulation goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from nclient import connect
+from nclient.errors import SnapshotError
+from nserver_emu import cli
+from nserver_emu.persistence import snapshot
+from nserver_emu.server.context import Pace
+from nserver_emu.server.daemon import Daemon
+from nserver_emu.server.handlers.table import Emulator
+from tests.nserver_emu.server.wire_client import meet, simulation
+
+SAVED_PACE = Pace(factor=3.0, lockstep_s=0.25)
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    path = tmp_path / "saved.json"
+    snapshot.save(Emulator(simulation(seed=4), pace=SAVED_PACE), path)
+    return path
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    with connect(f"sim:thesis_room?record={path}") as robot:
+        robot.refresh()
+    return path
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[Emulator]:
+    """The emulators that daemons were made for; none of them opens a door."""
+    emulators: list[Emulator] = []
+
+    class Doorless(Daemon):
+        async def listen(self, host: str, port: int) -> int:
+            emulators.append(self.emulator)
+            return port + len(host)
+
+        async def serve(self, *_: object) -> None:
+            """Nobody comes."""
+
+    monkeypatch.setattr(cli, "Daemon", Doorless)
+    return emulators
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--seed", "0"], "--seed"),
+        (["--robot", "n150"], "--robot"),
+        (["--robots", "1"], "--robots"),
+        (["--start", "0,0,0,0", "--setup", "ideal"], "--start, --setup"),
+        (["-noisy"], "--noisy"),
+        (["--model-file", "mine.toml"], "--model-file"),
+        (["thesis_room"], "the world thesis_room"),
+    ],
+)
+@pytest.mark.parametrize(("option", "file"), [("--restore", "snapshot"), ("--replay", "recording")])
+def test_what_the_file_decides_is_refused(
+    option: str, file: str, words: list[str], named: str, saved: Path, started: list[Emulator],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    with pytest.raises(SystemExit) as stop:
+        cli.main([*words, option, str(saved)])
+    assert stop.value.code == 2
+    why = f"argument {option}: the {file} has a world, robots, a seed and a setup of its own"
+    assert f"{why}: leave out {named}\n" in capsys.readouterr().err
+    assert not started
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["several_walls", "--robots", "3", "--noisy", "--start", "5,5"],
+         "of its own: leave out --robots, --start, --noisy, the world several_walls\n"),
+        (["--restore", "saved.json"], "of its own: leave out --restore\n"),
+        (["--save", "kept.json", "--restore", "kept.json"], "of its own: leave out --restore\n"),
+        (["--save", "kept.json", "--autosave", "60"], "and writes no file: leave out --save, --autosave\n"),
+        (["--record", "again.log"], "it compares and stops, and writes no file: leave out --record\n"),
+    ],
+)  # fmt: skip
+def test_a_replay_takes_its_beginning_from_the_recording_and_leaves_no_file(
+    words: list[str], told: str, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main([*words, "--replay", str(recorded)])
+    said = capsys.readouterr()
+    assert (said.out, said.err[-len(told) :]) == ("", told)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [], ["--port", "7100"], ["--bind", "127.0.0.1"], ["--speed", "max"], ["--paused"], ["--lockstep", "0.5"],
+        ["--viewer"], ["--allow-quit", "--allow-control"], ["--limit-connections", "9"], ["--log-level", "debug"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_what_a_daemon_is_told_besides_may_stand_beside_a_replay(
+    words: list[str], recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*words, "--replay", str(recorded)]) == 0
+    assert "as recorded" in capsys.readouterr().out
+
+
+def test_a_robot_of_a_setup_file_is_refused_and_its_port_is_not(
+    saved: Path, started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, world = tmp_path / "robot.setup", tmp_path / "world.setup"
+    robot.write_text("[robot]\ntype = n200\n", encoding="utf-8")
+    world.write_text("[server]\nport = 7100\n", encoding="utf-8")
+    with pytest.raises(SystemExit):
+        cli.main([str(robot), "--restore", str(saved)])
+    assert "the robot of a setup file" in capsys.readouterr().err
+    assert cli.main([str(world), "--restore", str(saved)]) == 0
+    assert len(started) == 1
+    assert cli.main(["nothing.setup", "--restore", str(saved)]) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "pace"),
+    [
+        ([], SAVED_PACE),
+        (["--speed", "7"], Pace(7.0)),
+        (["--speed", "max"], Pace(None)),
+        (["--paused"], Pace(paused=True)),
+        (["--lockstep", "0.5"], Pace(lockstep_s=0.5)),
+        (["--port", "0", "--allow-control"], SAVED_PACE),
+    ],
+)
+def test_it_goes_on_at_its_own_pace_unless_told_another(
+    words: list[str], pace: Pace, saved: Path, started: list[Emulator]
+) -> None:
+    assert cli.main([*words, "--restore", str(saved)]) == 0
+    assert started[0].pace == pace
+    assert started[0].simulation.seed == 4
+
+
+@pytest.mark.parametrize(
+    "pace",
+    [
+        Pace(factor=-1.0),
+        Pace(factor=1e9),
+        Pace(factor=True),
+        Pace(factor="1"),  # type: ignore[arg-type]
+        Pace(lockstep_s=0.0),
+        Pace(lockstep_s=11.0),
+        Pace(paused=1),  # type: ignore[arg-type]
+    ],
+)
+def test_a_strangers_pace_is_refused(pace: Pace) -> None:
+    text = snapshot.dumps(Emulator(simulation(), pace=pace))
+    emulator = Emulator(simulation())
+    with pytest.raises(SnapshotError, match="is damaged"):
+        snapshot.loads(emulator, text)
+    assert emulator.pace == Pace()
+
+
+def test_the_first_to_connect_to_a_restored_robot_in_motion_answers_for_it() -> None:
+    emulator = Emulator(simulation())
+    meet(emulator)[0].ask("vm", 50, 0, 100)
+    emulator.pass_time(1.0)
+    restored = Emulator(simulation())
+    snapshot.loads(restored, snapshot.dumps(emulator))
+    robot = restored.simulation.robots[1]
+    first, first_session = meet(restored)
+    second, second_session = meet(restored)
+    second.ask("mv", 0, 0, 0, 0, 1, 70)
+    restored.leave(first_session.visit)
+    assert robot.moving == (False, False, True)
+    _, third_session = meet(restored)
+    restored.leave(third_session.visit)
+    assert robot.moving == (False, False, True)
+    restored.leave(second_session.visit)
+    assert robot.moving == (False, False, False)
+    del first
+
+
+def test_what_another_robots_client_already_drives_is_not_adopted() -> None:
+    emulator = Emulator(simulation())
+    client, _ = meet(emulator)
+    client.ask("create_robot", 2, 1)
+    client.ask("vm", 0, 0, 100)
+    restored = Emulator(simulation())
+    snapshot.loads(restored, snapshot.dumps(emulator))
+    _, session = meet(restored)
+    restored.leave(session.visit)
+    assert restored.simulation.robots[2].moving[2]
+
+
+def test_a_run_that_is_kept_begins_where_there_is_no_file_yet_and_says_so(
+    started: list[Emulator], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    kept = tmp_path / "now.json"
+    words = ["several_walls", "--robots", "2", "--seed", "7", "--save", str(kept), "--restore", str(kept)]
+    assert cli.main(words) == 0
+    assert (started[0].simulation.world.name, len(started[0].simulation.robots)) == ("several_walls", 2)
+    assert started[0].simulation.seed == 7
+    (record,) = caplog.records
+    assert record.getMessage() == f"{kept}: not there yet: the simulation begins, and is saved there"
+
+
+def test_a_run_that_is_kept_goes_on_with_what_is_in_the_file_whatever_the_options_said_at_its_beginning(
+    saved: Path, started: list[Emulator], tmp_path: Path, caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    gone = ["world_that_is_gone.toml", "--model-file", "gone_too.toml", "--robot", "mine", "--seed", "7", "--noisy"]
+    caplog.set_level("INFO", "nserver_emu.persistence.options")
+    assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
+    assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
+    assert started[0].pace == SAVED_PACE
+    assert "goes on from" in caplog.text
+    assert cli.main([*gone, "--save", saved.name, "--restore", str(saved), "--speed", "7"]) == 0
+    assert started[1].pace == Pace(7.0)
+
+
+@pytest.mark.parametrize("save", [(), ("--save", "other.json"), ("--save", "other.json", "--autosave", "60")])
+def test_a_file_that_is_not_there_is_an_error_where_it_is_not_the_one_that_is_saved(
+    save: tuple[str, ...], started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([*save, "--restore", str(tmp_path / "now.json")]) == 1
+    assert "now.json: cannot be read: " in capsys.readouterr().err
+    assert not started
+
+
+def test_a_file_that_is_damaged_is_an_error_and_is_not_begun_anew(
+    started: list[Emulator], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "now.json"
+    kept.touch()
+    assert cli.main(["--save", str(kept), "--restore", str(kept)]) == 1
+    assert "is no snapshot of an nserver" in capsys.readouterr().err
+    assert (started, kept.read_text()) == ([], "")
