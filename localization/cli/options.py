@@ -30,9 +30,9 @@ import numpy as np
 
 from localization.cli.assumptions import Taken, taken
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import Belief, independent
+from localization.filters.belief import POSE, Belief, independent
 from localization.filters.health import HealthStatus
-from localization.filters.odometry import LARGEST, POSE, OdometryNoise, with_parameters
+from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import METHODS
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
@@ -130,8 +130,8 @@ def noise(text: str) -> OdometryNoise:
 def constants(text: str) -> tuple[float, ...]:
     """Standard deviations of the encoders' own errors."""
     stds = tuple(numbers(text, text.count(",") + 1))
-    if len(stds) > LARGEST - POSE or min(stds) < 0:
-        raise argparse.ArgumentTypeError(f"one to {LARGEST - POSE} numbers of 0 or more, not {text!r}")
+    if len(stds) > MAX_STATE - POSE or min(stds) < 0:
+        raise argparse.ArgumentTypeError(f"one to {MAX_STATE - POSE} numbers of 0 or more, not {text!r}")
     return stds
 
 
@@ -200,7 +200,7 @@ def keep(
     if estimate.health.status is HealthStatus.LOST:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
     encoders = EncoderPose.of(estimate.clock_s, np.array(odometry), turret_rad)
-    known = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
+    known = Belief(estimate.belief.mean[:MAX_STATE], estimate.belief.cov[:MAX_STATE, :MAX_STATE])
     saved_estimate.save(options.save, Kept(site_of(world, options.body), encoders, known))
 
 
@@ -268,7 +268,7 @@ def outset(robot: Robot, simulated: bool, world: World, options: argparse.Namesp
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     sonar = WIRE_SONAR if sonars.rays else ConeSonar()
-    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
+    known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, calibration=errs)
     return Outset(belief, known, sonars)
 
 

@@ -1,7 +1,7 @@
 """The interface of a filter, and what every filter is configured with.
 
-    predict(distance, turn)     the encoders reported a step      update(sonar, turret, reading)    an echo, at this instant
-    belief, health              the estimate, and its status      predicted(distance, turn)         a step on, not taken
+    predict(distance, turn)          the encoders reported a step      predicted(distance, turn)    the same, not taken
+    update(sonar, turret, reading)   an echo, at this instant          belief, health               the estimate
 
 Filters are made by name (registry.make_filter). Echoes come in order of time, each after the prediction to its instant.
 """

@@ -6,9 +6,9 @@
     8..23    own offset of each sonar, inches
 
 A range grows by the offsets one for one, and by the turn of the ring as by the heading: only the direction of the ring
-changes, not that in which the robot then drives. So driving separates the ring's turn from the heading, turning the ring
-one sonar's offset from another's, and walls on both sides the common offset from the position. Ranges of a real ring
-hardly depend on the angle: which walls its sonars detect at all shows its turn (`ConeAim`).
+changes, not that in which the robot then drives. So driving separates the ring's turn from the heading, turning the
+ring one sonar's offset from another's, and walls on both sides the common offset from the position. Ranges of a real
+ring hardly depend on the angle: which walls its sonars detect at all shows its turn (`ConeAim`).
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ class AimReading(NamedTuple):
 class ConeAim:
     """Estimate the direction of a cone's axis from which walls it detects.
 
-    A smooth wall is detected over as many degrees as the cone is wide, about its normal, and the range hardly depends on
-    the angle within them. For a normal prior N(0, s^2) of the axis the posterior
+    A smooth wall is detected over as many degrees as the cone is wide, about its normal, and the range hardly depends
+    on the angle within them. For a normal prior N(0, s^2) of the axis the posterior
 
         posterior(offset) ~ N(offset; 0, s^2) p(reading | offset)
 
@@ -165,9 +165,7 @@ class CalibratingFilter:
         Prior standard deviations of all parameters, as in PARAMETER_STDS.
     """
 
-    def __init__(
-        self, config: LocalizationConfig, start: Belief, stds: tuple[float, ...] = PARAMETER_STDS
-    ) -> None:
+    def __init__(self, config: LocalizationConfig, start: Belief, stds: tuple[float, ...] = PARAMETER_STDS) -> None:
         size = len(start.mean)
         prior = Belief(np.zeros(SIZE), np.diag(np.append(np.zeros(POSE), stds) ** 2))
         prior.mean[:size] = start.mean

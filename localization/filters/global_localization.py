@@ -2,7 +2,7 @@
 
     tracking     one hypothesis under an IntegrityMonitor. Where it is suspicious, a search looks for another pose that
                  explains the last echoes better. One that does is compared with it by the echoes from then on
-                 (SequentialTest): elsewhere and better --> LOST, searching; nearby and better: the estimate is corrected
+                 (SequentialTest): elsewhere and better --> LOST, searching; nearby and better: the estimate moves
     searching    echoes are collected for a ring and a half, then search() --> several hypotheses, or one
     choosing     each hypothesis is a Kalman filter; improbable ones are dropped as driving tells them apart; one left,
                  with more than MIN_CERTAINTY --> tracking
@@ -158,9 +158,7 @@ def _explanations(
         return []
     # 1. The likelihood of every free cell and heading, from the table.  2. Its peaks.  3. Each refined by the filter.
     poses, score = _coarse(records, table, places)
-    return [
-        _replayed(independent(peak, REFINED_STD), records, measurement, odometry) for peak in _peaks(poses, score)
-    ]
+    return [_replayed(independent(peak, REFINED_STD), records, measurement, odometry) for peak in _peaks(poses, score)]
 
 
 def _coarse(records: Sequence[EchoRecord], table: RangeTable, places: Floats) -> tuple[Floats, Floats]:
@@ -220,7 +218,8 @@ def _replayed(
     x, P = unpack(Belief(add(start, np.zeros(POSE)), last.cov))
     score, before = 0.0, records[0].encoders
     for record in records:
-        predict_state(x, P, *step_between(before, record.encoders).tolist(), odometry)
+        distance_in, turn_rad = step_between(before, record.encoders).tolist()
+        predict_state(x, P, distance_in, turn_rad, odometry)
         score += log(measurement.apply(x, P, record.sonar, record.turret_offset_rad, record.reading_in).likelihood)
         before = record.encoders
     return pack(x, P), score

@@ -95,9 +95,7 @@ def true_step(x: Sequence[Number], distance: Number, turn: Number) -> tuple[Numb
     return true_distance, true_turn
 
 
-def jacobians(
-    x: Sequence[Number], distance: Number, turn: Number
-) -> tuple[Number, Number, Columns, Columns]:
+def jacobians(x: Sequence[Number], distance: Number, turn: Number) -> tuple[Number, Number, Columns, Columns]:
     """Return the true step, and the derivatives of the motion model at x.
 
     Returns
@@ -127,9 +125,7 @@ def jacobians(
     return d, t, F, [(0, by_distance), (1, by_turn)]
 
 
-def predict_state(
-    x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise
-) -> None:
+def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn: Number, noise: OdometryNoise) -> None:
     """Predict x and P after a step that the encoders report, in place: the prediction step of the Kalman filter.
 
     Parameters

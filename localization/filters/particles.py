@@ -31,7 +31,6 @@ from localization.filters.update import (
     refusal_of,
 )
 
-
 # The likelihood of one reading at many poses. It is widened by what the number of particles cannot resolve: a
 # likelihood narrower than the distance between particles would leave a single one.
 

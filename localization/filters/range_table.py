@@ -1,10 +1,10 @@
 """A table of expected echoes from anywhere on the map, for localizing a robot whose pose is unknown.
 
-    ranges_in, probabilities    [row, column, direction]: the most probable echo of a sonar that looks in that direction,
-                                the robot on a grid over the free floor
+    ranges_in, probabilities    [row, column, direction]: the most probable echo of a sonar that looks in that
+                                direction, the robot on a grid over the free floor
 
-With it the likelihood of a ring of echoes at a hundred thousand poses is a matter of look-ups. Ranges are those from the
-middle of a cell: who looks up widens the variance by the size of a cell.
+With it the likelihood of a ring of echoes at a hundred thousand poses is a matter of look-ups. Ranges are those from
+the middle of a cell; the caller widens the variance by the size of a cell.
 """
 
 from __future__ import annotations
@@ -77,14 +77,14 @@ class RangeTable:
         # 2. Outliers anywhere, and "nothing" where no echo is expected.
         detected = float(weights.mean()) if len(weights) else 0.0
         inlier = 1.0 - OUTLIER_PROBABILITY
-        densities: Floats = (
-            OUTLIER_PROBABILITY / MAX_READING_IN + inlier * detected * smooth / max(float(smooth.sum()), 1e-9)
+        densities: Floats = OUTLIER_PROBABILITY / MAX_READING_IN + inlier * detected * smooth / max(
+            float(smooth.sum()), 1e-9
         )
         densities[MAX_READING_IN] = 1.0 - inlier * detected
         return densities
 
     def look_up(self, poses: Floats, direction_rad: float) -> tuple[Floats, Floats]:
-        """Return ranges and probabilities (n,) of a sonar at an angle from the heading of poses (n, 3); 0 off the floor."""
+        """Return ranges and probabilities (n,) of a sonar at an angle from the heading of poses (n, 3); 0 off floor."""
         column, row = np.rint((poses[:, :2] - self.origin_in) / CELL_IN).astype(np.intp).T
         turn = np.rint((poses[:, 2] + direction_rad) * (DIRECTIONS / (2.0 * np.pi))).astype(np.intp) % DIRECTIONS
         rows, columns = self.free.shape
@@ -98,7 +98,7 @@ class RangeTable:
 def build_range_table(
     walls: npt.ArrayLike, body: SonarRing, sonar: RaySonar | ConeSonar, clearance_in: float
 ) -> RangeTable:
-    """Return the table of a map of wall segments (m, 4) for this ring, its axis at least `clearance_in` from any wall."""
+    """Return the table of a map of wall segments (m, 4) for this ring, its axis `clearance_in` from any wall."""
     # 1. The grid, and its free cells.
     segments = wall_map(walls).segments
     low = segments.reshape(-1, 2).min(axis=0) + clearance_in
@@ -130,9 +130,7 @@ def _poses(places: Floats, directions: Floats) -> Floats:
     return poses
 
 
-def _expected(
-    poses: Floats, walls: Floats, body: SonarRing, sonar: RaySonar | ConeSonar
-) -> tuple[Floats, Floats]:
+def _expected(poses: Floats, walls: Floats, body: SonarRing, sonar: RaySonar | ConeSonar) -> tuple[Floats, Floats]:
     """Return ranges and probabilities (...) of the most probable echo of a sonar that looks along poses (..., 3)."""
     if isinstance(sonar, ConeSonar):
         return _most_probable(poses, reflectors(walls), body, sonar)

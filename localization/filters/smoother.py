@@ -41,9 +41,7 @@ class FixedLagSmoother(KalmanFilter):
         A lag below 1.
     """
 
-    def __init__(
-        self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG
-    ) -> None:
+    def __init__(self, belief: Belief, measurement: MeasurementUpdate, odometry: OdometryNoise, lag: int = LAG) -> None:
         super().__init__(belief, measurement, odometry)
         if lag < 1:
             raise ValueError(f"the lag of a smoother must be at least 1 step, not {lag}")

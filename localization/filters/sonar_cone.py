@@ -1,8 +1,8 @@
 """The cone model of a sonar: all reflectors of the map that may return its first echo, each with its probability.
 
-A Polaroid transducer receives from some 12 degrees to either side of its axis, and from a smooth wall only what meets it
-at a right angle. So the echo of a wall is its perpendicular distance, wherever in the cone the foot of the perpendicular
-lies, and the echo of a vertex the distance to it:
+A Polaroid transducer receives from some 12 degrees to either side of its axis, and from a smooth wall only what meets
+it at a right angle. So the echo of a wall is its perpendicular distance, wherever in the cone the foot of the
+perpendicular lies, and the echo of a vertex the distance to it:
 
     face      p = (x, y) + ring radius (cos, sin)(heading + direction)
     wall      range = |normal . (p - corner)|       detected if the foot is on the wall and within the cone
@@ -11,7 +11,7 @@ lies, and the echo of a vertex the distance to it:
 The probability of each detection follows from its level (decibels, from the data sheet), from the edge of the cone,
 which the uncertain heading blurs, and from nearer reflectors: the first echo counts.
 
-The formulas (`to_wall`, `to_vertex`, `detection_probability`, `range_jacobian`) stand here once, for numbers and arrays.
+The formulas (`to_wall`, `to_vertex`, `detection_probability`, `range_jacobian`) are here once, for numbers and arrays.
 `ConeSensor` applies them to one pose and loops over few reflectors; `expected_echoes` to many poses in arrays.
 """
 
@@ -130,9 +130,7 @@ def to_vertex(x: Number, y: Number, vertex_x: Number, vertex_y: Number) -> tuple
     return range_in, to_x / divisor, to_y / divisor
 
 
-def range_jacobian(
-    toward_x: Number, toward_y: Number, arm_x: Number, arm_y: Number
-) -> tuple[Number, Number, Number]:
+def range_jacobian(toward_x: Number, toward_y: Number, arm_x: Number, arm_y: Number) -> tuple[Number, Number, Number]:
     """Return H, the derivative by the pose of a range along a unit vector from the end of an arm."""
     return -toward_x, -toward_y, toward_x * arm_y - toward_y * arm_x
 
@@ -191,9 +189,7 @@ class ConeSensor:
         walls = np.concatenate((around.corners, around.normals, around.lengths[:, None]), axis=1)
         losses = np.where(around.square, sonar.square_loss_db, sonar.edge_loss_db)
         self._walls = list(enumerate(walls.tolist()))
-        self._vertices = list(
-            enumerate(np.column_stack((around.vertices, losses)).tolist(), start=len(around.walls))
-        )
+        self._vertices = list(enumerate(np.column_stack((around.vertices, losses)).tolist(), start=len(around.walls)))
 
     def candidates(
         self, pose: tuple[float, float, float], heading_std_rad: float, mount: SonarMount

@@ -56,11 +56,11 @@ _MIN_VARIANCE_IN2: Final = 1e-200
 class RangeNoise:
     """Noise of a sonar's ranges, and its limits.
 
-        std = max(relative_std * range, floor_std_in)        variance = std^2 + rounding_var_in2
+        std = max(range_std_relative * range, range_std_floor_in)        variance = std^2 + rounding_var_in2
 
     Attributes
     ----------
-    relative_std, floor_std_in
+    range_std_relative, range_std_floor_in
         Standard deviation as a fraction of the range, and at least.
     rounding_var_in2
         Variance of rounding to the step of the readings.
@@ -68,21 +68,21 @@ class RangeNoise:
         Readings at or beyond these mean "no nearer" and "nothing".
     """
 
-    relative_std: float = 0.01
-    floor_std_in: float = 0.05
+    range_std_relative: float = 0.01
+    range_std_floor_in: float = 0.05
     rounding_var_in2: float = 0.0
     lowest_in: float = -np.inf
     highest_in: float = np.inf
 
     def variance(self, ranges_in: Floats) -> Floats:
         """Return the variance R in in^2 of readings of `ranges_in`, any shape."""
-        std = np.maximum(self.relative_std * ranges_in, self.floor_std_in)
+        std = np.maximum(self.range_std_relative * ranges_in, self.range_std_floor_in)
         variance: Floats = std * std + self.rounding_var_in2
         return variance
 
     def variance_at(self, range_in: float) -> float:
         """Return `variance` of a single range."""
-        std = max(self.relative_std * range_in, self.floor_std_in)
+        std = max(self.range_std_relative * range_in, self.range_std_floor_in)
         return std * std + self.rounding_var_in2
 
     def constant_variance_at(self, range_in: float) -> float:
@@ -98,7 +98,7 @@ class RangeNoise:
         """
         if not self.rounding_var_in2:
             return 0.0
-        std = max(self.relative_std * range_in, self.floor_std_in)
+        std = max(self.range_std_relative * range_in, self.range_std_floor_in)
         return self.rounding_var_in2 * exp(-((pi * std) ** 2) / (3.0 * self.rounding_var_in2))
 
 
@@ -179,7 +179,8 @@ class WallMap:
         """Return the row of the first wall on the ray from (x, y) along (dx, dy), NO_WALL for none."""
         if isinstance(x, float):
             return self._index.nearest(x, y, dx, dy)[1]
-        return cast_rays(*(np.stack(np.broadcast_arrays(*pair), axis=-1) for pair in ((x, y), (dx, dy))), self.segments)[1]
+        starts, directions = (np.stack(np.broadcast_arrays(*pair), axis=-1) for pair in ((x, y), (dx, dy)))
+        return cast_rays(starts, directions, self.segments)[1]
 
     def line(self, row: Any) -> Sequence[Any]:
         """Return normal x, normal y and offset of the walls of these rows."""
@@ -318,9 +319,7 @@ def predicted_variance(P: Sequence[Sequence[Number]], H: Sequence[Number]) -> Nu
     """Return H P H', the variance of the expected range, for a derivative by the pose."""
     a, b, c = H
     return (
-        a * (a * P[0][0] + 2.0 * (b * P[0][1] + c * P[0][2]))
-        + b * (b * P[1][1] + 2.0 * c * P[1][2])
-        + c * c * P[2][2]
+        a * (a * P[0][0] + 2.0 * (b * P[0][1] + c * P[0][2])) + b * (b * P[1][1] + 2.0 * c * P[1][2]) + c * c * P[2][2]
     )
 
 
@@ -437,9 +436,7 @@ def ranges_from(poses: Floats, angles_rad: Floats, body: SonarRing, walls: WallM
     row = walls.first_wall(x, y, dx, dy)
     distance, H, cosine = intersect_line(x, y, dx, dy, walls.line(row))
     flat = choose(np.abs(cosine) >= STRICT.min_cos_incidence, Refusal.NONE, Refusal.GRAZING)
-    return BeamPrediction(
-        row, distance - body.sonar_ring_radius_in, H, choose(row == NO_WALL, Refusal.NO_WALL, flat)
-    )
+    return BeamPrediction(row, distance - body.sonar_ring_radius_in, H, choose(row == NO_WALL, Refusal.NO_WALL, flat))
 
 
 def observe_ring(
@@ -451,7 +448,7 @@ def observe_ring(
     sonar: RaySonar,
     gate: Gate = STRICT,
 ) -> Observation:
-    """Return what readings (..., n) of beams at angles (n,) from the heading say about beliefs (..., 3), (..., 3, 3)."""
+    """Return what readings (..., n) of beams at angles (n,) from the heading say about beliefs over poses (..., 3)."""
     # 1. The expected readings; elements of the belief get a dimension for the beams.
     x, P = unpack(Belief(belief.mean[..., None, :], belief.cov[..., None, :, :]))
     beams = predict_beam(x, P, angles_rad, body.sonar_ring_radius_in, walls, gate)

@@ -24,7 +24,7 @@ from localization.filters.update import Association, Correction, Covariance, Sta
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """alpha, beta, kappa by their usual names. With these defaults no weight is negative, so no covariance becomes so."""
+    """alpha, beta, kappa by their usual names. With these defaults no weight is negative, so no covariance is."""
 
     alpha: float = 1.0
     beta: float = 2.0

@@ -4,7 +4,7 @@
     2  a rule gives gain and innovation              linear (EKF), iterated, ukf.unscented       -> Correction
     3  pda_update combines all hypotheses            the Kalman update where there is one        -> UpdateResult
 
-For each hypothesis j, that the reading z is of reflector j, with expected range h_j, its derivative H_j and variance R_j:
+For each hypothesis j, that reading z is of reflector j, with expected range h_j, its derivative H_j and variance R_j:
 
     innovation_j = z - h_j        S_j = H_j P H_j' + R_j        K_j = P H_j' / S_j
     x' = x + sum_j beta_j K_j innovation_j
@@ -98,7 +98,7 @@ class Association(NamedTuple):
     Attributes
     ----------
     refusal
-        NONE, or the reason: then there are no hypotheses, and `likelihood` is the probability density of such a reading.
+        NONE, or the reason: then there are no hypotheses, and `likelihood` is the density of such a reading.
     ranges_in, H, R
         For each hypothesis the expected range, its derivative by the pose, and the variance of a reading, in^2.
     constant_variance
@@ -165,9 +165,7 @@ def add_outer(P: list[list[Number]], weight: Number, v: Sequence[Number]) -> Non
             P[j][i] = P[i][j]
 
 
-def kalman_update(
-    x: list[Number], P: list[list[Number]], H: Sequence[Number], R: Number, innovation: Number
-) -> Number:
+def kalman_update(x: list[Number], P: list[list[Number]], H: Sequence[Number], R: Number, innovation: Number) -> Number:
     """Correct x and P by a scalar reading, in place; return its NIS.
 
     References
@@ -392,7 +390,7 @@ class _Repeated(NamedTuple):
     travel_in: float
     turned_rad: float
     turret_rad: float
-    count: int
+    number: int
 
 
 class CorrelatedReadings:
@@ -410,13 +408,13 @@ class CorrelatedReadings:
     def count(self, sonar: int, turret_offset_rad: float) -> int:
         """Return how many readings of this sonar were used from here, the turret turned so against the heading."""
         repeated = self._repeated.get(sonar)
-        return repeated.count if repeated and self._is_here(repeated, turret_offset_rad) else 0
+        return repeated.number if repeated and self._is_here(repeated, turret_offset_rad) else 0
 
     def record(self, sonar: int, turret_offset_rad: float) -> None:
         """Count one more reading as used."""
         count = self.count(sonar, turret_offset_rad)
         first = self._repeated[sonar] if count else _Repeated(self._travel_in, self._turned_rad, turret_offset_rad, 0)
-        self._repeated[sonar] = first._replace(count=count + 1)
+        self._repeated[sonar] = first._replace(number=count + 1)
 
     def _is_here(self, there: _Repeated, turret_offset_rad: float) -> bool:
         turned = self._turned_rad - there.turned_rad

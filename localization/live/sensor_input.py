@@ -1,8 +1,8 @@
-"""What the live filter reads from a robot's state: corrected readings, the instants of new echoes, and past encoder poses.
+"""Inputs of the live filter from a robot's state: corrected readings, instants of new echoes, past encoder poses.
 
-    RobotState --> corrected (calibration) --> Localizer.update
-    FiringSchedule    the sonar and instant of each echo that a state shows for the first time
-    PoseHistory       the encoders at that instant, by interpolation between polled states
+RobotState --> corrected (calibration) --> Localizer.update
+FiringSchedule    the sonar and instant of each echo that a state shows for the first time
+PoseHistory       the encoders at that instant, by interpolation between polled states
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def corrected(state: SensorInput, calibration: Calibration) -> SensorInput:
 
 
 def with_wheels(pose: Belief, calibration: Calibration) -> Belief:
-    """Return a belief over poses (3,) extended by the calibrated odometry parameters; unchanged for a faultless robot."""
+    """Return a belief over poses (3,) extended by calibrated odometry parameters; unchanged for a faultless robot."""
     if calibration is FAULTLESS:
         return pose
     spread = calibration.spread
