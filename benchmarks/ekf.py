@@ -22,7 +22,7 @@ import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
-from localization.experiments.trial import FIGURES, course_of, run
+from localization.experiments.figure_trial import FIGURES, course_of, run
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import update_ring
@@ -35,8 +35,8 @@ from localization.filters.sonar_ray import IDEAL_SONAR, WIRE_SONAR, RaySonar, ob
 from localization.filters.update import Refusal
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 BOUNDS: Final = {
     "filterpy_ratio": 1.0,
@@ -228,7 +228,7 @@ def particle_ring(sonar: RaySonar | ConeSonar) -> Callable[[], object]:
 
 
 def batch_steps_per_s(seeds: int) -> float:
-    """Return steps a second of whole trials (figure 5.6: truth, readings, bound and filter) of so many seeds at once."""
+    """Return steps a second of whole trials (figure 5.6: truth, readings, bound, filter) of so many seeds at once."""
     course = course_of(FIGURES["5.6"])
     begin = time.thread_time()
     runs = run(course, range(seeds))
@@ -254,9 +254,9 @@ def measure(rounds: int, seeds: int, jobs: int) -> Result:
     peers: list[list[float]] = [[], []]
     for _ in range(rounds):
         for live, samples in zip(lives, live_samples, strict=True):
-            samples += live_us(live, BLOCK)
+            samples.extend(live_us(live, BLOCK))
         for samples, more in zip(peers, times_us([filterpy.step, stonesoup.step], 1), strict=True):
-            samples += more
+            samples.extend(more)
     rays_16, rays_1, cones_16, cones_1 = (
         (statistics.median(samples), float(np.quantile(samples, 0.99))) for samples in live_samples
     )

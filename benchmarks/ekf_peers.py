@@ -20,7 +20,7 @@ from localization.filters.belief import Belief, Floats
 
 
 class Linear(NamedTuple):
-    """A linear step: the belief before it, the predicted mean, F, Q; n readings z (n,) of variance R (n,) by H (n, 3)."""
+    """A linear step: the belief before it, the predicted mean, F, Q; n readings z of variance R (n,) by H (n, 3)."""
 
     before: Belief
     predicted: Floats

@@ -22,19 +22,19 @@ from nclient.backends.nserver import NserverBackend
 from nclient.cli import state_text
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.faults.frames import Frames, LineFrames, TcpFrames
-from nclient.protocol.client_state import HELLO_SIZE, adopt, build_hello, read_hello
+from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, build_handshake, read_handshake
 from nclient.protocol.commands import BY_LINE_TYPE, BY_TCP_TYPE, MAX_REPLY_WORDS, NAK_TYPE, Call
-from nclient.protocol.decode import WIRES, Transcript
+from nclient.protocol.decode import WIRES, WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_frame
 from nclient.protocol.tcp_framing import TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
-from nclient.protocol.wire_state import line_terms
-from nclient.recording.readable import told
-from nclient.recording.recorder import LINES, Follower
+from nclient.protocol.wire_state import serial_wire_state
+from nclient.recording.format import format_frame
+from nclient.recording.recorder import LINES, FrameDecoder
 from nclient.robot import Robot
 from nclient.transports.stream import Deadline
-from nserver_emu.server.serial_session import NAK, LineSession
-from nserver_emu.server.session import Session, Visit, error_reply
+from nserver_emu.server.serial_session import NAK, SerialSession
+from nserver_emu.server.session import ConnectionContext, Session, error_reply
 
 _VECTORS = Path(__file__).parents[1] / "tests" / "vectors"
 _LINE_MODELS = (N150, SCOUT, N200)
@@ -79,27 +79,27 @@ def _tcp_requests(data: bytes) -> None:
     _feed(Session(_tcp_answer), split(data[0] if data else 0, data[1:]))
 
 
-def _feed(session: Session | LineSession, parts: list[bytes]) -> None:
+def _feed(session: Session | SerialSession, parts: list[bytes]) -> None:
     for part in parts:
         session.receive(part)
         while session.ready:
-            session.answers(100)
+            session.process_requests(100)
 
 
-def _tcp_answer(call: Call, visit: Visit) -> Any:
+def _tcp_answer(call: Call, context: ConnectionContext) -> Any:
     if call.name in ("connect_robot", "create_robot"):
-        visit.robot_id = call.args[0]
+        context.robot_id = call.args[0]
     return error_reply(_UNAVAILABLE)
 
 
 def _line_requests(data: bytes) -> None:
     clock = itertools.count()
     model = _LINE_MODELS[data[1] % 3] if len(data) > 1 else N150
-    session = LineSession(lambda _call, _visit: NAK, 1, model, lambda: next(clock) * 0.05)
+    session = SerialSession(lambda _call, _visit: NAK, 1, model, lambda: next(clock) * 0.05)
     _feed(session, split(data[0] if data else 0, data[2:]))
     for _ in range(_MAX_TICKS):
         session.tick()
-        session.answers(100)
+        session.process_requests(100)
         if not session.unfinished:
             break
 
@@ -149,10 +149,10 @@ _HANDSHAKES: list[list[bytes]] = []
 
 
 def _hello(data: bytes) -> None:
-    found = read_hello(data)
-    terms = line_terms(N200)
-    adopt(found, terms)
-    if read_hello(build_hello(found)) != found:
+    found = read_handshake(data)
+    wire_state = serial_wire_state(N200)
+    apply_handshake(found, wire_state)
+    if read_handshake(build_handshake(found)) != found:
         raise AssertionError("encoding and decoding changed the handshake")
 
 
@@ -181,20 +181,20 @@ def _frames(kind: int, parts: list[bytes]) -> list[object]:
 def _captures(data: bytes) -> None:
     """Decode turns: a byte with direction and length, then the data."""
     kind = data[0] if data else 0
-    follower = Follower(LINES[kind % 3], _LINE_MODELS[kind // 3 % 3])
+    follower = FrameDecoder(LINES[kind % 3], _LINE_MODELS[kind // 3 % 3])
     at = 1
     while at < len(data):
         size = data[at] & 127
         turn = data[at + 1 : at + 1 + size]
         for found in follower.to_host(turn) if data[at] > 127 else follower.to_robot(turn):
-            told(found)
+            format_frame(found)
         at += 1 + size
     json.dumps(follower.clock_s)
 
 
 def _wire_lines(data: bytes) -> None:
     kind = data[0] if data else 0
-    transcript = Transcript(WIRES[kind % 3], _LINE_MODELS[kind // 3 % 3])
+    transcript = WireDecoder(WIRES[kind % 3], _LINE_MODELS[kind // 3 % 3])
     for line in data[1:].decode("utf-8", "replace").splitlines():
         json.dumps(transcript.read(line))
 
@@ -304,8 +304,8 @@ READERS = (
     Reader("line_replies", "serial protocol, host side", _line_replies, _REPLY_ERRORS, _line_reply_seeds,
            after_header(2, _SERIAL)),
     Reader("hello", "handshake of an N200, eleven bytes", _hello, (WireError,),
-           lambda: [bytes(HELLO_SIZE), b"\xff" * HELLO_SIZE, b"\x12\x34\x56\x78\x9a\x01\x3f\x21abc"], mutate_bytes,
-           max_size=24),
+           lambda: [bytes(HANDSHAKE_SIZE), b"\xff" * HANDSHAKE_SIZE, b"\x12\x34\x56\x78\x9a\x01\x3f\x21abc"],
+           mutate_bytes, max_size=24),
     Reader("framers", "frames after invalid bytes", _framers, (),
            lambda: [bytes((1, kind)) + seed[2:] for kind in range(6) for seed in
                     (*itertools.islice(_line_request_seeds(), 9), *itertools.islice(_tcp_reply_seeds(), 9))],

@@ -19,7 +19,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, SonarRing
 from localization.filters.update import MeasurementModel, UpdateResult
-from worlds.calibration import FAULTLESS, Calibration
+from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 THESIS_ODOMETRY: Final = OdometryNoise()
 """Noise of the encoders in the experiments."""
@@ -110,7 +110,7 @@ class LocalizationConfig:
     sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
     clearance_in: float = 9.0
-    calibration: Calibration = FAULTLESS
+    calibration: Calibration = IDEAL_CALIBRATION
 
 
 def measurement_model(

@@ -38,7 +38,7 @@ from localization.filters.update import (
     pda_update,
     refusal_of,
 )
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 
 OFFSET: Final = MAX_STATE
 RING_TURN: Final = OFFSET + 1

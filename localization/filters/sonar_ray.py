@@ -143,7 +143,7 @@ STRICT = Gate()
 
 
 class SonarRing(Protocol):
-    """The part of a robot body that the sonars need; `worlds.bodies.Body` has it."""
+    """The part of a robot body that the sonars need; `worlds.robots.Body` has it."""
 
     @property
     def sonar_ring_radius_in(self) -> float: ...

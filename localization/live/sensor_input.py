@@ -17,7 +17,7 @@ import numpy as np
 from localization.filters.belief import HEADING, POSE, Belief, Floats, wrap_angle
 from localization.filters.odometry import with_parameters
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
-from worlds.calibration import FAULTLESS, Calibration
+from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 
 class SensorInput(Protocol):
@@ -65,7 +65,7 @@ _INSIDE_IN: Final = 1e-3
 
 def corrected(state: SensorInput, calibration: Calibration) -> SensorInput:
     """Return a state without the systematic errors of its sonars and of the mounting of their ring."""
-    if calibration is FAULTLESS:
+    if calibration is IDEAL_CALIBRATION:
         return state
     pairs = zip(state.sonars_in, calibration.offsets_in, strict=True)
     sonars = tuple(_corrected_reading(reading_in, offset_in) for reading_in, offset_in in pairs)
@@ -74,7 +74,7 @@ def corrected(state: SensorInput, calibration: Calibration) -> SensorInput:
 
 def with_wheels(pose: Belief, calibration: Calibration) -> Belief:
     """Return a belief over poses (3,) extended by calibrated odometry parameters; unchanged for a faultless robot."""
-    if calibration is FAULTLESS:
+    if calibration is IDEAL_CALIBRATION:
         return pose
     spread = calibration.spread
     belief = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))

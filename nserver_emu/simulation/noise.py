@@ -60,7 +60,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import AddressError
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.compass import TRUE_NEEDLE, CompassNoise
@@ -69,10 +69,8 @@ from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import Stretch
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
-from worlds.bodies import SONARS
-from worlds.calibration import Calibration
-from worlds.tables import Table
-from worlds.texts import read_text, toml_of
+from worlds.robots import SONARS, Calibration
+from worlds.schema import Table, parse_toml, read_text
 
 
 class Purpose(IntEnum):
@@ -303,7 +301,7 @@ def setup_named(name: str) -> RobotSetup:
     if not name.endswith(SUFFIX):
         raise AddressError(
             f"no setup {name!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
-            f"{did_you_mean(name, SETUPS)}"
+            f"{suggest(name, SETUPS)}"
         )
     return load_setup(Path(name))
 
@@ -315,13 +313,13 @@ def load_setup(path: Path) -> RobotSetup:
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:
     """The same from a text; `file` is what errors call it, `name` what the setup is called unless it says so."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("base", "name", *(key.name for key in KEYS if not key.table), *TABLES))
     base_name = top.text("base", IDEAL.name)
     if base_name not in SETUPS:
         known = ", ".join(SETUPS)
-        top.fail("base", f"expected one of {known}, found {base_name!r}{did_you_mean(base_name, SETUPS)}")
+        top.fail("base", f"expected one of {known}, found {base_name!r}{suggest(base_name, SETUPS)}")
     base = SETUPS[base_name]
     parts: dict[str, Any] = {part: _part(top.table(part), base) for part in TABLES if part in values}
     return replace(base, name=top.text("name", name), **_read(top, base, KEYS), **parts)
@@ -347,7 +345,7 @@ def _ears(table: Table, base: EchoModel) -> EchoModel:
     ours = RAY if isinstance(base, SonarNoise) else POLAROID
     asked = table.text("model", ours)
     if asked not in EARS:
-        table.fail("model", f"expected one of {', '.join(EARS)}, found {asked!r}{did_you_mean(asked, EARS)}")
+        table.fail("model", f"expected one of {', '.join(EARS)}, found {asked!r}{suggest(asked, EARS)}")
     if asked == ours:
         return base
     both = {field.name for field in fields(SonarNoise)} & {field.name for field in fields(Polaroid)}

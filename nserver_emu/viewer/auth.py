@@ -35,7 +35,7 @@ from aiohttp.http import HttpProcessingError
 
 from nclient.common.allowlist import LOOPBACK_NAME
 from nclient.errors import NomadError
-from nserver_emu.server.admission import Door, Doorkeeper
+from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Addresses that mean all: somewhere out there to find the way out (RFC 5737, 3849: nobody), and the one way in."""
@@ -146,19 +146,19 @@ HTTP_LOG: Final = logging.getLogger("nserver_emu.viewer.http")
 class Reception:
     """See the head of this file. `server`: aiohttp's, which makes a handler for each connection."""
 
-    def __init__(self, door: Door, server: web.Server) -> None:
+    def __init__(self, door: AdmissionControl, server: web.Server) -> None:
         self._door, self._server = door, server
         self._silent: set[asyncio.BaseProtocol] = set()
 
-    def keeper(self) -> Doorkeeper:
+    def keeper(self) -> AdmissionProtocol:
         """The protocol of a newcomer's socket."""
-        return Doorkeeper(self, self._hosts, self._receive)
+        return AdmissionProtocol(self, self._hosts, self._receive)
 
     def heard(self, request: web.Request) -> None:
         """Whose request this is has asked something."""
         self._silent.discard(request.protocol)
 
-    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
+    def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """Why a newcomer may not come in; empty: he may. By the address he is asked with his request, in words."""
         del at
         limits = self._door.limits
@@ -168,16 +168,16 @@ class Reception:
             return f"there are {limits.per_address} connections to the page from there already (--limit-per-address)"
         return ""
 
-    def turn_away(self, host: str, reason: str) -> None:
+    def reject(self, host: str, reason: str) -> None:
         """He was not let in."""
-        self._door.turn_away(host, reason)
+        self._door.reject(host, reason)
 
     def worth_saying(self, record: logging.LogRecord) -> bool:
         """A filter of HTTP_LOG: what is no HTTP is one more who was turned away, and no fault with a traceback."""
         error = record.exc_info[1] if record.exc_info else None
         if isinstance(error, HttpProcessingError):
             host, *_ = record.args if isinstance(record.args, tuple) else ("somebody",)
-            self.turn_away(str(host), "what it says at the page's port is no HTTP")
+            self.reject(str(host), "what it says at the page's port is no HTTP")
         return not isinstance(error, HttpProcessingError)
 
     def _hosts(self) -> list[str]:

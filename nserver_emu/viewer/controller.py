@@ -26,10 +26,10 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import answer_line
-from nserver_emu.server.connection import Talker
+from nserver_emu.server.connection import ConnectionHandler
 from nserver_emu.server.ownership import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer.error_boundary import Guard
@@ -49,7 +49,7 @@ Answer = dict[str, Any]
 Then = Callable[[Answer], None]
 
 
-class Hand(Talker):
+class Hand(ConnectionHandler):
     """One viewer's connection to one robot."""
 
     line = "viewer"
@@ -59,7 +59,7 @@ class Hand(Talker):
         self._behind = daemon.host
         self.session = Session(daemon.host.answer, name)
         self._tape = daemon.recorder.open(name, TCP, N150)
-        self._terms = tcp_terms(N150)
+        self._wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._waiting: deque[tuple[str, Then]] = deque()
         daemon.connections.add(self)
@@ -73,12 +73,12 @@ class Hand(Talker):
     def call(self, name: str, args: list[int], then: Then) -> None:
         """Say a command; `then` gets the answer, at once or when it is there."""
         try:
-            request = codec.tcp_request(Call(name, tuple(args)))
+            request = codec.encode_tcp_request(Call(name, tuple(args)))
         except (NomadError, TypeError, ValueError) as error:
             then({"ok": False, "error": f"{name}: {error}"})
             return
         self._waiting.append((name, then))
-        self._came(request)
+        self.data_received(request)
 
     def close(self) -> None:
         """The page is gone, or the daemon ends: what moves by this hand stops, what was asked is not answered any
@@ -87,7 +87,7 @@ class Hand(Talker):
             return
         self._silence()
         self._daemon.connections.discard(self)
-        self._behind.leave(self.session.visit)
+        self._behind.on_disconnect(self.session.context)
         self._tape.close()
         self.session.closing = True
         while self._waiting:
@@ -101,9 +101,9 @@ class Hand(Talker):
                 self.close()
                 return
             name, then = self._waiting.popleft()
-            then(_answer(name, codec.read_tcp_reply(BY_NAME[name], frame, self._terms)))
+            then(_answer(name, codec.decode_tcp_reply(BY_NAME[name], frame, self._wire_state)))
 
-    def _plug_in_faults(self) -> None:
+    def _install_faults(self) -> None:
         """None here, whatever plan is in force."""
 
     def _language(self) -> Language:
@@ -146,7 +146,7 @@ class Hands:
                 return
             self._hands[robot_id] = hand
         self._driven.pop(robot_id, None)
-        hold = self._daemon.emulator.holds.of(robot_id)
+        hold = self._daemon.emulator.estop.of(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
             error = f"robot {robot_id} is held by {hold.by}: release it first"
             then({"ok": False, "held": hold.by, "error": error})
@@ -156,7 +156,7 @@ class Hands:
     def drive(self, robot_id: int, args: list[int], now: float, then: Then) -> None:
         """Drive at these velocities, for as long as it is said again in time."""
         self.call(robot_id, "vm", args, then)
-        if any(args) and self._daemon.emulator.holds.of(robot_id) is None:
+        if any(args) and self._daemon.emulator.estop.of(robot_id) is None:
             self._driven[robot_id] = now + DEAD_MAN_S
 
     def drives(self, robot_id: int) -> bool:
@@ -303,7 +303,7 @@ class Desk:
         viewer.tell(to_page("answer", id=number, ok=False, error=error))
 
     def _tell_asked(self) -> None:
-        asked = self.daemon.emulator.clicks.asked()
+        asked = self.daemon.emulator.pose_requests.asked()
         if asked != self._asked:
             self._asked = asked
             self.hub.tell(to_page("asked", robots=asked))
@@ -313,16 +313,16 @@ class Desk:
         if rows:
             self.hub.tell(to_page("traffic", rows=rows, missed=missed), traffic=True)
 
-    def _terms_of(self, name: str) -> Terms | None:
+    def _terms_of(self, name: str) -> WireState | None:
         """What a connection has agreed, between two of its requests."""
         for talker in self.daemon.connections:
             session = talker.session
             if session.name == name:
-                return None if session.unfinished or session.ready or session.waiting else session.visit.terms
+                return None if session.unfinished or session.ready or session.waiting else session.context.wire_state
         return None
 
     def _open_clicks(self) -> None:
-        self.daemon.emulator.clicks.open = any(viewer.may_act for viewer in self.hub.viewers)
+        self.daemon.emulator.pose_requests.open = any(viewer.may_act for viewer in self.hub.viewers)
 
 
 def _seen(_desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
@@ -355,7 +355,7 @@ def _release(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
 
 
 def _tell_held(desk: Desk, viewer: Viewer, message: Message) -> None:
-    _teller(viewer, message["id"])({"ok": True, "held": desk.daemon.emulator.holds.told()})
+    _teller(viewer, message["id"])({"ok": True, "held": desk.daemon.emulator.estop.told()})
 
 
 def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
@@ -366,7 +366,7 @@ def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
 
 def _click(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
     x, y, steer, turret = message["pose"]
-    if not desk.daemon.emulator.clicks.answer(message["robot"], (x, y, steer, turret)):
+    if not desk.daemon.emulator.pose_requests.answer(message["robot"], (x, y, steer, turret)):
         viewer.tell(to_page("answer", id=None, ok=False, error=f"nobody asks for a pose of robot {message['robot']}"))
 
 

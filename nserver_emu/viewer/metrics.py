@@ -34,7 +34,7 @@ def numbers(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Number]:
     answered = daemon.gone_answered + sum(one.session.answered for one in here)
     refused = daemon.gone_refused + sum(one.session.refused for one in here)
     yield Number("connections", GAUGE, "Clients and hosts that are connected.", len(here))
-    yield Number("turned_away_total", COUNTER, "Newcomers that were not let in.", daemon.door.turned_away)
+    yield Number("turned_away_total", COUNTER, "Newcomers that were not let in.", daemon.admission.rejected)
     yield Number("answers_total", COUNTER, "Requests that were answered.", answered)
     yield Number("refusals_total", COUNTER, "Requests that were answered with an error.", refused)
     yield Number("viewers", GAUGE, "Pages that are open.", viewers)
@@ -43,7 +43,7 @@ def numbers(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Number]:
     yield Number("shapes", GAUGE, "Client graphics that are kept.", len(emulator.graphics.shapes))
     yield Number("simulated_seconds", GAUGE, "The simulation's clock.", emulator.simulation.time_s)
     yield Number("steps_total", COUNTER, "How often simulated time was made to pass.", daemon.steps)
-    yield Number("paused", GAUGE, "1 while simulated time stands.", int(emulator.pace.paused))
+    yield Number("paused", GAUGE, "1 while simulated time stands.", int(emulator.clock.paused))
     yield Number("lost_seconds_total", COUNTER, "Real time that the simulation did not catch up on.", daemon.lost_s)
     yield Number("tasks", GAUGE, "Asynchronous tasks, the one that answers this among them.", tasks)
 
@@ -63,5 +63,5 @@ def health(daemon: Daemon, now_s: float) -> tuple[bool, dict[str, Any]]:
     well = age_s < STUCK_S
     return well, {
         "status": "ok" if well else "clock stuck", "clock_age_s": round(age_s, 3),
-        "simulated_s": round(daemon.emulator.simulation.time_s, 3), "paused": daemon.emulator.pace.paused,
+        "simulated_s": round(daemon.emulator.simulation.time_s, 3), "paused": daemon.emulator.clock.paused,
     }  # fmt: skip

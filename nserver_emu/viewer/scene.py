@@ -42,20 +42,20 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.server.context import Stage
+from nserver_emu.server.context import ServerState
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
-from nserver_emu.server.state_encoder import Look, is_on
+from nserver_emu.server.state_encoder import StateSnapshot, is_on
 from nserver_emu.simulation.acoustics import Cry
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 from worlds.world import Polygon, World
 
 if TYPE_CHECKING:
-    from nserver_emu.server.connection import Talker
+    from nserver_emu.server.connection import ConnectionHandler
 
 MOST_NAMED: Final = 20
 VIEWER: Final = "viewer"
@@ -63,13 +63,13 @@ Modes = Mapping[int, list[tuple[str, int]]]
 """By robot its clients, each with its mode: those that have it on first."""
 
 
-def laser_modes(talkers: Iterable[Talker], robots: Collection[int]) -> Modes:
+def laser_modes(talkers: Iterable[ConnectionHandler], robots: Collection[int]) -> Modes:
     """Of these robots."""
     found: dict[int, list[tuple[str, int]]] = {number: [] for number in robots}
     for talker in talkers:
-        visit = talker.session.visit
-        if talker.here and talker.line != VIEWER and visit.robot_id in found:
-            found[visit.robot_id].append((talker.session.name, visit.terms.laser_mode))
+        context = talker.session.context
+        if talker.here and talker.line != VIEWER and context.robot_id in found:
+            found[context.robot_id].append((talker.session.name, context.wire_state.laser_mode))
     return {number: sorted(clients, key=_on_first)[:MOST_NAMED] for number, clients in found.items()}
 
 
@@ -117,8 +117,8 @@ NOTHING: Final = Mark(0, None, None, -1, -1, None, "not even silence", {}, {})
 class Album:
     """The newest picture of a stage, and what it takes to come to it from an earlier one."""
 
-    def __init__(self, stage: Stage) -> None:
-        self._stage = stage
+    def __init__(self, server: ServerState) -> None:
+        self._server = server
         self._marks: deque[Mark] = deque(maxlen=REMEMBERED)
         self._lasers: dict[str, list[float]] = {}
         self._lasers_taken = 0
@@ -133,12 +133,12 @@ class Album:
         if (lasers is None or lasers) and (self.number + 1) % LASER_EVERY == 0:
             seen = {
                 str(number): _seen(robot)
-                for number, robot in self._stage.simulation.robots.items()
+                for number, robot in self._server.simulation.robots.items()
                 if robot.model.sees and (lasers is None or number in lasers) and is_shown(self._modes.get(number, []))
             }
             self._lasers_taken += bool(seen or self._lasers)
             self._lasers = seen
-        now, mark = _now(self._stage), self._mark()
+        now, mark = _now(self._server), self._mark()
         self.number, self._now = mark.number, now
         self._marks.append(mark)
 
@@ -147,7 +147,7 @@ class Album:
         old, new = self._mark_of(number), self._marks[-1]
         told: Plain = {"frame": new.number, "since": old.number} | self._now
         if new.bodies != old.bodies:
-            told["bodies"] = {str(n): body(robot) for n, robot in self._stage.simulation.robots.items()}
+            told["bodies"] = {str(n): body(robot) for n, robot in self._server.simulation.robots.items()}
         if new.world and new.world is not old.world:
             told["world"] = ground(new.world)
         told |= self._drawn(old.graphics, new.graphics)
@@ -156,7 +156,7 @@ class Album:
         if new.laser_modes != old.laser_modes:
             told["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
         if new.said is not old.said:
-            told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
+            told["said"] = [list(utterance) for utterance in self._server.transcript.said]
         grown = {"traces": self._grown(old.traces, new.traces), "beams": _cried(old.cries, new.cries)}
         return told | {name: more for name, more in grown.items() if more}
 
@@ -166,7 +166,7 @@ class Album:
         return self._marks[-1 - age] if number > 0 and 0 <= age < len(self._marks) else NOTHING
 
     def _drawn(self, before: int, now: int) -> Plain:
-        graphics = self._stage.graphics
+        graphics = self._server.graphics
         if before == now:
             return {}
         changes = graphics.changes(before, now) if before >= 0 else None
@@ -176,20 +176,20 @@ class Album:
         return {"drawn": {"gone": gone, "come": [_shape(*numbered) for numbered in come]}}
 
     def _mark(self) -> Mark:
-        stage = self._stage
-        said = stage.transcript.said
-        ways = stage.traces
+        server = self._server
+        said = server.transcript.said
+        ways = server.traces
         counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
-        simulation = stage.simulation
+        simulation = server.simulation
         return Mark(
             self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
-            simulation.world, stage.graphics.drawn, self._lasers_taken, self._modes,
+            simulation.world, server.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
             {n: robot.sonar.cries for n, robot in simulation.robots.items()},
         )  # fmt: skip
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
-        ways = self._stage.traces
+        ways = self._server.traces
         return {
             str(n): {
                 "actual": _newer(ways.actual[n], had[0], has[0]), "encoder": _newer(ways.encoder[n], had[1], has[1]),
@@ -231,18 +231,18 @@ def _outline(polygon: Polygon) -> Plain:
     }  # fmt: skip
 
 
-def _now(stage: Stage) -> Plain:
-    pace = stage.pace
+def _now(server: ServerState) -> Plain:
+    pace = server.clock
     return {
-        "time_s": round(stage.simulation.time_s, DIGITS), "speed": pace.factor, "paused": pace.paused,
+        "time_s": round(server.simulation.time_s, DIGITS), "speed": pace.factor, "paused": pace.paused,
         "lockstep_s": pace.lockstep_s,
         "robots": {
             str(number): {
-                "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
+                "state": list(StateSnapshot(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
-                "held": None if (hold := stage.holds.of(number)) is None else hold.told(),
+                "held": None if (hold := server.estop.of(number)) is None else hold.told(),
             }
-            for number, robot in stage.simulation.robots.items()
+            for number, robot in server.simulation.robots.items()
         },
     }  # fmt: skip
 

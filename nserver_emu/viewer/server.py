@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_this_machine
+from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
 from nclient.errors import ConnectionLost
 from nserver_emu.viewer.auth import HTTP_LOG, REFUSED, Reception, Tokens, address, from_here, known_host, new_tokens
 from nserver_emu.viewer.controller import Desk
@@ -133,7 +133,7 @@ class Viewing:
         self._outlets: dict[Viewer, Outlet] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._known = LOOPBACK_NAME
-        self._door = daemon.door
+        self._door = daemon.admission
         self._daemon = daemon
         self._runner: web.AppRunner | None = None
         self._server: asyncio.Server | None = None
@@ -215,14 +215,14 @@ class Viewing:
         if self._reception is not None:
             self._reception.heard(request)
         host = request.remote or ""
-        if not self._door.access.admits(host, _our_end(request)):
-            self._door.turn_away(host, NOT_ALLOWED)
+        if not self._door.access.allows(host, _our_end(request)):
+            self._door.reject(host, NOT_ALLOWED)
             return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not let in\n")
         try:
             return await handler(request)
-        except web.HTTPException as refusal:  # aiohttp keeps what is raised, and so where it was raised
-            _forget_where(refusal)
-            return web.Response(status=refusal.status, headers=refusal.headers, body=refusal.body)
+        except web.HTTPException as response:  # aiohttp keeps what is raised, and so where it was raised
+            _forget_where(response)
+            return web.Response(status=response.status, headers=response.headers, body=response.body)
 
     def _may(self, request: web.Request) -> bool:
         """Whether who asks may act; False: look only. Raises HTTPForbidden for who may neither."""
@@ -244,7 +244,7 @@ class Viewing:
 
     def _may_know(self, request: web.Request) -> None:
         """Raises HTTPForbidden for who may not know how the daemon does."""
-        if not is_this_machine(request.remote or "", _our_end(request)) or not known_host(request.host, self._known):
+        if not is_same_machine(request.remote or "", _our_end(request)) or not known_host(request.host, self._known):
             self._may(request)
 
     async def _health(self, request: web.Request) -> web.StreamResponse:
@@ -271,7 +271,7 @@ class Viewing:
         if not from_here(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"a page from {ascii(origin) if origin else 'nowhere'} is none of ours\n")
         if len(self._sockets) >= self._door.limits.viewers:
-            self._door.turn_away(request.remote or "", "as many pages are open as may be (--limit-viewers)")
+            self._door.reject(request.remote or "", "as many pages are open as may be (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="as many pages are open as may be: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MOST_TEXT)
         self._sockets.add(socket)  # it counts from now on, not only once it is there

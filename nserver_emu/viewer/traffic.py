@@ -17,9 +17,17 @@ from typing import Any, Final
 
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
-from nclient.protocol.wire_state import Terms
-from nclient.recording.readable import told
-from nclient.recording.recorder import HELLO_FIRST, SERIAL, TCP, AnyRecorder, Decoded, Follower, Tape
+from nclient.protocol.wire_state import WireState
+from nclient.recording.format import format_frame
+from nclient.recording.recorder import (
+    HANDSHAKE_FIRST,
+    SERIAL,
+    TCP,
+    ConnectionRecorder,
+    Decoded,
+    FrameDecoder,
+    TrafficRecorder,
+)
 
 MOST_ROWS: Final = 40
 MOST_ASKED: Final = 64
@@ -28,7 +36,7 @@ GREETING: Final = "hello"
 """The reply that nobody asked for, when a robot's own line begins."""
 MOST_HEX: Final = 512
 """Bytes of a row that are shown."""
-TermsOf = Callable[[str], Terms | None]
+TermsOf = Callable[[str], WireState | None]
 """The terms of the connection of that name; None: it is in the middle of a request, or unknown."""
 Row = dict[str, Any]
 
@@ -36,11 +44,11 @@ Row = dict[str, Any]
 class Listening:
     """See the head of this file. `watched`: whether anybody looks; `time_s`: simulated time."""
 
-    def __init__(self, inner: AnyRecorder, terms_of: TermsOf, time_s: Callable[[], float]) -> None:
+    def __init__(self, inner: TrafficRecorder, wire_state_of: TermsOf, time_s: Callable[[], float]) -> None:
         self.inner = inner
         self.watched = False
         self.missed = 0
-        self.terms_of = terms_of
+        self.wire_state_of = wire_state_of
         self._time_s = time_s
         self._rows: list[Row] = []
 
@@ -49,21 +57,21 @@ class Listening:
         rows, self._rows = self._rows, []
         return rows
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """A tape that listens, before the real one's."""
         return _Ear(self, name, line, model, self.inner.open(name, line, model, robot_id))
 
-    def stepped(self, dt_s: float) -> None:
+    def record_step(self, dt_s: float) -> None:
         """Handed on."""
-        self.inner.stepped(dt_s)
+        self.inner.record_step(dt_s)
 
-    def paced(self, factor: float | None, paused: bool) -> None:
+    def record_pace(self, factor: float | None, paused: bool) -> None:
         """Handed on."""
-        self.inner.paced(factor, paused)
+        self.inner.record_pace(factor, paused)
 
-    def changed(self, what: Mapping[str, Any]) -> None:
+    def record_change(self, what: Mapping[str, Any]) -> None:
         """Handed on."""
-        self.inner.changed(what)
+        self.inner.record_change(what)
 
     def close(self) -> None:
         """Handed on."""
@@ -80,7 +88,7 @@ class Listening:
             self._rows.append({
                 "time_s": round(self._time_s(), 3), "who": who, "to": to,
                 "what": frame.get("call") or frame.get("reply") or "error", "of": _of(frame, asked),
-                "text": told(frame),
+                "text": format_frame(frame),
                 "hex": data[:MOST_HEX].hex(" "), "size": len(data), "parts": parts(frame, line),
             })  # fmt: skip
 
@@ -100,8 +108,8 @@ def parts(frame: Decoded, line: str) -> list[list[Any]]:
     row = BY_NAME[frame["call"]]
     names = [argument.name for argument in row.arguments]
     beside: list[list[Any]] = []
-    if row.beside is not None:
-        name, place = row.beside
+    if row.extra_arguments is not None:
+        name, place = row.extra_arguments
         del names[place]
         beside = [[name, frame[name]]] if name in frame else []
     args = frame["args"]
@@ -113,10 +121,10 @@ def parts(frame: Decoded, line: str) -> list[list[Any]]:
 class _Ear:
     """The tape of one connection."""
 
-    def __init__(self, listening: Listening, name: str, line: str, model: Model, inner: Tape) -> None:
+    def __init__(self, listening: Listening, name: str, line: str, model: Model, inner: ConnectionRecorder) -> None:
         self._listening, self._inner = listening, inner
         self._name, self._line, self._model = name, line, model
-        self._follower: Follower | None = Follower(line, model)
+        self._follower: FrameDecoder | None = FrameDecoder(line, model)
         self._asked: deque[str] = deque(maxlen=MOST_ASKED)
 
     def to_robot(self, data: bytes) -> None:
@@ -145,8 +153,8 @@ class _Ear:
         return False
 
     def _take_up(self) -> None:
-        terms = self._listening.terms_of(self._name)
-        if terms is None:
+        wire_state = self._listening.wire_state_of(self._name)
+        if wire_state is None:
             return
-        self._follower = Follower(SERIAL if self._line == HELLO_FIRST else self._line, self._model)
-        self._follower.take_up(terms)
+        self._follower = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
+        self._follower.resume(wire_state)

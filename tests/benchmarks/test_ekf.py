@@ -36,7 +36,7 @@ def test_the_live_filter_uses_its_echoes() -> None:
 
 def test_the_table_marks_missed_bounds() -> None:
     numbers: dict[str, float] = dict.fromkeys(ekf.Result.__annotations__, 10.0)
-    result = ekf.Result(**{**numbers, "filterpy_ratio": 0.5, "figure_s": 61.0})  # type: ignore[typeddict-item]
+    result = ekf.Result(**{**numbers, "filterpy_ratio": 0.5, "figure_s": 61.0})
     lines = [line.split("required: ")[1] for line in ekf.table(result).splitlines() if "required" in line]
     assert lines == ["at least 1, MISSED", "at most 50", "at most 50", "at most 60, MISSED", "at most 60"]
 

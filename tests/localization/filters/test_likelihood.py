@@ -11,8 +11,8 @@ from localization.filters.particles import ConeLikelihood, Likelihood, RayLikeli
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.filters.update import RANGE_SPAN_IN
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 

@@ -25,9 +25,9 @@ from localization.filters.sonar_ray import (
     wall_map,
 )
 from localization.filters.update import Refusal
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.raycast import NO_WALL, cast_rays
+from worlds.robots import N150
 
 ROOM = wall_map(load_world("thesis_room").walls)
 WALLS = wall_map(load_world("several_walls").walls)

@@ -11,10 +11,9 @@ from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.localizer import Localizer
-from localization.live.sensor_input import corrected, FiringSchedule, SensorData, with_wheels
-from worlds.bodies import N150
-from worlds.calibration import FAULTLESS, Calibration, Spread
-from worlds.files import load_world
+from localization.live.sensor_input import FiringSchedule, SensorData, corrected, with_wheels
+from worlds.io import load_world
+from worlds.robots import IDEAL_CALIBRATION, N150, Calibration, Spread
 
 TOLD = SensorData(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
 ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), Spread(0.01, 0.02, 1e-4))
@@ -31,9 +30,9 @@ def test_readings_lose_their_offsets_but_limits_stay() -> None:
 
 
 def test_a_faultless_robot_changes_nothing() -> None:
-    assert corrected(TOLD, FAULTLESS) is TOLD
+    assert corrected(TOLD, IDEAL_CALIBRATION) is TOLD
     pose = independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
-    assert with_wheels(pose, FAULTLESS) is pose
+    assert with_wheels(pose, IDEAL_CALIBRATION) is pose
 
 
 def test_wheels_begin_at_what_was_found() -> None:

@@ -119,7 +119,7 @@ def test_one_who_leaves_while_a_robot_answers_later_is_told_that_it_broke_off() 
         async with served(Emulator(simulation())) as here, here.page() as page:
             (viewer,) = here.viewing.hub.viewers
             told: list[dict[str, Any]] = []
-            here.daemon.emulator.pace.paused = True
+            here.daemon.emulator.clock.paused = True
             here.viewing.desk.hands(viewer).call(1, "vm", [0, 100, 0], lambda _: None)
             here.daemon.step(0.2)
             here.viewing.desk.hands(viewer).call(1, "zr", [], told.append)

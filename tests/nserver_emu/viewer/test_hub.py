@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nserver_emu.server.config import Setting
+from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.viewer.hub import AHEAD, MOST_NEWS, Hub, Viewer
@@ -106,7 +106,9 @@ def test_who_is_gone_is_forgotten() -> None:
 
 
 def test_lasers_are_looked_through_for_the_robots_that_somebody_looks_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    emulator = Emulator(Setting(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200").simulation())
+    emulator = Emulator(
+        SimulationConfig(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200").simulation()
+    )
     hub = Hub(Album(emulator))
     looked: list[SimulatedRobot] = []
     honest = SimulatedRobot.look_with_laser

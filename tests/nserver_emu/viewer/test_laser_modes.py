@@ -11,7 +11,7 @@ from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.scene import LASER_EVERY, MOST_NAMED, Album, is_shown, laser_modes
 from tests.nserver_emu.viewer.viewed_daemon import Page, served
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 OFF, LINES, POINTS = 50, 33, 51
@@ -87,9 +87,9 @@ def test_of_a_crowd_those_who_have_it_on_are_named_first() -> None:
         here, line = True, "nserver"
 
         def __init__(self, name: str, mode: int) -> None:
-            terms = type("Terms", (), {"laser_mode": mode})()
-            visit = type("Visit", (), {"robot_id": 1, "terms": terms})()
-            self.session = type("Session", (), {"visit": visit, "name": name})()
+            wire_state = type("WireState", (), {"laser_mode": mode})()
+            context = type("ConnectionContext", (), {"robot_id": 1, "wire_state": wire_state})()
+            self.session = type("Session", (), {"context": context, "name": name})()
 
     crowd: list[Any] = [Visitor(f"client {number:02}", OFF) for number in range(2 * MOST_NAMED)]
     crowd.append(Visitor("z", POINTS))

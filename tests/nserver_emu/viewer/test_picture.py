@@ -19,7 +19,7 @@ from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.scene import LASER_EVERY, MOST_NEW, REMEMBERED, Album
 from tests.nserver_emu.server.wire_client import meet, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"
@@ -107,7 +107,7 @@ def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
     album.take()
     album.take()
     assert not (CHANGING | DRAWN) & set(album.since(1))
-    client.send("tk", codec.tcp_request(Call("tk", ("hi",))))
+    client.send("tk", codec.encode_tcp_request(Call("tk", ("hi",))))
     client.ask("new_world")
     client.ask("draw_line", 0, 0, 100, 200, 3)
     client.ask("create_robot", 2, 0)

@@ -77,14 +77,14 @@ def test_what_is_wrong_is_told_with_what_would_be_right(message: object, words: 
 
 
 def test_a_wrong_message_is_answered_under_its_own_number_and_not_repeated_whole() -> None:
-    with pytest.raises(BadMessage) as refusal:
+    with pytest.raises(BadMessage) as rejection_reason:
         from_page(json.dumps({"do": "call", "id": 7, "robot": 1, "call": "vm", "args": list(range(5000))}))
-    assert refusal.value.number == 7
-    assert len(str(refusal.value)) < 200
+    assert rejection_reason.value.number == 7
+    assert len(str(rejection_reason.value)) < 200
     for number in (None, -1, "7", 10**400):
-        with pytest.raises(BadMessage) as refusal:
+        with pytest.raises(BadMessage) as rejection_reason:
             from_page(json.dumps({"do": "dance", "id": number}))
-        assert refusal.value.number is None
+        assert rejection_reason.value.number is None
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "x" * (MOST_TEXT + 1)])

@@ -10,8 +10,8 @@ import pytest
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150, N200, Model
-from nclient.protocol.wire_state import Terms, line_terms
-from nclient.recording.recorder import HELLO_FIRST, OFF, TCP, Decoded, Tape
+from nclient.protocol.wire_state import WireState, serial_wire_state
+from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, TCP, ConnectionRecorder, Decoded
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session
 from nserver_emu.viewer.traffic import MOST_HEX, MOST_ROWS, Listening, parts
@@ -24,7 +24,7 @@ class Inner:
     def __init__(self) -> None:
         self.told: list[Any] = []
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         self.told.append(("open", name, line, model.name, robot_id))
         return self
 
@@ -34,13 +34,13 @@ class Inner:
     def to_host(self, data: bytes, by_time: bool = False) -> None:
         self.told.append(("to_host", len(data), by_time))
 
-    def stepped(self, dt_s: float) -> None:
+    def record_step(self, dt_s: float) -> None:
         self.told.append(("stepped", dt_s))
 
-    def changed(self, what: Mapping[str, Any]) -> None:
+    def record_change(self, what: Mapping[str, Any]) -> None:
         self.told.append(("changed", dict(what)))
 
-    def paced(self, factor: float | None, paused: bool) -> None:
+    def record_pace(self, factor: float | None, paused: bool) -> None:
         self.told.append(("paced", factor, paused))
 
     def close(self) -> None:
@@ -51,13 +51,13 @@ def listened(wide: bool = False) -> tuple[Listening, WireClient, Session]:
     """A client whose connection is listened to."""
     emulator = Emulator(simulation())
     session = Session(emulator.answer, "client")
-    listening = Listening(OFF, lambda _: session.visit.terms, lambda: emulator.simulation.time_s)
+    listening = Listening(NULL_RECORDER, lambda _: session.context.wire_state, lambda: emulator.simulation.time_s)
     tape = listening.open("client", TCP, N150)
 
     def exchange(data: bytes) -> bytes:
         tape.to_robot(data)
         session.receive(data)
-        answered = session.answers(most=100)
+        answered = session.process_requests(most=100)
         tape.to_host(answered)
         return answered
 
@@ -89,7 +89,7 @@ def test_arguments_are_named_and_those_that_vary_in_number_are_numbered() -> Non
     outline: Decoded = {"call": "add_obstacle", "args": [3, 6, 6, 7, 6, 7, 7]}
     numbered = [["1", 6], ["2", 6], ["3", 7], ["4", 6], ["5", 7], ["6", 7]]
     assert parts(outline, TCP) == [["code", 50], ["n", 3], *numbered]
-    assert parts({"call": "vm", "args": [1, 2, 3]}, HELLO_FIRST)[:2] == [["code", 5], ["translation", 1]]
+    assert parts({"call": "vm", "args": [1, 2, 3]}, HANDSHAKE_FIRST)[:2] == [["code", 5], ["translation", 1]]
     assert parts({"call": "connect_robot", "args": [1]}, TCP) == [["code", 102], ["robot_id", 1]]
     assert parts({"call": "gs", "args": []}, TCP) == [["code", 15]]
 
@@ -120,23 +120,23 @@ def test_what_is_too_much_is_counted_and_then_it_goes_on() -> None:
 
 
 def test_a_connection_in_the_middle_of_a_request_waits_for_the_next() -> None:
-    agreed = line_terms(N200)
-    terms: list[Terms | None] = [None, agreed]
-    listening = Listening(OFF, lambda _: terms[0], lambda: 0.0)
-    tape = listening.open("line", HELLO_FIRST, N200)
-    frame = codec.line_request(Call("vm", (100, -50, 0)), agreed)
+    agreed = serial_wire_state(N200)
+    wire_state: list[WireState | None] = [None, agreed]
+    listening = Listening(NULL_RECORDER, lambda _: wire_state[0], lambda: 0.0)
+    tape = listening.open("line", HANDSHAKE_FIRST, N200)
+    frame = codec.encode_serial_request(Call("vm", (100, -50, 0)), agreed)
     tape.to_robot(frame)
     listening.watched = True
     tape.to_robot(frame)
     tape.to_host(b"\x01")
     assert listening.rows() == []
-    terms.pop(0)
+    wire_state.pop(0)
     tape.to_robot(frame)
     assert [row["text"] for row in listening.rows()] == ["vm 100 -50 0"]
 
 
 def test_what_is_no_frame_is_told_as_such_and_bytes_beyond_measure_are_cut() -> None:
-    listening = Listening(OFF, lambda _: None, lambda: 0.0)
+    listening = Listening(NULL_RECORDER, lambda _: None, lambda: 0.0)
     listening.watched = True
     listening.open("client", TCP, N150).to_robot(b"\x77\x77\x00\x01" + bytes(2 * MOST_HEX))
     row = listening.rows()[0]
@@ -152,9 +152,9 @@ def test_everything_is_handed_on_to_the_real_recorder() -> None:
     tape.to_robot(b"abc")
     tape.to_host(b"de", by_time=True)
     tape.close()
-    listening.stepped(0.1)
-    listening.paced(2.0, False)
-    listening.changed({"noise": {}})
+    listening.record_step(0.1)
+    listening.record_pace(2.0, False)
+    listening.record_change({"noise": {}})
     listening.close()
     assert inner.told == [
         ("open", "client", TCP, "n150", None), ("to_robot", 3), ("to_host", 2, True), "close", ("stepped", 0.1),

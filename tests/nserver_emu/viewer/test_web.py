@@ -9,7 +9,7 @@ import socket
 import aiohttp
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -56,9 +56,9 @@ def test_a_page_from_elsewhere_gets_no_websocket(origin: str) -> None:
     async def scenario() -> None:
         async with served(an_emulator()) as here:
             headers = {"Origin": origin} if origin else {}
-            with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+            with pytest.raises(aiohttp.WSServerHandshakeError) as rejection_reason:
                 await here.web.ws_connect(f"{here.origin}/ws", params={"token": here.viewing.token}, headers=headers)
-            assert refusal.value.status == 403
+            assert rejection_reason.value.status == 403
             assert not here.viewing.hub.viewers
 
     asyncio.run(scenario())
@@ -140,7 +140,7 @@ def test_who_may_only_look_does_nothing_else() -> None:
             await page.say(do="call", id=4, robot=1, call="vm", args=[100, 0, 0])
             assert "only looks" in (await page.answer(4))["error"]
             assert here.daemon.emulator.simulation.robots[1].still((0, 1, 2))
-            assert not here.daemon.emulator.clicks.open
+            assert not here.daemon.emulator.pose_requests.open
             await page.socket.send_str("nonsense")
             assert "JSON" in (await page.until(lambda message: message["type"] == "answer"))["error"]
             await page.socket.ping()
@@ -332,12 +332,12 @@ def test_pictures_are_twenty_a_second_on_the_whole_and_come_in_no_bursts() -> No
 def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
     async def scenario() -> None:
         async with served(an_emulator()) as here:
-            here.daemon.door.limits = Limits(viewers=1)
+            here.daemon.admission.limits = Limits(viewers=1)
             query, headers = {"token": here.viewing.token}, {"Origin": here.origin}
             async with here.page() as page:
-                with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+                with pytest.raises(aiohttp.WSServerHandshakeError) as rejection_reason:
                     await here.web.ws_connect(f"{here.origin}/ws", params=query, headers=headers)
-                assert refusal.value.status == 503
+                assert rejection_reason.value.status == 503
                 await page.until(lambda message: message["type"] == "picture")
             while here.viewing.hub.viewers:
                 await asyncio.sleep(0.005)
@@ -350,7 +350,7 @@ def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
 def test_who_only_asks_for_a_websocket_takes_no_place() -> None:
     async def scenario() -> None:
         async with served(an_emulator()) as here:
-            here.daemon.door.limits = Limits(viewers=1)
+            here.daemon.admission.limits = Limits(viewers=1)
             query, headers = {"token": here.viewing.token}, {"Origin": here.origin}
             for _ in range(2):
                 async with here.web.get(f"{here.origin}/ws", params=query, headers=headers) as answer:
@@ -364,11 +364,11 @@ def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPa
 
     async def scenario() -> None:
         async with served(an_emulator()) as here, elsewhere() as outsider:
-            here.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
+            here.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             for path in ("/", "/ws", "/page/main.js", "/health"):
                 async with outsider.get(f"{here.origin}{path}", params={"token": here.viewing.token}) as answer:
                     assert (answer.status, await answer.text()) == (403, "this address is not let in\n")
-            assert here.daemon.door.turned_away == 4
+            assert here.daemon.admission.rejected == 4
             async with here.web.get(f"{here.origin}/", params={"token": here.viewing.token}) as answer:
                 assert answer.status == 200  # from the address that he asks: on this machine
 

@@ -13,22 +13,22 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
+from nclient.connect import Connector
 from nclient.errors import AddressError, ConnectionLost, RobotRefused
-from nclient.opening import Opening
 from nclient.protocol.commands import Call
 from nserver_emu import cli
 from nserver_emu.gateway import run as gateway_options
-from nserver_emu.gateway.gateway import Gateway, RealSide
-from nserver_emu.gateway.run import kept, model_of, reached
+from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
+from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.server.daemon import Daemon
-from tests.nserver_emu.gateway.real_robots import ScriptedRobot, emulated
+from tests.nserver_emu.gateway.harness import ScriptedRobot, emulated
 from tests.nserver_emu.server.daemon_house import serving
 
 WHOLE_S = 30
 
 
-def told(*words: str) -> argparse.Namespace:
-    """What a command line says."""
+def parsed(*words: str) -> argparse.Namespace:
+    """Return the options of a command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--lockstep")
     parser.add_argument("--record")
@@ -38,24 +38,20 @@ def told(*words: str) -> argparse.Namespace:
     return options
 
 
-Visiting = Callable[[str], Awaitable[None]]
+Scenario = Callable[[str], Awaitable[None]]
 
 
-def serve(side: RealSide, visit: Visiting, *, shadow: bool = False, every_s: float = 60.0) -> None:
-    """A daemon with a gateway to this robot, for as long as the visit takes; the visit is told its address."""
-
-    async def evening() -> None:
-        emulator = emulated()
-        gateway = Gateway(emulator, {1: side}, shadow=shadow)
-        daemon = Daemon(emulator, 1.0, gateway)
-        port = await daemon.listen("127.0.0.1", 0)
-        async with kept(gateway, daemon, every_s), serving(daemon, WHOLE_S):
-            await visit(f"nserver://127.0.0.1:{port}/1")
-
-    asyncio.run(evening())
+async def serve(proxy: RealRobotProxy, scenario: Scenario, *, shadow: bool = False, every_s: float = 60.0) -> None:
+    """Run a daemon with a gateway to this robot while the scenario, which gets its address, runs."""
+    emulator = emulated()
+    gateway = Gateway(emulator, {1: proxy}, shadow=shadow)
+    daemon = Daemon(emulator, 1.0, gateway)
+    port = await daemon.listen("127.0.0.1", 0)
+    async with run_gateway(gateway, daemon, every_s), serving(daemon, WHOLE_S):
+        await scenario(f"nserver://127.0.0.1:{port}/1")
 
 
-def test_a_client_drives_and_is_not_the_only_one_served() -> None:
+async def test_a_driving_client_does_not_block_others() -> None:
     def drive(address: str) -> None:
         with connect(address) as driver, connect(address) as watcher:
             driver.move(translation_in=6)
@@ -66,12 +62,12 @@ def test_a_client_drives_and_is_not_the_only_one_served() -> None:
             with pytest.raises(RobotRefused, match="error 4"):
                 watcher.truth()
 
-    with reached(told("--real", "sim:thesis_room")) as sides:
-        assert model_of(sides) == "n150"
-        serve(sides[1], lambda address: asyncio.to_thread(drive, address), every_s=0.01)
+    with connected(parsed("--real", "sim:thesis_room")) as proxies:
+        assert model_of(proxies) == "n150"
+        await serve(proxies[1], lambda address: asyncio.to_thread(drive, address), every_s=0.01)
 
 
-def test_a_shadow_is_summed_up_and_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_shadow_is_summarized_and_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     def drive(address: str) -> None:
         with connect(address) as robot:
             robot.set_position(x_in=5.0)
@@ -80,8 +76,8 @@ def test_a_shadow_is_summed_up_and_reported(tmp_path: Path, caplog: pytest.LogCa
 
     for name in ("shadow.json", "shadow.csv"):
         caplog.clear()
-        with reached(told("--real", "sim:thesis_room?seed=2", "--shadow-report", str(tmp_path / name))) as sides:
-            serve(sides[1], lambda address: asyncio.to_thread(drive, address), shadow=True, every_s=0.2)
+        with connected(parsed("--real", "sim:thesis_room?seed=2", "--shadow-report", str(tmp_path / name))) as proxies:
+            await serve(proxies[1], lambda address: asyncio.to_thread(drive, address), shadow=True, every_s=0.2)
     report = json.loads((tmp_path / "shadow.json").read_text())
     assert report["robot"] == "sim:thesis_room?seed=2"
     assert report["quantities"]["x_in"]["max"] == 0.0
@@ -89,24 +85,24 @@ def test_a_shadow_is_summed_up_and_reported(tmp_path: Path, caplog: pytest.LogCa
     assert int(rows[0]["count"]) > 10
 
 
-def test_without_a_real_robot_there_is_no_side() -> None:
-    with reached(told()) as sides:
-        assert (sides, model_of(sides)) == ({}, None)
+def test_without_a_real_robot_there_is_no_proxy() -> None:
+    with connected(parsed()) as proxies:
+        assert (proxies, model_of(proxies)) == ({}, None)
 
 
-def test_the_gateway_does_itself_what_wrappers_of_the_address_would(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = list[Opening]()
+def test_wrappers_that_the_gateway_replaces_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = list[Connector]()
 
-    def backend(opening: Opening) -> ScriptedRobot:
-        opened.append(opening)
+    def open_scripted(connector: Connector) -> ScriptedRobot:
+        opened.append(connector)
         return ScriptedRobot()
 
-    monkeypatch.setattr(Opening, "backend", backend)
-    with reached(told("--real", "serial:///dev/ttyUSB0?tm_s=7&retries=1&max_speed_in_s=6", "--max-turn", "9")):
+    monkeypatch.setattr(Connector, "open", open_scripted)
+    with connected(parsed("--real", "serial:///dev/ttyUSB0?tm_s=7&retries=1&max_speed_in_s=6", "--max-turn", "9")):
         pass
-    values = opened[0].values
-    assert (values["tm_s"], values["feed"], values["reconnect"]) == (None, None, None)
-    assert (values["retries"], values["max_speed_in_s"]) == (1, 6.0)
+    values = opened[0].address.options
+    assert (values.tm_s, values.feed, values.reconnect) == (None, None, None)
+    assert (values.retries, values.max_speed_in_s) == (1, 6.0)
 
 
 @pytest.mark.parametrize(
@@ -116,14 +112,14 @@ def test_the_gateway_does_itself_what_wrappers_of_the_address_would(monkeypatch:
         (("--max-speed", "4", "--max-turn", "5"), (40, 50, 50)),
     ],
 )  # fmt: skip
-def test_caps_are_what_the_command_line_says(words: tuple[str, ...], args: tuple[int, ...]) -> None:
+def test_speed_limits_are_those_of_the_command_line(words: tuple[str, ...], args: tuple[int, ...]) -> None:
     robot = ScriptedRobot()
-    gateway_options.around(told("--real", "sim:", *words))(robot).execute(Call("vm", (100, 200, 300)))
+    gateway_options.speed_limiter(parsed("--real", "sim:", *words))(robot).execute(Call("vm", (100, 200, 300)))
     assert robot.calls == [Call("vm", args)]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["--max-speed", "8"], "--max-speed is about a real robot: name it with --real ADDRESS"),
         (["--shadow-report", "x.json"], "--shadow is about a real robot"),
@@ -134,44 +130,44 @@ def test_caps_are_what_the_command_line_says(words: tuple[str, ...], args: tuple
         (["--real", "sim:", "--max-turn", "fast"], "a number above 0, not 'fast'"),
     ],
 )
-def test_wrong_usage_says_what_is_right(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_names_the_remedy(words: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         cli.main(words)
     assert stop.value.code == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("words", "said", "code"),
+    ("words", "expected", "code"),
     [
         (["--real", "simm:thesis_room"], "did you mean sim:", 2),
         (["--real", "nserver://127.0.0.1:1/1"], "127.0.0.1", 1),
         (["--real", "sim:thesis_room?robot=n200", "--robot", "n150"], "really a n200", 2),
     ],
 )
-def test_what_cannot_be_reached_exits_1_and_what_is_no_such_address_2(
-    words: list[str], said: str, code: int, capsys: pytest.CaptureFixture[str]
+def test_exit_1_if_unreachable_and_2_for_a_wrong_address(
+    words: list[str], expected: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["--port", "0", *words]) == code
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_errors_are_those_of_connect() -> None:
-    with pytest.raises(AddressError), reached(told("--real", "nowhere")):
+    with pytest.raises(AddressError), connected(parsed("--real", "nowhere")):
         pass
-    with pytest.raises(ConnectionLost), reached(told("--real", "nserver://127.0.0.1:1/1")):
+    with pytest.raises(ConnectionLost), connected(parsed("--real", "nserver://127.0.0.1:1/1")):
         pass
 
 
-def test_a_robot_that_answers_after_the_end_troubles_nobody(caplog: pytest.LogCaptureFixture) -> None:
-    side = RealSide(ScriptedRobot, lambda: 0.0)
+async def test_a_reply_after_the_end_is_ignored(caplog: pytest.LogCaptureFixture) -> None:
+    proxy = RealRobotProxy(ScriptedRobot, lambda: 0.0)
 
     async def nothing(_address: str) -> None:
         return None
 
     with caplog.at_level(logging.ERROR):
-        serve(side, nothing)
-        side.robot.news()
+        await serve(proxy, nothing)
+        proxy.robot.on_result()
     assert not caplog.records
 
 
