@@ -138,9 +138,9 @@ def _arrived(*passed: Any) -> tuple[int, ...]:
 
 def _be(program: str, words: tuple[str, ...], environment: dict[str, str], streams: tuple[int, ...]) -> None:
     """The program, in the process that was forked for it."""
-    for number, given in enumerate(streams, 1):
-        os.dup2(given, number)
-        os.close(given)
+    for number, mark_sent in enumerate(streams, 1):
+        os.dup2(mark_sent, number)
+        os.close(mark_sent)
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = [program, *words]

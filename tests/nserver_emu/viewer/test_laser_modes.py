@@ -9,8 +9,8 @@ from nclient import connect
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
-from nserver_emu.viewer.scene import LASER_EVERY, MOST_NAMED, Album, is_shown, laser_modes
-from tests.nserver_emu.viewer.viewed_daemon import Page, served
+from nserver_emu.viewer.scene import LASER_INTERVAL, MAX_NAMED, SceneHistory, is_shown, laser_modes
+from tests.nserver_emu.viewer.viewed_daemon import Page, serve_viewer
 from worlds.files import load_world
 from worlds.world import StartPose
 
@@ -31,13 +31,13 @@ def test_it_is_shown_while_nobody_is_there_or_anybody_has_it_on() -> None:
 
 
 def test_a_picture_has_no_laser_of_a_robot_whose_clients_all_have_it_off_and_tells_that_it_went() -> None:
-    album = Album(two_robots())
+    history = SceneHistory(two_robots())
 
     def look(modes: dict[int, list[tuple[str, int]]]) -> Any:
-        before = album.number
-        for _ in range(LASER_EVERY):
-            album.take(lasers=None, modes=modes)
-        return album.since(before)
+        before = history.number
+        for _ in range(LASER_INTERVAL):
+            history.take(lasers=None, modes=modes)
+        return history.since(before)
 
     told = look({1: [("a", POINTS)], 2: [("b", OFF)]})
     assert set(told["lasers"]) == {"1"}
@@ -62,7 +62,7 @@ def test_each_client_is_named_with_its_mode_and_pages_are_none_of_them() -> None
         return (await page.until(lambda message: "laser_modes" in message))["laser_modes"]
 
     async def scenario() -> None:
-        async with served(two_robots()) as here, here.page() as page:
+        async with serve_viewer(two_robots()) as here, here.page() as page:
             assert await told(page) == {"1": [], "2": []}
             await page.say(do="watch", traffic=False, laser=True)
             await page.say(do="call", id=1, robot=1, call="st", args=[])
@@ -91,8 +91,8 @@ def test_of_a_crowd_those_who_have_it_on_are_named_first() -> None:
             visit = type("Visit", (), {"robot_id": 1, "wire_state": wire_state})()
             self.session = type("Session", (), {"visit": visit, "name": name})()
 
-    crowd: list[Any] = [Visitor(f"client {number:02}", OFF) for number in range(2 * MOST_NAMED)]
+    crowd: list[Any] = [Visitor(f"client {number:02}", OFF) for number in range(2 * MAX_NAMED)]
     crowd.append(Visitor("z", POINTS))
     named = laser_modes(crowd, (1,))[1]
     assert named[:2] == [("z", POINTS), ("client 00", OFF)]
-    assert len(named) == MOST_NAMED
+    assert len(named) == MAX_NAMED
