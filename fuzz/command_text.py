@@ -10,14 +10,13 @@ import functools
 
 from fuzz.mutation import any_of, mutate_bytes, word_mutator
 from fuzz.reader import Reader
-from nclient.address import Address
 from nclient.cli.shell_help import OWN
 from nclient.cli.shell_session import Session
 from nclient.common import allowlist
 from nclient.connect import open_backend
 from nclient.errors import AddressError, FaultPlanError, ShellError, StartError, WireError, WorldFileError
 from nclient.protocol.commands import COMMANDS
-from nclient.schemes import OPTIONS, Wanted, opening_of
+from nclient.url import OPTIONS, parse_address
 from nserver_emu.server.inprocess import open_address
 
 _SHELL = (
@@ -40,7 +39,7 @@ _NETWORKS = ("192.168.1.0/24", "10.0.0.1", "::1", "fe80::1%eth0", "::ffff:127.0.
 @functools.cache
 def _shell_session(address: str) -> Session:
     """Return a shell session; lines are only checked and not sent to its robot."""
-    return Session(open_backend(address, Wanted()), lambda _: None, pid=1)
+    return Session(open_backend(address), lambda _: None, pid=1)
 
 
 def _shell(data: bytes) -> None:
@@ -49,11 +48,7 @@ def _shell(data: bytes) -> None:
 
 
 def _address(data: bytes) -> None:
-    opening = opening_of(data.decode("utf-8", "replace"), Wanted())
-    address: Address = opening.address
-    _ = opening.foreign_text, opening.model, opening.timeout_s
-    if not opening.scheme.in_process:
-        address.parts(opening.scheme.form)
+    parse_address(data.decode("utf-8", "replace"))
 
 
 def _simulation(data: bytes) -> None:
@@ -70,8 +65,8 @@ def _allow_parser() -> argparse.ArgumentParser:
 def _network(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
     allowlist.is_loopback(text)
-    allowed = allowlist.access_of(_allow_parser().parse_args([f"--allow={text}"]))
-    allowed.admits("192.168.1.7")
+    allowed = allowlist.allowlist_from_options(_allow_parser().parse_args([f"--allow={text}"]))
+    allowed.allows("192.168.1.7")
     allowlist.warning("0.0.0.0", allowed)
 
 

@@ -28,7 +28,7 @@ from collections.abc import MutableSequence, Sequence
 from typing import Any
 
 from nclient.backends.base import Backend
-from nclient.connect import Wanted, is_listening, open_line, open_machine
+from nclient.connect import ConnectOptions, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
 from nclient.protocol.client_state import STATE_SIZE, ClientState
 from nclient.protocol.codec import clamp_to_serial
@@ -585,7 +585,7 @@ def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] 
     if _backend is not None:
         disconnect_robot(robot_id)
     try:
-        wanted = Wanted(ANSWER_TIMEOUT_S, int(robot_id), create)
+        wanted = ConnectOptions(ANSWER_TIMEOUT_S, int(robot_id), create)
         if line is None:
             _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), wanted)
         else:

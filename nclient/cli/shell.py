@@ -37,10 +37,10 @@ from nclient.cli.shell_help import candidates, hint, parse
 from nclient.cli.shell_session import Session
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
-from nclient.connect import address_or_default
+from nclient.connect import Connector, address_or_default
 from nclient.errors import NomadError, ShellError
 from nclient.protocol.wire_state import WireState
-from nclient.schemes import Wanted, opening_of
+from nclient.url import parse_address
 
 REDRAWN_S = 0.5
 
@@ -236,13 +236,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Talk until all is said; the exit code."""
-    opening = opening_of(address_or_default(options.address), Wanted())
+    connector = Connector(parse_address(address_or_default(options.address)))
     lines, name = _given(options)
-    session = Session(opening.backend(), time.sleep)
+    session = Session(connector.open(), time.sleep)
     with session.robot:
         if lines is not None:
             return _do_all(session, lines, name)
-        watcher = StatusPoller(session, 0.0 if opening.scheme.in_process else LOOK_S)
+        watcher = StatusPoller(session, 0.0 if connector.address.in_process else LOOK_S)
         keys = reader(lambda: session.wire_state, watcher.line, options.history or default_history(os.environ))
         try:
             return converse(session, keys, watcher)

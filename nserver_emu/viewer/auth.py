@@ -30,7 +30,7 @@ from aiohttp.http import HttpProcessingError
 
 from nclient.common.allowlist import LOOPBACK_NAME
 from nclient.errors import NomadError
-from nserver_emu.server.admission import Door, Doorkeeper
+from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
 
 _WILDCARDS: Final = {"0.0.0.0": ("192.0.2.1", "127.0.0.1"), "::": ("2001:db8::1", "::1")}
 """Wildcard addresses: a documentation address to find the outgoing interface (RFC 5737, 3849), and loopback."""
@@ -144,19 +144,19 @@ HTTP_LOG: Final = logging.getLogger("nserver_emu.viewer.http")
 class HttpAdmission:
     """Admission of connections to the page; `server` is aiohttp's, which makes a handler per connection."""
 
-    def __init__(self, door: Door, server: web.Server) -> None:
+    def __init__(self, door: AdmissionControl, server: web.Server) -> None:
         self._door, self._server = door, server
         self._silent: set[asyncio.BaseProtocol] = set()
 
-    def protocol_factory(self) -> Doorkeeper:
+    def protocol_factory(self) -> AdmissionProtocol:
         """Return the protocol of a new socket."""
-        return Doorkeeper(self, self._hosts, self._receive)
+        return AdmissionProtocol(self, self._hosts, self._receive)
 
     def request_received(self, request: web.Request) -> None:
         """Record that the request's connection is in use."""
         self._silent.discard(request.protocol)
 
-    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
+    def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """Return the reason to reject a new connection; empty to accept it. Addresses are checked per request."""
         del at
         limits = self._door.limits
@@ -166,16 +166,16 @@ class HttpAdmission:
             return f"there are {limits.per_address} connections to the page from there already (--limit-per-address)"
         return ""
 
-    def turn_away(self, host: str, reason: str) -> None:
+    def reject(self, host: str, reason: str) -> None:
         """Count and log a rejected connection."""
-        self._door.turn_away(host, reason)
+        self._door.reject(host, reason)
 
     def keep_record(self, record: logging.LogRecord) -> bool:
         """Filter of HTTP_LOG: bytes that are not HTTP count as a rejected connection, without a traceback."""
         error = record.exc_info[1] if record.exc_info else None
         if isinstance(error, HttpProcessingError):
             host, *_ = record.args if isinstance(record.args, tuple) else ("unknown",)
-            self.turn_away(str(host), "what it says at the page's port is no HTTP")
+            self.reject(str(host), "what it says at the page's port is no HTTP")
         return not isinstance(error, HttpProcessingError)
 
     def _hosts(self) -> list[str]:

@@ -28,7 +28,7 @@ from nclient.protocol.types import N150
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.recording.recorder import TCP
 from nserver_emu.control.commands import answer_line
-from nserver_emu.server.connection import Talker
+from nserver_emu.server.connection import ConnectionHandler
 from nserver_emu.server.ownership import MOTIONS
 from nserver_emu.server.session import Session
 from nserver_emu.viewer.broadcaster import Broadcaster, Viewer
@@ -43,7 +43,7 @@ from nserver_emu.viewer.messages import (
     encode_message,
     parse_message,
 )
-from nserver_emu.viewer.traffic import TrafficRecorder
+from nserver_emu.viewer.traffic import TrafficMonitor
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -56,7 +56,7 @@ Answer = dict[str, Any]
 OnAnswer = Callable[[Answer], None]
 
 
-class ViewerClient(Talker):
+class ViewerClient(ConnectionHandler):
     """Connection of one viewer to one robot."""
 
     line = "viewer"
@@ -80,12 +80,12 @@ class ViewerClient(Talker):
     def call(self, name: str, args: list[int], on_answer: OnAnswer) -> None:
         """Make a call; `on_answer` gets the reply, now or when it arrives."""
         try:
-            request = codec.tcp_request(Call(name, tuple(args)))
+            request = codec.encode_tcp_request(Call(name, tuple(args)))
         except (NomadError, TypeError, ValueError) as error:
             on_answer({"ok": False, "error": f"{name}: {error}"})
             return
         self._waiting.append((name, on_answer))
-        self._came(request)
+        self.data_received(request)
 
     def close(self) -> None:
         """Close the connection: stop what it moves, answer pending calls with an error. May be called twice."""
@@ -93,7 +93,7 @@ class ViewerClient(Talker):
             return
         self._silence()
         self._daemon.connections.discard(self)
-        self._behind.leave(self.session.visit)
+        self._behind.on_disconnect(self.session.context)
         self._tape.close()
         self.session.closing = True
         while self._waiting:
@@ -107,9 +107,9 @@ class ViewerClient(Talker):
                 self.close()
                 return
             name, on_answer = self._waiting.popleft()
-            on_answer(_answer(name, codec.read_tcp_reply(BY_NAME[name], frame, self._wire_state)))
+            on_answer(_answer(name, codec.decode_tcp_reply(BY_NAME[name], frame, self._wire_state)))
 
-    def _plug_in_faults(self) -> None:
+    def _install_faults(self) -> None:
         """Do nothing: faults do not apply here."""
 
     def _language(self) -> Language:
@@ -152,7 +152,7 @@ class ViewerClients:
                 return
             self._clients[robot_id] = client
         self._driven.pop(robot_id, None)
-        hold = self._daemon.emulator.holds.of(robot_id)
+        hold = self._daemon.emulator.estop.of(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
             error = f"robot {robot_id} is held by {hold.by}: release it first"
             on_answer({"ok": False, "held": hold.by, "error": error})
@@ -162,7 +162,7 @@ class ViewerClients:
     def drive(self, robot_id: int, args: list[int], now: float, on_answer: OnAnswer) -> None:
         """Drive at these velocities; the robot stops if the next call does not come within DRIVE_TIMEOUT_S."""
         self.call(robot_id, "vm", args, on_answer)
-        if any(args) and self._daemon.emulator.holds.of(robot_id) is None:
+        if any(args) and self._daemon.emulator.estop.of(robot_id) is None:
             self._driven[robot_id] = now + DRIVE_TIMEOUT_S
 
     def is_driving(self, robot_id: int) -> bool:
@@ -210,10 +210,10 @@ class ViewerController:
         self._waypoints_set: Counter[int] = Counter()
         self._clients: dict[Viewer, ViewerClients] = {}
         self._published: dict[int, tuple[float, Message]] = {}
-        self.traffic_recorder = TrafficRecorder(
+        self.traffic_monitor = TrafficMonitor(
             daemon.recorder, self._wire_state_of, lambda: daemon.emulator.simulation.time_s
         )
-        daemon.recorder = self.traffic_recorder
+        daemon.recorder = self.traffic_monitor
 
     def connect_page(self, now: float, *, may_act: bool, watch_token: str = "") -> Viewer:
         """Add a page: send it the present state, and return its viewer."""
@@ -233,7 +233,7 @@ class ViewerController:
         """Remove a page; what it drove stops."""
         self.broadcaster.leave(viewer)
         self._clients.pop(viewer).close()
-        self.traffic_recorder.watched = self.broadcaster.watch_traffic
+        self.traffic_monitor.watched = self.broadcaster.watch_traffic
         self._accept_pose_clicks()
 
     def tick(self, now: float) -> None:
@@ -247,7 +247,7 @@ class ViewerController:
 
     def close(self) -> None:
         """Restore the daemon's own recorder."""
-        self.daemon.recorder = self.traffic_recorder.inner
+        self.daemon.recorder = self.traffic_monitor.inner
 
     def handle_message(self, viewer: Viewer, text: str, now: float) -> None:
         """Carry out a message from a page; every error becomes a reply."""
@@ -317,13 +317,13 @@ class ViewerController:
         viewer.notify(encode_message("answer", id=number, ok=False, error=error))
 
     def _send_pose_requests(self) -> None:
-        requests = self.daemon.emulator.clicks.asked()
+        requests = self.daemon.emulator.pose_requests.asked()
         if requests != self._pose_requests:
             self._pose_requests = requests
             self.broadcaster.notify(encode_message("asked", robots=requests))
 
     def _send_traffic(self) -> None:
-        recorder = self.traffic_recorder
+        recorder = self.traffic_monitor
         rows, missed, recorder.missed = recorder.rows(), recorder.missed, 0
         if rows:
             self.broadcaster.notify(encode_message("traffic", rows=rows, missed=missed), traffic=True)
@@ -333,11 +333,11 @@ class ViewerController:
         for connection in self.daemon.connections:
             session = connection.session
             if session.name == name:
-                return None if session.unfinished or session.ready or session.waiting else session.visit.wire_state
+                return None if session.unfinished or session.ready or session.waiting else session.context.wire_state
         return None
 
     def _accept_pose_clicks(self) -> None:
-        self.daemon.emulator.clicks.open = any(viewer.may_act for viewer in self.broadcaster.viewers)
+        self.daemon.emulator.pose_requests.open = any(viewer.may_act for viewer in self.broadcaster.viewers)
 
 
 def _seen(_desk: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
@@ -346,7 +346,7 @@ def _seen(_desk: ViewerController, viewer: Viewer, message: Message, _now: float
 
 def _watch(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
     viewer.traffic, viewer.laser, viewer.laser_robot = message["traffic"], message["laser"], message.get("robot")
-    controller.traffic_recorder.watched = controller.broadcaster.watch_traffic
+    controller.traffic_monitor.watched = controller.broadcaster.watch_traffic
 
 
 def _call(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
@@ -370,7 +370,7 @@ def _release(controller: ViewerController, viewer: Viewer, message: Message, _no
 
 
 def _reply_held(controller: ViewerController, viewer: Viewer, message: Message) -> None:
-    _replier(viewer, message["id"])({"ok": True, "held": controller.daemon.emulator.holds.told()})
+    _replier(viewer, message["id"])({"ok": True, "held": controller.daemon.emulator.estop.told()})
 
 
 def _control(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
@@ -381,7 +381,7 @@ def _control(controller: ViewerController, viewer: Viewer, message: Message, _no
 
 def _click(controller: ViewerController, viewer: Viewer, message: Message, _now: float) -> None:
     x, y, steer, turret = message["pose"]
-    if not controller.daemon.emulator.clicks.answer(message["robot"], (x, y, steer, turret)):
+    if not controller.daemon.emulator.pose_requests.answer(message["robot"], (x, y, steer, turret)):
         error = f"no client asks for a pose of robot {message['robot']}"
         viewer.notify(encode_message("answer", id=None, ok=False, error=error))
 

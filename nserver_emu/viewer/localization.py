@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from nserver_emu.viewer.messages import MAX_NUMBER, MAX_POINTS, InvalidMessage, Message
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 
 REFUSALS: Final = ("none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate")
 TRUSTS: Final = ("OK", "DEGRADED", "LOST")

@@ -34,7 +34,7 @@ def all_metrics(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Metric]:
     answered = daemon.gone_answered + sum(connection.session.answered for connection in connected)
     refused = daemon.gone_refused + sum(connection.session.refused for connection in connected)
     yield Metric("connections", GAUGE, "Clients and hosts that are connected.", len(connected))
-    yield Metric("turned_away_total", COUNTER, "Connections that were rejected.", daemon.door.turned_away)
+    yield Metric("turned_away_total", COUNTER, "Connections that were rejected.", daemon.admission.rejected)
     yield Metric("answers_total", COUNTER, "Requests that were answered.", answered)
     yield Metric("refusals_total", COUNTER, "Requests that were answered with an error.", refused)
     yield Metric("viewers", GAUGE, "Pages that are open.", viewers)
@@ -43,7 +43,7 @@ def all_metrics(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Metric]:
     yield Metric("shapes", GAUGE, "Client graphics in memory.", len(emulator.graphics.shapes))
     yield Metric("simulated_seconds", GAUGE, "The simulation's clock.", emulator.simulation.time_s)
     yield Metric("steps_total", COUNTER, "Steps of the simulation.", daemon.steps)
-    yield Metric("paused", GAUGE, "1 while simulated time is paused.", int(emulator.pace.paused))
+    yield Metric("paused", GAUGE, "1 while simulated time is paused.", int(emulator.clock.paused))
     yield Metric("lost_seconds_total", COUNTER, "Real time that the simulation did not catch up on.", daemon.lost_s)
     yield Metric("tasks", GAUGE, "Asynchronous tasks, the one that answers this request included.", tasks)
 
@@ -63,5 +63,5 @@ def health(daemon: Daemon, now_s: float) -> tuple[bool, dict[str, Any]]:
     is_healthy = age_s < STUCK_S
     return is_healthy, {
         "status": "ok" if is_healthy else "clock stuck", "clock_age_s": round(age_s, 3),
-        "simulated_s": round(daemon.emulator.simulation.time_s, 3), "paused": daemon.emulator.pace.paused,
+        "simulated_s": round(daemon.emulator.simulation.time_s, 3), "paused": daemon.emulator.clock.paused,
     }  # fmt: skip

@@ -36,20 +36,20 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from nserver_emu.server.context import Stage
+from nserver_emu.server.context import ServerState
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
-from nserver_emu.server.state_encoder import Look, is_on
+from nserver_emu.server.state_encoder import StateSnapshot, is_on
 from nserver_emu.simulation.acoustics import Cry
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import Pose
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 from worlds.world import Polygon, World
 
 if TYPE_CHECKING:
-    from nserver_emu.server.connection import Talker
+    from nserver_emu.server.connection import ConnectionHandler
 
 MAX_NAMED: Final = 20
 VIEWER: Final = "viewer"
@@ -57,11 +57,11 @@ Modes = Mapping[int, list[tuple[str, int]]]
 """Clients of each robot with their laser modes: those with the laser on first."""
 
 
-def laser_modes(connections: Iterable[Talker], robots: Collection[int]) -> Modes:
+def laser_modes(connections: Iterable[ConnectionHandler], robots: Collection[int]) -> Modes:
     """Return the laser modes of the clients of these robots."""
     found: dict[int, list[tuple[str, int]]] = {number: [] for number in robots}
     for connection in connections:
-        context = connection.session.visit
+        context = connection.session.context
         if connection.here and connection.line != VIEWER and context.robot_id in found:
             found[context.robot_id].append((connection.session.name, context.wire_state.laser_mode))
     return {number: sorted(clients, key=_on_first)[:MAX_NAMED] for number, clients in found.items()}
@@ -94,7 +94,7 @@ class Revision(NamedTuple):
     """State of everything that grows or changes at the time of a picture."""
 
     number: int
-    bodies: tuple[tuple[int, RobotSetup], ...] | None
+    robots: tuple[tuple[int, RobotSetup], ...] | None
     world: World | None
     graphics: int
     lasers: int
@@ -111,7 +111,7 @@ NOTHING: Final = Revision(0, None, None, -1, -1, None, "no text yet", {}, {})
 class SceneHistory:
     """The newest picture, and its changes since earlier ones."""
 
-    def __init__(self, server_state: Stage) -> None:
+    def __init__(self, server_state: ServerState) -> None:
         self._server_state = server_state
         self._revisions: deque[Revision] = deque(maxlen=MAX_REVISIONS)
         self._lasers: dict[str, list[float]] = {}
@@ -145,7 +145,7 @@ class SceneHistory:
         """Return the newest picture for a viewer that has picture `number`: the fixed part, and what changed."""
         old, new = self._revision_of(number), self._revisions[-1]
         picture: Plain = {"frame": new.number, "since": old.number} | self._now
-        if new.bodies != old.bodies:
+        if new.robots != old.robots:
             picture["bodies"] = {str(n): body_data(robot) for n, robot in self._server_state.simulation.robots.items()}
         if new.world and new.world is not old.world:
             picture["world"] = world_data(new.world)
@@ -231,16 +231,16 @@ def _outline(polygon: Polygon) -> Plain:
     }  # fmt: skip
 
 
-def _now(server_state: Stage) -> Plain:
-    pace = server_state.pace
+def _now(server_state: ServerState) -> Plain:
+    pace = server_state.clock
     return {
         "time_s": round(server_state.simulation.time_s, DIGITS), "speed": pace.factor, "paused": pace.paused,
         "lockstep_s": pace.lockstep_s,
         "robots": {
             str(number): {
-                "state": list(Look(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
+                "state": list(StateSnapshot(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
-                "held": None if (hold := server_state.holds.of(number)) is None else hold.told(),
+                "held": None if (hold := server_state.estop.of(number)) is None else hold.told(),
             }
             for number, robot in server_state.simulation.robots.items()
         },
@@ -256,7 +256,7 @@ def _pose(pose: Pose) -> list[float]:
 
 def _changed_beams(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | None, ...]]) -> Plain:
     """Return the sonars whose latest ping has another position or direction than before."""
-    changed = {
+    record_change = {
         str(n): [
             [sonar, *_beam(ping)]
             for sonar, (before, ping) in enumerate(zip(old.get(n, NO_PINGS), pings, strict=True))
@@ -264,7 +264,7 @@ def _changed_beams(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[
         ]
         for n, pings in new.items()
     }
-    return {n: beams for n, beams in changed.items() if beams}
+    return {n: beams for n, beams in record_change.items() if beams}
 
 
 def _axis(ping: Cry | None) -> tuple[float, ...] | None:

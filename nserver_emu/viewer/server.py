@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_this_machine
+from nclient.common.allowlist import LOOPBACK_NAME, NOT_ALLOWED, is_loopback, is_same_machine
 from nclient.errors import ConnectionLost
 from nserver_emu.viewer.auth import (
     HTTP_LOG,
@@ -139,7 +139,7 @@ class ViewerServer:
         self._writers: dict[Viewer, PageWriter] = {}
         self._sockets: set[web.WebSocketResponse] = set()
         self._host_name = LOOPBACK_NAME
-        self._door = daemon.door
+        self._door = daemon.admission
         self._daemon = daemon
         self._runner: web.AppRunner | None = None
         self._server: asyncio.Server | None = None
@@ -227,8 +227,8 @@ class ViewerServer:
         if self._admission is not None:
             self._admission.request_received(request)
         host = request.remote or ""
-        if not self._door.access.admits(host, _local_address(request)):
-            self._door.turn_away(host, NOT_ALLOWED)
+        if not self._door.access.allows(host, _local_address(request)):
+            self._door.reject(host, NOT_ALLOWED)
             return web.Response(status=HTTPStatus.FORBIDDEN, text="this address is not allowed\n")
         try:
             return await handler(request)
@@ -256,7 +256,7 @@ class ViewerServer:
 
     def _require_local_or_token(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request comes from this machine or has a token."""
-        is_local = is_this_machine(request.remote or "", _local_address(request))
+        is_local = is_same_machine(request.remote or "", _local_address(request))
         if not is_local or not is_known_host(request.host, self._host_name):
             self._may_act(request)
 
@@ -284,7 +284,7 @@ class ViewerServer:
         if not is_same_origin(origin, request.scheme, request.host):
             raise web.HTTPForbidden(text=f"Origin {ascii(origin) if origin else '(none)'} is not this page's\n")
         if len(self._sockets) >= self._door.limits.viewers:
-            self._door.turn_away(request.remote or "", "too many pages are open (--limit-viewers)")
+            self._door.reject(request.remote or "", "too many pages are open (--limit-viewers)")
             raise web.HTTPServiceUnavailable(text="too many pages are open: close one (--limit-viewers)\n")
         socket = web.WebSocketResponse(compress=False, heartbeat=HEARTBEAT_S, timeout=CLOSING_S, max_msg_size=MAX_TEXT)
         self._sockets.add(socket)  # it counts towards the limit from now on

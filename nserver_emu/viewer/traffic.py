@@ -18,15 +18,15 @@ from typing import Any, Final
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
-from nclient.recording.readable import told
+from nclient.recording.format import format_frame
 from nclient.recording.recorder import (
     HANDSHAKE_FIRST,
     SERIAL,
     TCP,
-    AnyRecorder,
     ConnectionRecorder,
     Decoded,
     FrameDecoder,
+    TrafficRecorder,
 )
 
 MAX_ROWS: Final = 40
@@ -41,7 +41,7 @@ WireStateOf = Callable[[str], WireState | None]
 Row = dict[str, Any]
 
 
-class TrafficRecorder:
+class TrafficMonitor:
     """Recorder that makes rows for the page.
 
     Parameters
@@ -51,7 +51,7 @@ class TrafficRecorder:
     time_s : returns simulated time.
     """
 
-    def __init__(self, inner: AnyRecorder, wire_state_of: WireStateOf, time_s: Callable[[], float]) -> None:
+    def __init__(self, inner: TrafficRecorder, wire_state_of: WireStateOf, time_s: Callable[[], float]) -> None:
         self.inner = inner
         self.watched = False
         """True while a page watches."""
@@ -70,17 +70,17 @@ class TrafficRecorder:
         """Return the recorder of a connection."""
         return _ConnectionTraffic(self, name, line, model, self.inner.open(name, line, model, robot_id))
 
-    def stepped(self, dt_s: float) -> None:
+    def record_step(self, dt_s: float) -> None:
         """Pass on a step of simulated time."""
-        self.inner.stepped(dt_s)
+        self.inner.record_step(dt_s)
 
-    def paced(self, factor: float | None, paused: bool) -> None:
+    def record_pace(self, factor: float | None, paused: bool) -> None:
         """Pass on a change of pace."""
-        self.inner.paced(factor, paused)
+        self.inner.record_pace(factor, paused)
 
-    def changed(self, what: Mapping[str, Any]) -> None:
+    def record_change(self, what: Mapping[str, Any]) -> None:
         """Pass on a change of the simulation."""
-        self.inner.changed(what)
+        self.inner.record_change(what)
 
     def close(self) -> None:
         """Close the inner recorder."""
@@ -97,7 +97,7 @@ class TrafficRecorder:
             self._rows.append({
                 "time_s": round(self._time_s(), 3), "who": name, "to": to,
                 "what": frame.get("call") or frame.get("reply") or "error", "of": _command_of(frame, pending),
-                "text": told(frame),
+                "text": format_frame(frame),
                 "hex": data[:MAX_HEX].hex(" "), "size": len(data), "parts": parts(frame, line),
             })  # fmt: skip
 
@@ -117,8 +117,8 @@ def parts(frame: Decoded, line: str) -> list[list[Any]]:
     row = BY_NAME[frame["call"]]
     names = [argument.name for argument in row.arguments]
     extra: list[list[Any]] = []
-    if row.beside is not None:
-        name, position = row.beside
+    if row.extra_arguments is not None:
+        name, position = row.extra_arguments
         del names[position]
         extra = [[name, frame[name]]] if name in frame else []
     args = frame["args"]
@@ -131,7 +131,7 @@ class _ConnectionTraffic:
     """Recorder of one connection."""
 
     def __init__(
-        self, traffic: TrafficRecorder, name: str, line: str, model: Model, inner: ConnectionRecorder
+        self, traffic: TrafficMonitor, name: str, line: str, model: Model, inner: ConnectionRecorder
     ) -> None:
         self._traffic, self._inner = traffic, inner
         self._name, self._line, self._model = name, line, model
@@ -170,4 +170,4 @@ class _ConnectionTraffic:
         if wire_state is None:
             return
         self._decoder = FrameDecoder(SERIAL if self._line == HANDSHAKE_FIRST else self._line, self._model)
-        self._decoder.take_up(wire_state)
+        self._decoder.resume(wire_state)

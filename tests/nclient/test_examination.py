@@ -8,22 +8,23 @@ import pytest
 
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
+from nclient.connect import Connector
 from nclient.diagnostics import DiagnosticData, Diagnostics, percentile_s, report
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, N200, SCOUT, Model
-from nclient.schemes import Wanted, opening_of
 from nclient.transports.memory import MemoryStream
+from nclient.url import parse_address
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import InProcess
 from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from tests.nclient.answering import ScriptedServer
-from worlds.files import load_world
+from worlds.io import load_world
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 class Time:
@@ -159,7 +160,7 @@ def test_percentiles_by_nearest_rank() -> None:
 @pytest.mark.parametrize("what", ["sim:thesis_room", "sim:thesis_room?noisy=1", "sim:centre_vertex?robot=scout"])
 def test_simulated_robots_are_well(what: str) -> None:
     time = Time()
-    chart = Diagnostics(opening_of(what, Wanted()).talk, time.clock, time.sleep).run()
+    chart = Diagnostics(Connector(parse_address(what)).open_session, time.clock, time.sleep).run()
     assert {finding.grade.name for finding in report(chart)} == {"OK"}
     assert len({state.pose for state in chart.states}) == 1
 

@@ -9,7 +9,7 @@ import pytest
 from nclient.backends.nserver import NserverBackend
 from nclient.cli.shell_help import OWN
 from nclient.cli.shell_session import Session
-from nclient.connect import Wanted, open_backend
+from nclient.connect import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
@@ -27,7 +27,7 @@ class Slept:
 
 
 def session_on(address: str = "sim:thesis_room", slept: Slept | None = None) -> Session:
-    return Session(open_backend(address, Wanted()), slept or Slept())
+    return Session(open_backend(address), slept or Slept())
 
 
 def scripted(server: ScriptedServer, slept: Slept | None = None) -> Session:

@@ -109,8 +109,8 @@ def test_from_the_command_line_a_hello_that_was_lost_is_not_waited_for(
     address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = ScriptedLine(model=N200)
-    for name in ("SerialStream", "TcpStream"):
-        monkeypatch.setattr(f"nclient.openers.{name}", lambda *_, **__: MemoryStream(robot))
+    for name in ("serial.SerialStream", "tcp.TcpStream"):
+        monkeypatch.setattr(f"nclient.transports.{name}", lambda *_, **__: MemoryStream(robot))
     assert main.main(["stop", address, "--patience", "0.2"]) == 0
     assert robot.names()[:2] == ["st", "ct"]
     assert capsys.readouterr().out.startswith("stands still at")

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from nclient import connect
+from nclient.connect import Connector
 from nclient.errors import AddressError, ConnectionLost, RobotRefused
-from nclient.opening import Opening
 from nclient.protocol.commands import Call
 from nserver_emu import cli
 from nserver_emu.gateway import run as gateway_options
@@ -91,18 +91,18 @@ def test_without_a_real_robot_there_is_no_proxy() -> None:
 
 
 def test_wrappers_that_the_gateway_replaces_are_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = list[Opening]()
+    opened = list[Connector]()
 
-    def backend(opening: Opening) -> ScriptedRobot:
-        opened.append(opening)
+    def open_scripted(connector: Connector) -> ScriptedRobot:
+        opened.append(connector)
         return ScriptedRobot()
 
-    monkeypatch.setattr(Opening, "backend", backend)
+    monkeypatch.setattr(Connector, "open", open_scripted)
     with connected(parsed("--real", "serial:///dev/ttyUSB0?tm_s=7&retries=1&max_speed_in_s=6", "--max-turn", "9")):
         pass
-    values = opened[0].values
-    assert (values["tm_s"], values["feed"], values["reconnect"]) == (None, None, None)
-    assert (values["retries"], values["max_speed_in_s"]) == (1, 6.0)
+    values = opened[0].address.options
+    assert (values.tm_s, values.feed, values.reconnect) == (None, None, None)
+    assert (values.retries, values.max_speed_in_s) == (1, 6.0)
 
 
 @pytest.mark.parametrize(

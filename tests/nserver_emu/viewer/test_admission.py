@@ -22,7 +22,7 @@ PATIENCE_S = 20
 def at(limits: Limits, scenario: Callable[[Served], Awaitable[None]]) -> None:
     async def evening() -> None:
         async with serve_viewer(Emulator(simulation())) as here:
-            here.daemon.door.limits = limits
+            here.daemon.admission.limits = limits
             await scenario(here)
 
     asyncio.run(evening())
@@ -71,7 +71,7 @@ def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: py
             while len(server.connections) < most:
                 await asyncio.sleep(0.01)
         assert await let_go(*await comes(here))
-        assert here.daemon.door.turned_away == 1
+        assert here.daemon.admission.rejected == 1
         for _, writer in inside:
             writer.close()
 
@@ -86,11 +86,11 @@ def test_what_is_no_http_is_told_of_once_without_a_traceback(caplog: pytest.LogC
             async with asyncio.timeout(PATIENCE_S):
                 assert b" 400 " in await reader.readline()
             writer.close()
-        assert here.daemon.door.turned_away == 3
+        assert here.daemon.admission.rejected == 3
 
     at(Limits(), scenario)
-    (told,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
-    assert told.getMessage().startswith(f"{HOST}: turned away: what it says at the page's port is no HTTP")
+    (picture,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert picture.getMessage().startswith(f"{HOST}: turned away: what it says at the page's port is no HTTP")
     assert HTTP_LOG.filters == []
 
 

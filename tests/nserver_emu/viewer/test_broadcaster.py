@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nserver_emu.server.config import Setting
+from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.viewer.broadcaster import MAX_MESSAGES, MAX_UNDRAWN, Broadcaster, Viewer
@@ -20,7 +20,7 @@ def a_hub() -> Broadcaster:
     return Broadcaster(SceneHistory(Emulator(simulation())))
 
 
-def told(broadcaster: Broadcaster, viewer: Viewer) -> list[dict[str, Any]]:
+def messages_for(broadcaster: Broadcaster, viewer: Viewer) -> list[dict[str, Any]]:
     return [json.loads(text) for text in broadcaster.next_for(viewer)]
 
 
@@ -30,8 +30,8 @@ def test_a_quick_viewer_gets_every_picture_from_the_one_before() -> None:
     seen = []
     for _ in range(30):
         broadcaster.take()
-        (picture,) = told(broadcaster, viewer)
-        assert told(broadcaster, viewer) == []
+        (picture,) = messages_for(broadcaster, viewer)
+        assert messages_for(broadcaster, viewer) == []
         seen.append((picture["since"], picture["frame"]))
         viewer.mark_drawn(picture["frame"])
     assert seen == [(number, number + 1) for number in range(30)]
@@ -43,10 +43,10 @@ def test_a_slow_viewer_gets_the_newest_and_never_a_backlog() -> None:
     mark_sent = 0
     for _ in range(500):
         broadcaster.take()
-        mark_sent += len(told(broadcaster, slow))
+        mark_sent += len(messages_for(broadcaster, slow))
     assert mark_sent == MAX_UNDRAWN
     slow.mark_drawn(5)
-    (picture,) = told(broadcaster, slow)
+    (picture,) = messages_for(broadcaster, slow)
     assert (picture["since"], picture["frame"]) == (0, 500)
 
 
@@ -56,9 +56,9 @@ def test_who_comes_is_not_shown_what_was_when_somebody_looked_last() -> None:
     broadcaster.take()
     emulator.simulation.robots[1].place(300.0, 200.0, 0.0, 0.0)
     late = broadcaster.join(may_act=False)
-    assert told(broadcaster, late) == []
+    assert messages_for(broadcaster, late) == []
     broadcaster.take()
-    (picture,) = told(broadcaster, late)
+    (picture,) = messages_for(broadcaster, late)
     assert (picture["since"], picture["robots"]["1"]["actual"][:2]) == (0, [300, 200])
     assert "world" in picture
 
@@ -77,12 +77,12 @@ def test_news_come_in_order_before_the_picture_and_the_oldest_are_left_out() -> 
     broadcaster.take()
     for number in range(MAX_MESSAGES + 7):
         broadcaster.notify(json.dumps({"type": "x", "number": number}))
-    *news, missed, picture = told(broadcaster, viewer)
+    *news, missed, picture = messages_for(broadcaster, viewer)
     assert [message["number"] for message in news] == list(range(7, MAX_MESSAGES + 7))
     assert missed == {"type": "missed", "count": 7}
     assert picture["type"] == "picture"
     broadcaster.notify("{}")
-    assert told(broadcaster, viewer) == [{}]
+    assert messages_for(broadcaster, viewer) == [{}]
 
 
 def test_traffic_is_for_those_who_watch_it() -> None:
@@ -106,7 +106,8 @@ def test_who_is_gone_is_forgotten() -> None:
 
 
 def test_lasers_are_looked_through_for_the_robots_that_somebody_looks_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    emulator = Emulator(Setting(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200").simulation())
+    config = SimulationConfig(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200")
+    emulator = Emulator(config.simulation())
     broadcaster = Broadcaster(SceneHistory(emulator))
     looked: list[SimulatedRobot] = []
     honest = SimulatedRobot.look_with_laser
@@ -130,10 +131,10 @@ def test_lasers_are_looked_through_for_the_robots_that_somebody_looks_at(monkeyp
     assert seen() == {2}
     second.laser = True
     assert seen() == {2, 3}
-    told(broadcaster, first)
+    messages_for(broadcaster, first)
     second.laser_robot = None
     assert seen() == {1, 2, 3}
     broadcaster.leave(second)
     assert seen() == {2}
-    (picture,) = told(broadcaster, first)
+    (picture,) = messages_for(broadcaster, first)
     assert list(picture["lasers"]) == ["2"]

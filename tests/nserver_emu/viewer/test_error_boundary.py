@@ -118,14 +118,14 @@ def test_one_who_leaves_while_a_robot_answers_later_is_told_that_it_broke_off() 
     async def scenario() -> None:
         async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
             (viewer,) = here.viewer_server.broadcaster.viewers
-            told: list[dict[str, Any]] = []
-            here.daemon.emulator.pace.paused = True
+            picture: list[dict[str, Any]] = []
+            here.daemon.emulator.clock.paused = True
             here.viewer_server.controller.clients(viewer).call(1, "vm", [0, 100, 0], lambda _: None)
             here.daemon.step(0.2)
-            here.viewer_server.controller.clients(viewer).call(1, "zr", [], told.append)
-            assert told == []
+            here.viewer_server.controller.clients(viewer).call(1, "zr", [], picture.append)
+            assert picture == []
             here.viewer_server.controller.clients(viewer).close()
-            assert told == [{"ok": False, "error": "zr: the connection to the robot was closed"}]
+            assert picture == [{"ok": False, "error": "zr: the connection to the robot was closed"}]
             await page.say(do="call", id=10, robot=1, call="st", args=[])
             assert (await page.answer(10))["ok"]
 

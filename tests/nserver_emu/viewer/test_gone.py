@@ -63,7 +63,7 @@ def test_a_page_that_vanished_is_forgotten_and_its_line_let_go(monkeypatch: pyte
         async with serve_viewer(Emulator(simulation())) as here:
             with await dumb_page(here) as end:
                 assert await forgotten(here) < 1.5 * SHORT_S + 2.0
-                assert not here.daemon.emulator.clicks.open
+                assert not here.daemon.emulator.pose_requests.open
                 await told_to_the_end(end)
 
     asyncio.run(scenario())

@@ -29,7 +29,7 @@ GOOD: dict[str, Any] = {
 
 
 def test_refusals_have_the_filter_s_own_names() -> None:
-    assert [refusal.name.lower() for refusal in Refusal] == list(REFUSALS)
+    assert [rejection_reason.name.lower() for rejection_reason in Refusal] == list(REFUSALS)
     assert [trust.value for trust in HealthStatus] == list(TRUSTS)
 
 

@@ -52,8 +52,8 @@ def test_what_clients_did_is_counted_after_they_are_gone() -> None:
     async def scenario() -> None:
         async with serve_viewer(Emulator(simulation())) as here:
             reader, writer = await asyncio.open_connection("127.0.0.1", here.daemon.emulator.port)
-            writer.write(codec.tcp_request(Call("connect_robot", (1, 1))) + codec.tcp_request(Call("gs")))
-            writer.write(codec.tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
+            writer.write(codec.encode_tcp_request(Call("connect_robot", (1, 1))) + codec.encode_tcp_request(Call("gs")))
+            writer.write(codec.encode_tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
             await reader.readexactly(8 + 4 + 4 * 49 + 8)
             for connections in (1, 0):
                 async with here.web.get(f"{here.origin}/metrics") as answer:

@@ -19,7 +19,7 @@ from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.viewer.scene import LASER_INTERVAL, MAX_NEW_POINTS, MAX_REVISIONS, SceneHistory
 from tests.nserver_emu.server.wire_client import meet, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"
@@ -86,9 +86,9 @@ def test_beams_stay_where_they_were_cried_are_told_once_and_end_where_the_robot_
     client.ask("conf_sn", 15, 255, *[0] * 15)
     emulator.pass_time(0.5)
     history.take()
-    told = {beam[0]: beam[1:] for beam in history.since(3)["beams"]["1"]}
-    assert len({x for x, _, _ in told.values()}) == len(told) == 9
-    for sonar, (x, y, way) in told.items():  # 10 in/s, and 20 degrees a second of the turret
+    picture = {beam[0]: beam[1:] for beam in history.since(3)["beams"]["1"]}
+    assert len({x for x, _, _ in picture.values()}) == len(picture) == 9
+    for sonar, (x, y, way) in picture.items():  # 10 in/s, and 20 degrees a second of the turret
         assert (0.0 < x <= 5.0, y, way) == (True, 0.0, pytest.approx(sonar * 0.3926991 + radians(2 * x), abs=2e-5))
     client.ask("place_robot", 500, 500, 0, 0)
     history.take()
@@ -107,21 +107,21 @@ def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
     history.take()
     history.take()
     assert not (CHANGING | DRAWN) & set(history.since(1))
-    client.send("tk", codec.tcp_request(Call("tk", ("hi",))))
+    client.send("tk", codec.encode_tcp_request(Call("tk", ("hi",))))
     client.ask("new_world")
     client.ask("draw_line", 0, 0, 100, 200, 3)
     client.ask("create_robot", 2, 0)
     client.ask("vm", 100, 0, 0)
     emulator.pass_time(1.0)
     history.take()
-    told = history.since(2)
-    assert CHANGING - {"lasers"} <= set(told)
-    assert (told["frame"], told["since"]) == (3, 2)
-    assert told["world"]["obstacles"] == []
-    assert told["drawn"] == {"gone": [1], "come": []}
-    assert "graphics" not in told
-    assert told["said"] == [[0.5, 1, "hi"]]
-    assert set(told["bodies"]) == {"1", "2"}
+    picture = history.since(2)
+    assert CHANGING - {"lasers"} <= set(picture)
+    assert (picture["frame"], picture["since"]) == (3, 2)
+    assert picture["world"]["obstacles"] == []
+    assert picture["drawn"] == {"gone": [1], "come": []}
+    assert "graphics" not in picture
+    assert picture["said"] == [[0.5, 1, "hi"]]
+    assert set(picture["bodies"]) == {"1", "2"}
 
 
 def test_traces_are_told_on_from_where_a_viewer_has_them() -> None:
@@ -160,10 +160,10 @@ def test_who_has_none_that_is_remembered_is_told_everything(number: int) -> None
     history = SceneHistory(a_stage())
     for _ in range(MAX_REVISIONS + 2):
         history.take()
-    told = history.since(number)
-    assert told["since"] == 0
-    assert set(told) >= CHANGING | {"graphics"}
-    assert "drawn" not in told
+    picture = history.since(number)
+    assert picture["since"] == 0
+    assert set(picture) >= CHANGING | {"graphics"}
+    assert "drawn" not in picture
 
 
 def test_drawings_are_told_on_from_where_a_viewer_has_them() -> None:
@@ -197,15 +197,15 @@ def test_what_came_and_went_after_a_picture_was_taken_is_told_with_the_next_and_
         history.take()
         emulator.pass_time(0.2)
         client.ask("draw_line", 0, 0, number % 4, 0, 3 + number % 3)
-        told = history.since(history.number - 1)
-        shapes = [shape for shape in shapes if shape[0] not in told["drawn"]["gone"]] + told["drawn"]["come"]
-        points += told.get("traces", {"1": {"actual": {"points": []}}})["1"]["actual"]["points"]
+        picture = history.since(history.number - 1)
+        shapes = [shape for shape in shapes if shape[0] not in picture["drawn"]["gone"]] + picture["drawn"]["come"]
+        points += picture.get("traces", {"1": {"actual": {"points": []}}})["1"]["actual"]["points"]
     history.take()
-    told = history.since(history.number - 1)
-    shapes = [shape for shape in shapes if shape[0] not in told["drawn"]["gone"]] + told["drawn"]["come"]
+    picture = history.since(history.number - 1)
+    shapes = [shape for shape in shapes if shape[0] not in picture["drawn"]["gone"]] + picture["drawn"]["come"]
     whole = history.since(0)
     assert shapes == whole["graphics"]
-    assert points + told["traces"]["1"]["actual"]["points"] == whole["traces"]["1"]["actual"]["points"]
+    assert points + picture["traces"]["1"]["actual"]["points"] == whole["traces"]["1"]["actual"]["points"]
 
 
 def test_who_missed_more_than_is_remembered_of_the_drawings_looks_at_them_anew() -> None:
@@ -310,9 +310,9 @@ def test_laser_points_stay_on_their_wall_while_the_robot_turns_on() -> None:
     meet(emulator)[0].ask("vm", 0, 0, 450)
     emulator.pass_time(0.2)
     history.take(lasers=None)
-    told = history.since(0)
-    assert told["robots"]["1"]["actual"][3] > 0.3
-    xs, ys = told["lasers"]["1"][::2], told["lasers"]["1"][1::2]
+    picture = history.since(0)
+    assert picture["robots"]["1"]["actual"][3] > 0.3
+    xs, ys = picture["lasers"]["1"][::2], picture["lasers"]["1"][1::2]
     assert set(xs) == {102.2}
     middle = 30.0 + 62.17 * tan(0.2)
     assert min(ys) < middle < max(ys)

@@ -9,7 +9,7 @@ import socket
 import aiohttp
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
@@ -141,7 +141,7 @@ def test_who_may_only_look_does_nothing_else() -> None:
             await page.say(do="call", id=4, robot=1, call="vm", args=[100, 0, 0])
             assert "only looks" in (await page.answer(4))["error"]
             assert here.daemon.emulator.simulation.robots[1].still((0, 1, 2))
-            assert not here.daemon.emulator.clicks.open
+            assert not here.daemon.emulator.pose_requests.open
             await page.socket.send_str("nonsense")
             assert "JSON" in (await page.until(lambda message: message["type"] == "answer"))["error"]
             await page.socket.ping()
@@ -334,7 +334,7 @@ def test_pictures_are_twenty_a_second_on_the_whole_and_come_in_no_bursts() -> No
 def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
     async def scenario() -> None:
         async with serve_viewer(an_emulator()) as here:
-            here.daemon.door.limits = Limits(viewers=1)
+            here.daemon.admission.limits = Limits(viewers=1)
             query, headers = {"token": here.viewer_server.token}, {"Origin": here.origin}
             async with here.page() as page:
                 with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
@@ -352,7 +352,7 @@ def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
 def test_who_only_asks_for_a_websocket_takes_no_place() -> None:
     async def scenario() -> None:
         async with serve_viewer(an_emulator()) as here:
-            here.daemon.door.limits = Limits(viewers=1)
+            here.daemon.admission.limits = Limits(viewers=1)
             query, headers = {"token": here.viewer_server.token}, {"Origin": here.origin}
             for _ in range(2):
                 async with here.web.get(f"{here.origin}/ws", params=query, headers=headers) as answer:
@@ -366,11 +366,11 @@ def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPa
 
     async def scenario() -> None:
         async with serve_viewer(an_emulator()) as here, elsewhere() as outsider:
-            here.daemon.door.access = Access((ipaddress.ip_network("192.0.2.0/24"),))
+            here.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             for path in ("/", "/ws", "/page/main.js", "/health"):
                 async with outsider.get(f"{here.origin}{path}", params={"token": here.viewer_server.token}) as answer:
                     assert (answer.status, await answer.text()) == (403, "this address is not allowed\n")
-            assert here.daemon.door.turned_away == 4
+            assert here.daemon.admission.rejected == 4
             async with here.web.get(f"{here.origin}/", params={"token": here.viewer_server.token}) as answer:
                 assert answer.status == 200  # from the address that he asks: on this machine
 

@@ -24,9 +24,9 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
-        writer.write(codec.tcp_request(Call("connect_robot", (robot_id, 1))))
+        writer.write(codec.encode_tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
-            writer.write(codec.tcp_request(Call("vm", (40, 0, 0))))
+            writer.write(codec.encode_tcp_request(Call("vm", (40, 0, 0))))
             await asyncio.sleep(0.02)
 
     driving, reading = asyncio.create_task(drive()), asyncio.create_task(reader.read())
@@ -147,7 +147,7 @@ def test_who_only_looks_neither_stops_nor_releases() -> None:
             for number, word in enumerate(("stop", "release")):
                 await page.say(do=word, id=number)
                 assert (await page.answer(number))["error"] == "this link only looks"
-            assert here.daemon.emulator.holds.told() == {"1": {"by": "viewer 9", "ignored": 0}}
+            assert here.daemon.emulator.estop.told() == {"1": {"by": "viewer 9", "ignored": 0}}
 
     asyncio.run(scenario())
 
