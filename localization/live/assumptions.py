@@ -29,7 +29,7 @@ from nclient.connect import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.url import parse_address, split_address
 from worlds.io import DEFAULT_WORLD, load_world
-from worlds.schema import read_text, toml_of
+from worlds.schema import parse_toml, read_text
 from worlds.world import World
 
 SIMULATION: Final = "sim"
@@ -91,7 +91,7 @@ def sonar_model_of_address(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values = toml_of(read_text(Path(setup)), setup)
+        values = parse_toml(read_text(Path(setup)), setup)
     except WorldFileError:
         return None
     sonar = values.get("sonar", {})

@@ -32,7 +32,7 @@ import numpy as np
 from localization.filters.belief import HEADING, Belief, Floats, add, difference
 from localization.filters.odometry import LARGEST, POSE, OdometryNoise
 from localization.live.sensor_input import EncoderPose
-from nclient.common.files import read_text, write_whole
+from nclient.common.files import read_text, write_atomic
 from nclient.errors import EstimateFileError
 from worlds.world import World
 
@@ -195,7 +195,7 @@ def save(path: Path, kept: Kept) -> None:
         "mean": kept.belief.mean.tolist(),
         "cov": kept.belief.cov.tolist(),
     }
-    write_whole(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
+    write_atomic(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
 
 
 def load(path: Path) -> Kept:

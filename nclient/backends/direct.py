@@ -36,7 +36,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
 from nclient.protocol.codec import BYTE_HIGHEST
-from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
+from nclient.protocol.commands import NAK_TYPE, Call, Command, exists_on_serial
 from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_framing import SMALLEST_FRAME, SerialFrame, SerialFramer
@@ -285,7 +285,7 @@ class DirectBackend:
         model = self._wire_state.model
         if row.line_type is None:
             raise RobotRefused(row.name, None, "exists only on an Nserver, not on a robot's own line")
-        if not on_line(row, model):
+        if not exists_on_serial(row, model):
             raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
 
     def _ask(self, row: Command, call: Call, request: bytes) -> Reply:
@@ -327,14 +327,14 @@ class DirectBackend:
     def _read(self, frame: SerialFrame) -> Reply:
         """The reply. A laser that an earlier client left in another mode shows by the length, until conf_ls is said."""
         try:
-            return codec.read_line_reply(frame, self._wire_state)
+            return codec.decode_serial_reply(frame, self._wire_state)
         except WireError:
             if self._laser_mode_said or "conf_ls" in self._shaped or not self._wire_state.model.has_laser:
                 raise
             other = self._wire_state.copy()
-            other.note_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
+            other.set_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
-                reply = codec.read_line_reply(frame, other)
+                reply = codec.decode_serial_reply(frame, other)
                 self._wire_state = other
                 return reply
             raise
@@ -437,7 +437,7 @@ class DirectBackend:
 @lru_cache(maxsize=256)
 def _request(call: Call, model: Model) -> bytes:
     """Programs ask the same few things again and again; on a line their bytes hang on the model alone."""
-    return codec.line_request(call, serial_wire_state(model))
+    return codec.encode_serial_request(call, serial_wire_state(model))
 
 
 def _nothing() -> None:
@@ -454,7 +454,7 @@ def say_stop(
     """The frame that answers st; `told` is called for each st said. Raises ReplyTimeout, ConnectionLost."""
     line_type = codec.find_command("st").line_type
     assert line_type is not None
-    request = codec.line_request(Call("st"), serial_wire_state(N150))
+    request = codec.encode_serial_request(Call("st"), serial_wire_state(N150))
     for _ in range(ATTEMPTS):
         told()
         line = Line(stream, LinkStatistics(), clock)  # a new one: the late answer to an earlier st is one to this

@@ -39,7 +39,7 @@ _REFUSED_PORT: Final = {
 }
 """What port 0 means."""
 
-_request = lru_cache(maxsize=256)(codec.tcp_request)
+_request = lru_cache(maxsize=256)(codec.encode_tcp_request)
 """Programs ask the same few things again and again."""
 
 _TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connections)?"
@@ -185,7 +185,7 @@ class NserverBackend:
 
     def _answer_of(self, row: Command, frame: TcpFrame) -> Reply:
         try:
-            return codec.read_tcp_reply(row, frame, self._wire_state)
+            return codec.decode_tcp_reply(row, frame, self._wire_state)
         except WireError as error:
             self._finish(f"{row.name} was answered by what does not fit it")
             raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error

@@ -36,7 +36,7 @@ from worlds.robots import N200 as N200_BODY
 from worlds.robots import SCOUT as SCOUT_BODY
 from worlds.robots import TABLES as CALIBRATION_TABLES
 from worlds.robots import Body, Calibration, parse_calibration
-from worlds.schema import INCHES_PER_UNIT, Table, read_text, toml_of
+from worlds.schema import INCHES_PER_UNIT, Table, parse_toml, read_text
 
 ROLLING: Final = AxisLimits(
     top_speed=20.0,
@@ -136,7 +136,7 @@ def load_models(path: Path) -> Mapping[str, RobotModel]:
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
     """The same from the text of a file; `file` is what errors call it. A model may be like one above it."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("model",))
     models = dict(MODELS)

@@ -31,8 +31,8 @@ from tests.programs import forked
 from tests.programs.forked import Forked
 
 NSERVER = ("nserver", "--port", "0", "--lockstep", "0.1")
-GS = codec.line_request(Call("gs"), serial_wire_state(N150))
-STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
+GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
+STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
 
 
 class Program:

@@ -24,7 +24,7 @@ from nserver_emu.simulation.sonar import SonarNoise
 from tests.nclient.answering import ScriptedServer
 from worlds.io import load_world
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 class Time:
