@@ -168,7 +168,7 @@ async def _visits(house: House, rng: random.Random, rest_s: float, enough: async
     while not enough.is_set():
         for kind in rng.sample(sorted(KINDS), len(KINDS)):
             if not (rounds and enough.is_set()):
-                await house.visit(kind, rng)
+                await house.context(kind, rng)
                 again_s = house.now_s + rng.uniform(0.0, 2.0 * rest_s)
                 while house.now_s < again_s and not enough.is_set():
                     await asyncio.sleep(LOOK_S)

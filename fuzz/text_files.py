@@ -17,8 +17,8 @@ from nclient.faults.plan import KINDS, load_plan, parse_plan, plan_text
 from nserver_emu.legacy_setup import read_setups
 from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import KEYS, load_setup
-from worlds.calibration import FAULTLESS, calibration_text, load_calibration
-from worlds.files import SHIPPED, load_world
+from worlds.io import SHIPPED, load_world
+from worlds.robots import IDEAL_CALIBRATION, format_calibration, load_calibration
 
 _DOCS = Path(__file__).parents[1] / "docs"
 _TOML = (b"=", b"\n", b"[[", b"]]", b"[", b"]", b",", b"#", b".", b'"""', b"'''", b'"', b"0", b"-", b"1e3", b"true",
@@ -113,7 +113,7 @@ def _docs(pattern: str) -> Iterator[bytes]:
 
 
 def _calibration() -> list[bytes]:
-    return [calibration_text("n150", FAULTLESS, "faultless").encode(), _MODEL]
+    return [format_calibration("n150", IDEAL_CALIBRATION, "faultless").encode(), _MODEL]
 
 
 def _toml(

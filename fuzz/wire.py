@@ -29,12 +29,12 @@ from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer, build_fram
 from nclient.protocol.tcp_framing import TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import MODELS, N150, N200, SCOUT
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.recording.readable import told
+from nclient.recording.format import format_frame
 from nclient.recording.recorder import LINES, FrameDecoder
 from nclient.robot import Robot
 from nclient.transports.stream import Deadline
-from nserver_emu.server.serial_session import NAK, LineSession
-from nserver_emu.server.session import Session, Visit, error_reply
+from nserver_emu.server.serial_session import NAK, SerialSession
+from nserver_emu.server.session import ConnectionContext, Session, error_reply
 
 _VECTORS = Path(__file__).parents[1] / "tests" / "vectors"
 _LINE_MODELS = (N150, SCOUT, N200)
@@ -79,27 +79,27 @@ def _tcp_requests(data: bytes) -> None:
     _feed(Session(_tcp_answer), split(data[0] if data else 0, data[1:]))
 
 
-def _feed(session: Session | LineSession, parts: list[bytes]) -> None:
+def _feed(session: Session | SerialSession, parts: list[bytes]) -> None:
     for part in parts:
         session.receive(part)
         while session.ready:
-            session.answers(100)
+            session.process_requests(100)
 
 
-def _tcp_answer(call: Call, visit: Visit) -> Any:
+def _tcp_answer(call: Call, context: ConnectionContext) -> Any:
     if call.name in ("connect_robot", "create_robot"):
-        visit.robot_id = call.args[0]
+        context.robot_id = call.args[0]
     return error_reply(_UNAVAILABLE)
 
 
 def _line_requests(data: bytes) -> None:
     clock = itertools.count()
     model = _LINE_MODELS[data[1] % 3] if len(data) > 1 else N150
-    session = LineSession(lambda _call, _visit: NAK, 1, model, lambda: next(clock) * 0.05)
+    session = SerialSession(lambda _call, _visit: NAK, 1, model, lambda: next(clock) * 0.05)
     _feed(session, split(data[0] if data else 0, data[2:]))
     for _ in range(_MAX_TICKS):
         session.tick()
-        session.answers(100)
+        session.process_requests(100)
         if not session.unfinished:
             break
 
@@ -187,7 +187,7 @@ def _captures(data: bytes) -> None:
         size = data[at] & 127
         turn = data[at + 1 : at + 1 + size]
         for found in follower.to_host(turn) if data[at] > 127 else follower.to_robot(turn):
-            told(found)
+            format_frame(found)
         at += 1 + size
     json.dumps(follower.clock_s)
 

@@ -44,7 +44,7 @@ from nclient.faults.inject import FaultyLine, FaultyStream
 from nclient.faults.plan import require_rules_for
 from nclient.protocol.types import MODELS, Model
 from nclient.recording.format import Recording, read_recording
-from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ProgramsRecording, Recorded
+from nclient.recording.recorder import HANDSHAKE_FIRST, TCP, ClientRecording, RecordingTarget
 from nclient.recording.replayer import STRICT, Player, RecordedConnection, ReplayPeer, load_exchanges
 from nclient.robot import Robot
 from nclient.transports import memory, serial, tcp
@@ -113,7 +113,7 @@ class Connector:
         self.plan_injector: Injector | None = None
         self._injector = injector
         self._create = options.create
-        self._recorder: ProgramsRecording | None = None
+        self._recorder: ClientRecording | None = None
         self._recording: Recording | None = None
         self._replayed: RecordedConnection | None = None
         self._replays = 0
@@ -234,7 +234,7 @@ class Connector:
             if self.address.options.record:
                 if self._recorder is None:
                     self._recorder = self._open_recorder(Path(self.address.options.record))
-                stream = self._recorder.around(stream)
+                stream = self._recorder.wrap(stream)
             if injector := self._current_injector():
                 greets = self.wire == HANDSHAKE_FIRST and self.model.sends_mask
                 language = TcpLanguage(wide=False) if self.wire == TCP else LineLanguage(greets)
@@ -244,13 +244,13 @@ class Connector:
             raise
         return stream
 
-    def _open_recorder(self, path: Path) -> ProgramsRecording:
-        header = Recorded(self.address.stripped_text, self.wire, self.model)
+    def _open_recorder(self, path: Path) -> ClientRecording:
+        header = RecordingTarget(self.address.stripped_text, self.wire, self.model)
         if self.address.in_process:
             # Simulated time: entries carry the robot's clock, so that the same run gives the same file.
-            return ProgramsRecording(path, header)
+            return ClientRecording(path, header)
         start_s = time.monotonic()
-        return ProgramsRecording(path, header, lambda: time.monotonic() - start_s, datetime.now(UTC))
+        return ClientRecording(path, header, lambda: time.monotonic() - start_s, datetime.now(UTC))
 
     def _current_injector(self) -> Callable[[], Injector] | None:
         plan = self.address.options.faults

@@ -22,7 +22,7 @@ from nclient.protocol.client_state import ClientState
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
-from nclient.protocol.types import Model, rad_from_tenths, tenths_from_rad, unwrapped_word
+from nclient.protocol.types import Model, rad_from_tenths, tenths_from_rad, unwrap_word
 from nclient.state import Pose, RobotState, Truth, snapshot
 from nclient.units import Points, points_tenths, tenths_of
 
@@ -310,7 +310,7 @@ class RobotWorld(RobotLink):
         """
         _, time_ms, x, y, heading, turret, seed, robot_id = self._values("sim_truth", at_least=8)
         angles = (math.radians(heading / 1000), math.radians(turret / 1000))
-        return Truth(x / 1000, y / 1000, *angles, time_s=unwrapped_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
+        return Truth(x / 1000, y / 1000, *angles, time_s=unwrap_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
 
     def is_simulated(self) -> bool:
         """Whether the other end is a simulation of ours, which knows the truth. Asks with sim_truth.

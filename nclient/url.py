@@ -23,7 +23,7 @@ from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
 from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 from nclient.faults.plan import Plan, load_plan
-from nclient.protocol.types import N150, Model, model_named
+from nclient.protocol.types import N150, Model, get_model
 from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
 from nclient.recording.replayer import ORDERS
 from nclient.transports import memory
@@ -167,7 +167,7 @@ class Option:
 
 OPTIONS: Final[tuple[Option, ...]] = (
     Option("timeout_s", seconds, _REMOTE),
-    Option("model", model_named, _REMOTE),
+    Option("model", get_model, _REMOTE),
     Option("baud", baud, _SERIAL_PORT),
     Option("checks", flag, _SERIAL_PROTOCOL),
     Option("order", one_of(ORDERS), _REPLAY),
@@ -340,7 +340,7 @@ def parse_address(text: str) -> Address:
     values = {option.name: option.default for option in options if raw.scheme in option.default_for}
     values |= raw.parse_options({option.name: option.parse for option in options}, ignore_unknown=is_foreign)
     if is_foreign:
-        values["model"] = model_named(raw.options.get("robot", N150.name))
+        values["model"] = get_model(raw.options.get("robot", N150.name))
 
     # 3. Place: host and port, device, or file.
     place = {} if is_foreign else _parse_place(raw, scheme)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from nclient.recording.format import LONGEST_LINE
 from nserver_emu.server.limits import SNAPSHOT_BYTES, TABLE
-from worlds.texts import MOST_BYTES
+from worlds.schema import MOST_BYTES
 
 
 def blocks() -> dict[str, Iterator[str]]:

@@ -8,7 +8,7 @@ from typing import Final
 
 from nserver_emu.simulation.noise import KEYS, POLAROID, RAY, SETUPS, Key, RobotSetup
 from nserver_emu.simulation.sonar import SonarNoise
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 
 NOT_THERE: Final = "—"
 

@@ -17,7 +17,7 @@ from localization.filters.belief import Floats
 from localization.live.run import Run
 from nclient.common.files import describe_write_error
 from nclient.errors import ExtraMissing, OutputFileError
-from worlds.bodies import Body
+from worlds.robots import Body
 from worlds.world import World
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
 from nclient.protocol.codec import BYTE_HIGHEST
-from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
+from nclient.protocol.commands import NAK_TYPE, Call, Command, exists_on_serial
 from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_framing import SMALLEST_FRAME, SerialFrame, SerialFramer
@@ -316,7 +316,7 @@ class DirectBackend:
             return split_wait(call, BYTE_HIGHEST, self.execute)
 
         # 2. One exchange, once no older reply can be taken for this one.
-        self._require_on_line(row)
+        self._require_exists_on_serial(row)
         request = _encode(call, self._wire_state.model)
         try:
             self._resynchronize(row, request)
@@ -336,12 +336,12 @@ class DirectBackend:
 
     # one exchange
 
-    def _require_on_line(self, row: Command) -> None:
+    def _require_exists_on_serial(self, row: Command) -> None:
         """Raise RobotRefused for a command that the serial line of this model does not have."""
         model = self._wire_state.model
         if row.line_type is None:
             raise RobotRefused(row.name, None, "exists only on an Nserver, not on a robot's own line")
-        if not on_line(row, model):
+        if not exists_on_serial(row, model):
             raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
 
     def _request(self, row: Command, call: Call, request: bytes) -> Reply:
@@ -389,7 +389,7 @@ class DirectBackend:
         shows which.
         """
         try:
-            return codec.read_line_reply(frame, self._wire_state)
+            return codec.decode_serial_reply(frame, self._wire_state)
         except WireError:
             if (
                 self._laser_mode_is_certain
@@ -398,9 +398,9 @@ class DirectBackend:
             ):
                 raise
             other = self._wire_state.copy()
-            other.note_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
+            other.set_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
-                reply = codec.read_line_reply(frame, other)
+                reply = codec.decode_serial_reply(frame, other)
                 self._wire_state = other
                 return reply
             raise
@@ -509,7 +509,7 @@ class DirectBackend:
 @lru_cache(maxsize=256)
 def _encode(call: Call, model: Model) -> bytes:
     """Return the bytes of a request, cached: programs repeat the same few, and the bytes depend on the model alone."""
-    return codec.line_request(call, serial_wire_state(model))
+    return codec.encode_serial_request(call, serial_wire_state(model))
 
 
 def send_emergency_stop(
@@ -543,7 +543,7 @@ def send_emergency_stop(
     """
     line_type = codec.find_command("st").line_type
     assert line_type is not None
-    request = codec.line_request(Call("st"), serial_wire_state(N150))
+    request = codec.encode_serial_request(Call("st"), serial_wire_state(N150))
     for _ in range(STOP_ATTEMPTS):
         on_sent()
         link = SerialLink(stream, LinkStatistics(), clock)  # a new one, for which a late reply to an earlier st counts

@@ -47,7 +47,7 @@ _NO_NSERVER_HINT: Final = (
 )
 """For a first reply that no Nserver would send."""
 
-_encode = lru_cache(maxsize=256)(codec.tcp_request)
+_encode = lru_cache(maxsize=256)(codec.encode_tcp_request)
 """Cached: programs repeat the same few requests."""
 
 
@@ -217,7 +217,7 @@ class NserverBackend:
 
     def _decode(self, row: Command, frame: TcpFrame) -> Reply:
         try:
-            return codec.read_tcp_reply(row, frame, self._wire_state)
+            return codec.decode_tcp_reply(row, frame, self._wire_state)
         except WireError as error:
             self._finish(f"{row.name} was answered by a reply that does not fit it")
             raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error

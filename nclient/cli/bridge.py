@@ -27,8 +27,7 @@ from nclient.common.idle import IdleMonitor
 from nclient.connect import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model
-from nclient.recording.format import IN, OUT, Entry
-from nclient.recording.readable import lines_of
+from nclient.recording.format import IN, OUT, Entry, format_entry
 from nclient.recording.recorder import FrameDecoder, RecordingStream
 from nclient.transports.stream import ByteStream, Deadline
 from nclient.url import parse_address
@@ -140,5 +139,5 @@ class _Shown:
         """Nothing more to show."""
 
     def _show(self, kind: str, data: bytes, decoded: list[dict[str, object]]) -> None:
-        for line in lines_of(Entry(time.monotonic() - self._start_s, kind, "", data, tuple(decoded))):
+        for line in format_entry(Entry(time.monotonic() - self._start_s, kind, "", data, tuple(decoded))):
             print(line, flush=True)

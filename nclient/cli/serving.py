@@ -69,7 +69,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _port_door(options: argparse.Namespace, may: str) -> TcpListener:
-    rule = allowlist.access_of(options)
+    rule = allowlist.allowlist_from_options(options)
     told: set[str] = set()
 
     def turned_away(host: str, reason: str) -> None:
@@ -78,7 +78,7 @@ def _port_door(options: argparse.Namespace, may: str) -> TcpListener:
             tell(f"{host}: turned away: {reason} (of further ones nothing is said)")
 
     door = TcpListener(options.bind, options.listen,
-                   lambda host, at: "" if rule.admits(host, at) else allowlist.NOT_ALLOWED, turned_away)
+                   lambda host, at: "" if rule.allows(host, at) else allowlist.NOT_ALLOWED, turned_away)
     if open_to := allowlist.warning(options.bind, rule, may):
         tell(open_to)
     return door

@@ -61,7 +61,7 @@ def call_of(order: ParsedCommand, wire_state: WireState, smask: Sequence[int], p
     row = _row(order.name, wire_state)
     call = Call(row.name, _arguments(row, order.values, smask, pid))
     if not wire_state.line:
-        codec.tcp_request(call)
+        codec.encode_tcp_request(call)
     elif beyond := describe_serial_overflow(call):
         raise WireError(beyond)
     return call
@@ -93,7 +93,7 @@ def _arguments(row: Command, values: tuple[Value, ...], smask: Sequence[int], pi
     if any(number != int(number) for number in numbers):
         raise ShellError(f"{row.name}: whole numbers are wanted (tenths, as in C), not {_shown(values)}")
     whole = tuple(map(int, numbers))
-    return (*whole, pid) if row.beside is not None and row.beside[0] == "pid" else whole
+    return (*whole, pid) if row.extra_arguments is not None and row.extra_arguments[0] == "pid" else whole
 
 
 def _mask(values: tuple[Value, ...], smask: Sequence[int]) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from nclient.common.hints import suggest
 from nclient.errors import ShellError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import unwrapped_word
+from nclient.protocol.types import unwrap_word
 from nclient.state import NOTHING_IN, RobotState
 
 _SECTOR_DEG = 22.5
@@ -192,7 +192,7 @@ def _truth(reply: Reply) -> Iterator[str]:
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
     yield (
         f"in truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
-        f"turret {turret / 1000:.3f} deg | {unwrapped_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
+        f"turret {turret / 1000:.3f} deg | {unwrap_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
     )
 
 

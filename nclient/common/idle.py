@@ -16,7 +16,7 @@ from typing import Final
 from nclient.backends.nserver import CLICK_S, ORDINARY_S
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
-from nclient.recording.replayer import Asked, Questions
+from nclient.recording.replayer import RequestKey, RequestReader
 
 SILENT_S: Final = 5.0
 """As long as connect() lets a robot wait for its program before it stops by itself."""
@@ -54,7 +54,7 @@ class IdleMonitor:
 
     def __init__(self, silence: IdleTimer, line: str, model: Model) -> None:
         self._silence = silence
-        self._questions = Questions(line, model)
+        self._questions = RequestReader(line, model)
         self._one_at_a_time = threading.Lock()
 
     def to_robot(self, data: bytes) -> None:
@@ -69,7 +69,7 @@ class IdleMonitor:
                 self._silence.answered()
 
 
-def _answer_s(asked: Asked) -> float:
+def _answer_s(asked: RequestKey) -> float:
     """How long an answer may take besides the way; 0 for what is answered at once."""
     if asked.name == "ws":
         return float(max(0, asked.args[-1]))

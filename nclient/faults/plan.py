@@ -39,7 +39,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from nclient.common.files import read_text, toml_of
+from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
 from nclient.errors import FaultPlanError
 from nclient.protocol.codec import no_command
@@ -272,7 +272,7 @@ class When:
         """Whether the rule is in force so long after the plan began."""
         return self.from_s <= elapsed_s < self.until_s
 
-    def strikes(self, number: int, draw: float) -> bool:
+    def matches(self, number: int, draw: float) -> bool:
         """Whether it strikes the frame of that number, counted from 1; `draw`: chance, 0 to below 1."""
         if self.every is not None:
             return number % self.every == 0
@@ -395,7 +395,7 @@ def read_plan(path: Path) -> str:
 
 def parse_plan(text: str, file: str = "plan") -> Plan:
     """The plan that a text says; `file` is what errors call it. Raises FaultPlanError."""
-    top = toml_of(text, file, FaultPlanError)
+    top = parse_toml(text, file, FaultPlanError)
     try:
         _allow(top, ("seed", "rule"))
         tables = top.get("rule", [])

@@ -111,5 +111,5 @@ def build_handshake(hello: Handshake) -> bytes:
 
 def apply_handshake(hello: Handshake, wire_state: WireState) -> None:
     """What a hello changes for the replies that follow it."""
-    wire_state.note_mask(hello.mask)
-    wire_state.note_laser_mode(hello.laser_mode)
+    wire_state.set_mask(hello.mask)
+    wire_state.set_laser_mode(hello.laser_mode)

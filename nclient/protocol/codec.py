@@ -38,7 +38,7 @@ from nclient.protocol.commands import (
     REPLY_TYPES,
     Call,
     Command,
-    on_line,
+    exists_on_serial,
 )
 from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED
 from nclient.protocol.replies import Reply, one_line
@@ -113,9 +113,9 @@ def update_from_request(call: Call, wire_state: WireState) -> None:
     """What a request changes for the replies that follow it, its own included where PROTOCOL.md says so."""
     match call.name:
         case "ct":
-            wire_state.note_mask(Mask(call.args))
+            wire_state.set_mask(Mask(call.args))
         case "conf_ls":
-            wire_state.note_laser_mode(call.args[0])
+            wire_state.set_laser_mode(call.args[0])
         case "get_sg" if not wire_state.line:
             wire_state.laser_width = LINES
         case "get_ls" if not wire_state.line and wire_state.laser_mode in TCP_LINE_MODES:
@@ -124,7 +124,7 @@ def update_from_request(call: Call, wire_state: WireState) -> None:
             pass
 
 
-def tcp_request(call: Call, *, wide: bool = False) -> bytes:
+def encode_tcp_request(call: Call, *, wide: bool = False) -> bytes:
     """The bytes of a call over TCP. Raises WireError when its arguments cannot be sent."""
     row = find_command(call.name)
     if row.tcp_type is None:
@@ -132,7 +132,7 @@ def tcp_request(call: Call, *, wide: bool = False) -> bytes:
     return tcp_framing.build_frame(row.tcp_type, _build(row, row.tcp_request, call.args), wide=wide)
 
 
-def tcp_call(frame: TcpFrame) -> Call:
+def decode_tcp_request(frame: TcpFrame) -> Call:
     """The call that a request frame is. Raises WireError when the numbers are none it can have."""
     row = BY_TCP_TYPE.get(frame.type)
     if row is None:
@@ -141,23 +141,23 @@ def tcp_call(frame: TcpFrame) -> Call:
     return _call(row, frame.payload[_SPECIAL_TYPE_WORD] if special else None, frame.payload, line=False)
 
 
-def tcp_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
+def encode_tcp_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
     """The bytes of the answer to a command over TCP; an error reply goes by its own layout."""
     layout = shape.ERROR if reply.kind == "error" else row.tcp_reply
     payload = layout.build(reply, wire_state)
     return tcp_framing.build_frame(REPLY_TYPES[layout], payload, wide=wire_state.wide, reply=True)
 
 
-def read_tcp_reply(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply:
+def decode_tcp_reply(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply:
     """The answer to a command, out of its frame. Only the type of an error is looked at, as old clients do."""
     layout = shape.ERROR if frame.type == ERROR_TYPE else row.tcp_reply
     return layout.parse(frame.payload, wire_state)
 
 
-def line_request(call: Call, wire_state: WireState) -> bytes:
+def encode_serial_request(call: Call, wire_state: WireState) -> bytes:
     """The bytes of a call on the robot's own line. Raises WireError when this model's line does not have it."""
     row = find_command(call.name)
-    if row.line_type is None or not on_line(row, wire_state.model):
+    if row.line_type is None or not exists_on_serial(row, wire_state.model):
         raise WireError(f"{call.name} does not exist on the line of a {wire_state.model.name}")
     beyond = describe_serial_overflow(call)
     if beyond:
@@ -168,16 +168,16 @@ def line_request(call: Call, wire_state: WireState) -> bytes:
     return frame
 
 
-def line_call(frame: SerialFrame, wire_state: WireState) -> Call:
+def decode_serial_request(frame: SerialFrame, wire_state: WireState) -> Call:
     """The call that a frame from a host is. Raises WireError for a type or data that this model does not have."""
     row = BY_LINE_TYPE.get(frame.type)
-    if row is None or not on_line(row, wire_state.model):
+    if row is None or not exists_on_serial(row, wire_state.model):
         raise WireError(f"type {frame.type} does not exist on the line of a {wire_state.model.name}")
     special = row.name == "special_request" and len(frame.data) > _SPECIAL_TYPE_BYTE
     return _call(row, frame.data[_SPECIAL_TYPE_BYTE] if special else None, frame.data, line=True)
 
 
-def line_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
+def encode_serial_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
     """The bytes of a robot's answer on its own line; a nak goes by its own type."""
     if reply.kind == "nak":
         return serial_framing.build_frame(NAK_TYPE)
@@ -186,12 +186,12 @@ def line_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
     return serial_framing.build_frame(row.line_type, row.line_reply.build(reply, wire_state))
 
 
-def read_line_reply(frame: SerialFrame, wire_state: WireState) -> Reply:
+def decode_serial_reply(frame: SerialFrame, wire_state: WireState) -> Reply:
     """A robot's answer out of its frame, which names the command. Raises WireError for one that fits none."""
     if frame.type == NAK_TYPE:
         return shape.LINE_NAK.parse(frame.data, wire_state)
     row = BY_LINE_TYPE.get(frame.type)
-    if row is None or not on_line(row, wire_state.model):
+    if row is None or not exists_on_serial(row, wire_state.model):
         raise WireError(f"no answer of type {frame.type} comes from a {wire_state.model.name}")
     return row.line_reply.parse(frame.data, wire_state)
 

@@ -124,14 +124,14 @@ def describe_call(call: Call) -> dict[str, Any]:
 
     connect_robot, disconnect_robot, create_robot: pid; ct: mask, 44 numbers; special_request: packet_type.
     """
-    args, beside = list(call.args), {}
+    args, extra_arguments = list(call.args), {}
     row = BY_NAME[call.name]
-    if row.beside:
-        name, place = row.beside
+    if row.extra_arguments:
+        name, place = row.extra_arguments
         taken = args[place]
         del args[place]
-        beside[name] = taken if len(taken) > 1 else taken[0]
-    return {"to": "robot", "call": call.name, "args": args} | beside
+        extra_arguments[name] = taken if len(taken) > 1 else taken[0]
+    return {"to": "robot", "call": call.name, "args": args} | extra_arguments
 
 
 def describe_client_state(client_state: ClientState) -> dict[str, Any]:
@@ -217,14 +217,14 @@ class _TcpEnds:
         self._outstanding: deque[tuple[Command, WireState]] = deque(maxlen=MOST_OUTSTANDING)
 
     def call(self, data: bytes) -> Call:
-        return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.wire_state.wide))
+        return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.wire_state.wide))
 
     def expect(self, row: Command) -> None:
         if row.has_tcp_reply and row.tcp_type is not None:
             self._outstanding.append((row, self.wire_state.copy()))
 
     def answer(self, data: bytes) -> _Answer:
-        frame = tcp_framing.only_frame(data, reply_bounds, self.wire_state.wide)
+        frame = tcp_framing.parse_single_frame(data, reply_bounds, self.wire_state.wide)
         for place, (row, wire_state) in enumerate(self._outstanding):
             reply = _fitting(row, frame, wire_state)
             if reply:
@@ -248,7 +248,7 @@ def _fitting(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply | No
     if frame_type not in (ERROR_TYPE, REPLY_TYPES[row.tcp_reply]):
         return None
     try:
-        return codec.read_tcp_reply(row, frame, wire_state)
+        return codec.decode_tcp_reply(row, frame, wire_state)
     except WireError:
         return None
 
@@ -262,15 +262,17 @@ class _LineEnds:
         self._may_greet = model.sends_mask
 
     def call(self, data: bytes) -> Call:
-        return codec.line_call(serial_framing.only_frame(data, serial_framing.HOST_LIMIT), self.wire_state)
+        return codec.decode_serial_request(
+            serial_framing.parse_single_frame(data, serial_framing.HOST_LIMIT), self.wire_state
+        )
 
     def expect(self, row: Command) -> None:
         self._asked = row
 
     def answer(self, data: bytes) -> _Answer | client_state.Handshake:
         try:
-            frame = serial_framing.only_frame(data)
-            reply = codec.read_line_reply(frame, self.wire_state)
+            frame = serial_framing.parse_single_frame(data)
+            reply = codec.decode_serial_reply(frame, self.wire_state)
         except WireError:
             framed = data[:1] + data[-1:] == bytes((serial_framing.START, serial_framing.END))
             if not self._may_greet or len(data) != client_state.HANDSHAKE_SIZE or framed:
@@ -311,7 +313,7 @@ def model_mismatch_hint(model: Model, data: bytes | None = None) -> str:
 def _read(data: bytes, model: Model, laser_mode: int | None = None) -> Reply | None:
     wire_state = serial_wire_state(model)
     if laser_mode is not None:
-        wire_state.note_laser_mode(laser_mode)
+        wire_state.set_laser_mode(laser_mode)
     try:
         return LINE_STATE.parse(data, wire_state)
     except WireError:

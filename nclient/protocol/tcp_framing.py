@@ -54,7 +54,7 @@ def reply_bounds(message_type: int) -> tuple[int, int] | None:
     return None if most is None else (1, most)
 
 
-def shorter(bounds: Bounds, most_words: int) -> Bounds:
+def limit_words(bounds: Bounds, most_words: int) -> Bounds:
     """The same bounds, but no message longer than so many words."""
 
     def shortened(message_type: int) -> tuple[int, int] | None:
@@ -72,7 +72,7 @@ def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: b
     return _HEADER.pack(frame_type, words) + (_widen(payload, reply) if wide else payload)
 
 
-def only_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
+def parse_single_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
     """The one message that these bytes are, nothing behind it. Raises WireError, saying what is wrong."""
     framer = TcpFramer(bounds, wide)
     found = framer.receive(data)

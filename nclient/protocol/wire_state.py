@@ -48,11 +48,11 @@ class WireState:
         """These terms as they are now."""
         return replace(self)
 
-    def note_mask(self, mask: Mask) -> None:
+    def set_mask(self, mask: Mask) -> None:
         """A ct request went over the wire."""
         self.mask = mask
 
-    def note_laser_mode(self, mode: int) -> None:
+    def set_laser_mode(self, mode: int) -> None:
         """A conf_ls request went over the wire: it sets mode and shape anew."""
         self.laser_mode = mode
         self.laser_width = line_laser_width(mode) if self.line else tcp_laser_width(mode)

@@ -36,7 +36,7 @@ from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
 from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import Model
 from nclient.protocol.wire_state import WireState
-from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, LogWriter
+from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, RecordingWriter
 from nclient.transports.stream import ByteStream, Deadline
 
 TCP, SERIAL, HANDSHAKE_FIRST = "tcp", "serial", "hello"
@@ -58,7 +58,7 @@ class FrameTap(Protocol):
     wide: bool
     """Whether the client is known to be one of 64 bits."""
 
-    def take_up(self, wide: bool) -> None: ...
+    def resume(self, wide: bool) -> None: ...
     def to_robot(self, data: bytes) -> list[Frame]: ...
     def to_host(self, data: bytes) -> list[Frame]: ...
 
@@ -76,9 +76,9 @@ class FrameDecoder:
         self._line, self._model = line, model
         self._transcript: WireDecoder | None = None
 
-    def take_up(self, wire_state: WireState) -> None:
+    def resume(self, wire_state: WireState) -> None:
         """Listen to a connection that went on unheard so far and has come to these terms; between two requests."""
-        self._ears.take_up(wire_state.wide)
+        self._ears.resume(wire_state.wide)
         self._whole().agree(wire_state)
 
     def to_robot(self, data: bytes) -> list[Decoded]:
@@ -115,7 +115,7 @@ class TcpFrameTap:
         self._replies = TcpFramer(reply_bounds, wide=False)
         self.wide = False
 
-    def take_up(self, wide: bool) -> None:
+    def resume(self, wide: bool) -> None:
         self._requests.wide = self._replies.wide = self.wide = wide
 
     def to_robot(self, data: bytes) -> list[Frame]:
@@ -145,7 +145,7 @@ class SerialFrameTap:
         self._answers = SerialFramer()
         self._hello: bytes | None = b"" if has_handshake else None
 
-    def take_up(self, wide: bool) -> None:
+    def resume(self, wide: bool) -> None:
         del wide
         self._hello = None
 
@@ -202,7 +202,10 @@ class Recorder:
     """
 
     def __init__(
-        self, log: LogWriter, clock: Callable[[], float] | None = None, line_clock: Callable[[], float] | None = None
+        self,
+        log: RecordingWriter,
+        clock: Callable[[], float] | None = None,
+        line_clock: Callable[[], float] | None = None,
     ) -> None:
         self._log = log
         self._clock = clock
@@ -216,7 +219,7 @@ class Recorder:
         self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name} | whose)
         return tape
 
-    def stepped(self, dt_s: float) -> None:
+    def record_step(self, dt_s: float) -> None:
         """So much simulated time passed in one piece, not by a request."""
         if self._steps and self._steps[-1][0] == dt_s:
             self._steps[-1] = (dt_s, self._steps[-1][1] + 1)
@@ -225,11 +228,11 @@ class Recorder:
             self.write(TIME, "", 0.0)
         self._steps.append((dt_s, 1))
 
-    def paced(self, factor: float | None, paused: bool) -> None:
+    def record_pace(self, factor: float | None, paused: bool) -> None:
         """Time goes otherwise from now on, by no request; State[0] shows it."""
         self.write(TIME, "", 0.0, more={"pace": [factor, paused]})
 
-    def changed(self, what: Mapping[str, Any]) -> None:
+    def record_change(self, what: Mapping[str, Any]) -> None:
         """The simulation was changed so from now on, by no request."""
         self.write(TIME, "", 0.0, more=dict(what))
 
@@ -293,26 +296,26 @@ class _Off:
 
     def to_host(self, data: bytes, by_time: bool = False) -> None: ...
 
-    def stepped(self, dt_s: float) -> None: ...
+    def record_step(self, dt_s: float) -> None: ...
 
-    def paced(self, factor: float | None, paused: bool) -> None: ...
+    def record_pace(self, factor: float | None, paused: bool) -> None: ...
 
-    def changed(self, what: Mapping[str, Any]) -> None: ...
+    def record_change(self, what: Mapping[str, Any]) -> None: ...
 
     def close(self) -> None: ...
 
 
-OFF: Final = _Off()
+NULL_RECORDER: Final = _Off()
 """What whoever is not recorded hands things to."""
 
 
-class AnyRecorder(Protocol):
+class TrafficRecorder(Protocol):
     """What a daemon hands things to, whether they are written down, looked at, or neither."""
 
     def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder: ...
-    def stepped(self, dt_s: float) -> None: ...
-    def paced(self, factor: float | None, paused: bool) -> None: ...
-    def changed(self, what: Mapping[str, Any]) -> None: ...
+    def record_step(self, dt_s: float) -> None: ...
+    def record_pace(self, factor: float | None, paused: bool) -> None: ...
+    def record_change(self, what: Mapping[str, Any]) -> None: ...
     def close(self) -> None: ...
 
 
@@ -344,7 +347,7 @@ class RecordingStream:
             self._tape.close()
 
 
-class Recorded(NamedTuple):
+class RecordingTarget(NamedTuple):
     """Whom a program records: the address, the language (one of follower.LINES) and the robot's model."""
 
     address: str
@@ -352,7 +355,7 @@ class Recorded(NamedTuple):
     model: Model
 
 
-class ProgramsRecording:
+class ClientRecording:
     """What one program records of one address, over however many connections.
 
     clock    seconds since the start; None: the robot's own clock, so that the same run is the same file
@@ -362,7 +365,11 @@ class ProgramsRecording:
     """
 
     def __init__(
-        self, path: Path, what: Recorded, clock: Callable[[], float] | None = None, started: datetime | None = None
+        self,
+        path: Path,
+        what: RecordingTarget,
+        clock: Callable[[], float] | None = None,
+        started: datetime | None = None,
     ) -> None:
         header = {
             "package": version(),
@@ -370,11 +377,11 @@ class ProgramsRecording:
             "time": "the robot's clock" if clock is None else "seconds since the start",
             "address": what.address, "wire": what.line, "model": what.model.name,
         }  # fmt: skip
-        self._recorder = Recorder(LogWriter(path, header), clock)
+        self._recorder = Recorder(RecordingWriter(path, header), clock)
         self._line, self._model = what.line, what.model
         self._count = 0
 
-    def around(self, stream: ByteStream) -> RecordingStream:
+    def wrap(self, stream: ByteStream) -> RecordingStream:
         """The stream, recorded."""
         self._count += 1
         tape = self._recorder.open(str(self._count), self._line, self._model)

@@ -39,7 +39,7 @@ from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCo
 from nserver_emu.control.options import socket_path
 from nserver_emu.control.socket import LONGEST_LINE, default_path
 from nserver_emu.simulation.noise import PARTS, SETUPS
-from worlds.files import world_text
+from worlds.io import read_world_text
 
 Said = dict[str, Any]
 NO_ANSWER: Final = "what answers there is no nserver of this version"
@@ -237,7 +237,7 @@ def _argument(name: str, given: str | None) -> object:
         case "faults set", str():
             return {"file": given, "text": read_plan(Path(given))}
         case "world set", str():
-            return {"file": given, "text": world_text(given)[0]}
+            return {"file": given, "text": read_world_text(given)[0]}
         case "save", str():
             return str(Path(given).absolute())
         case _:

@@ -46,9 +46,9 @@ import numpy as np
 import numpy.typing as npt
 
 from nserver_emu.simulation.segments import short_way, to_s
-from worlds.bodies import SONARS, Body
 from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import SONARS, Body
 
 ComplexArray = npt.NDArray[np.complex128]
 

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 from nserver_emu.simulation.axis import TIME_TOLERANCE_S, Axis, AxisLimits
 from nserver_emu.simulation.collision import TOUCH_IN, Contact, Course, Ground, Thing, first_contact, pressed
 from nserver_emu.simulation.segments import Pose, Stretch, once_round, short_way
-from worlds.bodies import Body
+from worlds.robots import Body
 
 NO_AXIS: Final = AxisLimits(
     top_speed=0.0,

@@ -19,9 +19,9 @@ import numpy as np
 from nserver_emu.simulation.segments import NEVER_PS, PS_PER_S, Stamp
 from nserver_emu.simulation.sonar import UNFIRED
 from nserver_emu.simulation.visibility import Eye
-from worlds.bodies import Body
 from worlds.geometry import FloatArray, normals
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import Body
 
 INFRAREDS: Final = 16
 NOTHING: Final = 15

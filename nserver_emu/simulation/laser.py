@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 
 from nserver_emu.simulation.visibility import Eye
-from worlds.bodies import Body
 from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import Body
 
 COLUMNS: Final = 482
 WIDTH_RAD: Final = radians(60.0)

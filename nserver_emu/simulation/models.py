@@ -11,7 +11,7 @@ Model files: TOML in, robot models out, each made from one that is known. It and
     radius, sonar_ring_radius     of the body; track: between the wheels of a differential drive
     bumpers                       how many around the body
     compass                       true or false: whether it has one
-    [model.odometry], [model.sonar], [model.spread]     what it gets wrong every time (worlds/calibration.py)
+    [model.odometry], [model.sonar], [model.spread]     what it gets wrong every time (worlds/robots.py)
     [model.translation]           an axis: top_speed, top_acceleration, speed, acceleration; so steering, turret;
                                   of a differential drive right and left
 
@@ -31,14 +31,12 @@ from typing import Final
 from nclient.common.hints import suggest
 from nserver_emu.simulation.axis import AxisLimits
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, Drive, SynchroDrive
-from worlds.bodies import N150 as N150_BODY
-from worlds.bodies import N200 as N200_BODY
-from worlds.bodies import SCOUT as SCOUT_BODY
-from worlds.bodies import Body
-from worlds.calibration import TABLES as CALIBRATION_TABLES
-from worlds.calibration import Calibration, calibration_of
-from worlds.tables import INCHES, Table
-from worlds.texts import read_text, toml_of
+from worlds.robots import N150 as N150_BODY
+from worlds.robots import N200 as N200_BODY
+from worlds.robots import SCOUT as SCOUT_BODY
+from worlds.robots import TABLES as CALIBRATION_TABLES
+from worlds.robots import Body, Calibration, parse_calibration
+from worlds.schema import INCHES_PER_UNIT, Table, parse_toml, read_text
 
 ROLLING: Final = AxisLimits(
     top_speed=20.0,
@@ -138,7 +136,7 @@ def load_models(path: Path) -> Mapping[str, RobotModel]:
 
 def parse_models(text: str, file: str) -> Mapping[str, RobotModel]:
     """The same from the text of a file; `file` is what errors call it. A model may be like one above it."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("model",))
     models = dict(MODELS)
@@ -181,7 +179,7 @@ def _model(table: Table, models: Mapping[str, RobotModel]) -> RobotModel:
         axes=(first, second, third),
         compass=table.flag("compass") if "compass" in table.values else base.compass,
         track_in=None if base.track_in is None else _length(table, "track", base.track_in),
-        errs=calibration_of(table) if {*CALIBRATION_TABLES} & {*table.values} else base.errs,
+        errs=parse_calibration(table) if {*CALIBRATION_TABLES} & {*table.values} else base.errs,
     )
 
 
@@ -221,7 +219,7 @@ def _axis(model: Table, name: str, base: AxisLimits, rolls: bool) -> AxisLimits:
 
 def _length(table: Table, name: str, default_in: float) -> float:
     """A length, or a speed in lengths, above 0; the default where no unit of it is given."""
-    if not any(f"{name}_{unit}" in table.values for unit in INCHES):
+    if not any(f"{name}_{unit}" in table.values for unit in INCHES_PER_UNIT):
         return default_in
     return _positive(table, table.key_of(name), table.length_in(name))
 

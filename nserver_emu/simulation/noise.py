@@ -69,10 +69,8 @@ from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import Stretch
 from nserver_emu.simulation.sonar import EchoModel, SonarNoise
-from worlds.bodies import SONARS
-from worlds.calibration import Calibration
-from worlds.tables import Table
-from worlds.texts import read_text, toml_of
+from worlds.robots import SONARS, Calibration
+from worlds.schema import Table, parse_toml, read_text
 
 
 class Purpose(IntEnum):
@@ -315,7 +313,7 @@ def load_setup(path: Path) -> RobotSetup:
 
 def parse_setup(text: str, file: str, name: str) -> RobotSetup:
     """The same from a text; `file` is what errors call it, `name` what the setup is called unless it says so."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("base", "name", *(key.name for key in KEYS if not key.table), *TABLES))
     base_name = top.text("base", IDEAL.name)

@@ -19,9 +19,9 @@ import numpy as np
 from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
 from nserver_emu.simulation.segments import NEVER_PS, PS_PER_S, Moment, Pose, Stamp
 from nserver_emu.simulation.visibility import FARTHEST_IN, NOBODY_NEAR, Eye, on_lines
-from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
 from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc
+from worlds.robots import SONARS, Body
 
 NEAREST_IN: Final = 6
 """A wall nearer than this reads this: the transducer still rings from its own cry."""

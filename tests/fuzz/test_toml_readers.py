@@ -12,8 +12,8 @@ from nclient.errors import NomadError
 from nclient.faults.plan import load_plan
 from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import load_setup
-from worlds.calibration import load_calibration
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import load_calibration
 
 READERS: list[Callable[[Path], object]] = [
     load_plan, load_mission, load_models, load_setup, load_world, lambda path: load_calibration(path, "worn"),

@@ -22,9 +22,9 @@ from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from tests.nclient.answering import ScriptedServer
-from worlds.files import load_world
+from worlds.io import load_world
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 class Time:

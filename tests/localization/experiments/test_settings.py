@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from localization.experiments.trial import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
+from localization.experiments.figure_trial import FIGURES, NOISE, START_STD, WAYPOINT_RADIUS_IN, course_of
 from localization.filters.sonar_ray import IDEAL_SONAR
 from nserver_emu.simulation.noise import NOISY
 

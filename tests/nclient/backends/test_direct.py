@@ -73,7 +73,7 @@ def test_a_n200_is_sent_its_mask_and_asked_again_when_it_is_silent() -> None:
 def test_a_n200_over_tcp_says_its_mask_first() -> None:
     robot = ScriptedLine(model=N200)
     mask = EVERYTHING.with_position(2)
-    robot.wire_state.note_mask(mask)
+    robot.wire_state.set_mask(mask)
     robot.out += build_handshake(Handshake(mask, 51))
     backend = direct_on(robot, hello=True)
     assert (backend.greeting, backend.wire_state.mask, robot.calls) == (None, mask, [])
@@ -515,14 +515,14 @@ def test_no_late_and_no_corrupt_answer_is_ever_another_commands(seed: int) -> No
 @pytest.mark.parametrize("laser", [(0,), (2, 10, 20, 30, -40, 50, 60, 70, -80)])
 def test_a_laser_that_another_client_left_in_line_mode_is_read(laser: tuple[int, ...]) -> None:
     robot = ScriptedLine(model=N200)
-    robot.wire_state.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = laser
     backend = direct_on(robot)
     assert backend.greeting is not None
     assert backend.greeting.laser == laser
     robot.laser = (1, 1, 2, 3, -4)
     assert backend.execute(GS).laser == (1, 1, 2, 3, -4)
-    robot.wire_state.note_laser_mode(51)
+    robot.wire_state.set_laser_mode(51)
     robot.laser = (3, 100, 200, 300)
     assert backend.execute(GS).laser == (3, 100, 200, 300)
 
@@ -531,14 +531,14 @@ def test_a_laser_mode_that_was_said_is_the_mode() -> None:
     robot = ScriptedLine(model=N200)
     backend = direct_on(robot)
     backend.execute(Call("conf_ls", (51, 20, 20, 60, 4)))
-    robot.wire_state.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = (1, 1, 2, 3, -4)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)
     robot = ScriptedLine(model=N200)
     robot.out += build_handshake(Handshake(EVERYTHING, 51))
     backend = direct_on(robot, hello=True)
-    robot.wire_state.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = (1, 1, 2, 3, -4)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)

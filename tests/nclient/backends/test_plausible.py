@@ -91,7 +91,8 @@ def test_sonars_change_no_faster_than_they_fire_once_conf_sn_has_said_how_fast()
     assert checks.find_inconsistency(state(1061, s17=61, s18=61, s19=61)) != ""
     three = sixty | {"s17": 61, "s18": 61, "s19": 61}
     assert checks.find_inconsistency(state(1061, **three)) == ""
-    assert checks.find_inconsistency(state(1061, **(three | {"s20": 61, "s21": 61, "s22": 61}))).startswith("3 sonars changed in 0")
+    six = three | {"s20": 61, "s21": 61, "s22": 61}
+    assert checks.find_inconsistency(state(1061, **six)).startswith("3 sonars changed in 0")
 
 
 @pytest.mark.parametrize("name", ["dp", "da", "zr"])

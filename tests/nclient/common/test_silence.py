@@ -32,13 +32,13 @@ def conversation(line: str) -> tuple[Clock, IdleTimer, IdleMonitor]:
 
 def said(line: str, name: str, *args: int) -> bytes:
     call = Call(name, args)
-    return codec.tcp_request(call) if line == TCP else codec.line_request(call, serial_wire_state(N150))
+    return codec.encode_tcp_request(call) if line == TCP else codec.encode_serial_request(call, serial_wire_state(N150))
 
 
 def answer(line: str, name: str) -> bytes:
     row = BY_NAME[name]
-    return codec.tcp_reply(row, STATE, tcp_wire_state(N150)) if line == TCP else \
-        codec.line_reply(row, STATE, serial_wire_state(N150))
+    return codec.encode_tcp_reply(row, STATE, tcp_wire_state(N150)) if line == TCP else \
+        codec.encode_serial_reply(row, STATE, serial_wire_state(N150))
 
 
 def lasts_s(silence: IdleTimer, clock: Clock) -> int:

@@ -14,7 +14,7 @@ def packet(
     model: Model, laser_mode: int = 51, laser: tuple[int, ...] = (0,), slots: dict[int, int] | None = None
 ) -> bytes:
     wire_state = serial_wire_state(model)
-    wire_state.note_laser_mode(laser_mode)
+    wire_state.set_laser_mode(laser_mode)
     return LINE_STATE.build(Reply("state", slots or {33: model.bumper_rest}, laser), wire_state)
 
 

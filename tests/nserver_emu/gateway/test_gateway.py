@@ -16,7 +16,7 @@ from nclient.protocol.commands import COMMANDS, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N200
 from nserver_emu.gateway.gateway import TIMEOUT_S
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.simulation.noise import NOISY
 from tests.nserver_emu.gateway.harness import LINE_STATE, EmulatedLine, GatewayHarness, ScriptedRobot, emulated, line_of
 from worlds.world import StartPose
@@ -235,8 +235,8 @@ def test_ws_polls_the_state_and_a_stop_interrupts_it() -> None:
     harness, robot = scripted()
     robot.state = moving
     waiter, other = harness.client(), harness.client()
-    waiter.session.receive(codec.tcp_request(Call("ws", (1, 0, 0, 1))))
-    assert waiter.session.answers(1) == b""
+    waiter.session.receive(codec.encode_tcp_request(Call("ws", (1, 0, 0, 1))))
+    assert waiter.session.process_requests(1) == b""
     assert waiter.session.tick() == b""
     harness.run_pending()
     assert waiter.session.tick() == b""
@@ -270,8 +270,8 @@ def test_gs_during_zr_returns_the_latest_state() -> None:
     watcher.ask("gs")
     robot.names()
     harness.proxy.robot.current_command = "zr"
-    watcher.session.receive(codec.tcp_request(Call("gs")))
-    (state,) = watcher.wire.read("gs", watcher.session.answers(1))
+    watcher.session.receive(codec.encode_tcp_request(Call("gs")))
+    (state,) = watcher.wire.read("gs", watcher.session.process_requests(1))
     assert (state.slots[34], state.clock) == (100, 5000)
     assert robot.names() == []
 
@@ -341,8 +341,8 @@ def test_a_silent_owners_robot_is_stopped(caplog: pytest.LogCaptureFixture) -> N
         owner.ask("gs")
         harness.gateway.tick()
     robot.state = Reply("state", {**LINE_STATE.slots, 41: 1}, clock=0)
-    owner.session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
-    owner.session.answers(1)
+    owner.session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
+    owner.session.process_requests(1)
     for _ in range(50):
         harness.now_s += 0.1
         harness.run_pending()
@@ -422,7 +422,7 @@ def test_an_unreachable_robot_is_an_error_at_the_start() -> None:
 
 def test_the_shadow_of_a_simulation_differs_by_nothing() -> None:
     line = line_of(emulated())
-    harness = GatewayHarness(lambda: line, emulator=emulated(pace=Pace(lockstep_s=0.1)), shadow=True)
+    harness = GatewayHarness(lambda: line, emulator=emulated(pace=SimulationClock(lockstep_s=0.1)), shadow=True)
     harness.run_pending()
     harness.gateway.tick()
     client = harness.client()
@@ -486,8 +486,8 @@ def test_the_shadow_starts_slow_commands_with_the_robot() -> None:
     def is_zeroing() -> bool:
         return shadow.zeroing
 
-    client.session.receive(codec.tcp_request(Call("zr")))
-    assert client.session.answers(1) == b""
+    client.session.receive(codec.encode_tcp_request(Call("zr")))
+    assert client.session.process_requests(1) == b""
     assert is_zeroing()
     harness.emulator.simulation.step(60.0)
     assert not is_zeroing()
@@ -511,8 +511,8 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
         assert client.ask(name, *args).slots[38] == 0
         assert real.still((0, 1, 2))
     assert refusal(client.ask("arm_mv", 2, 10, 2, 10)) == (5,)
-    assert harness.emulator.holds.told() == {"1": {"by": "viewer 1", "ignored": 5}}
-    harness.emulator.holds.release(1)
+    assert harness.emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 5}}
+    harness.emulator.estop.release(1)
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nserver_emu.simulation.collision import pressed
-from worlds.bodies import N150, SCOUT
+from worlds.robots import N150, SCOUT
 
 RING = N150.bumper_angles_rad
 

@@ -10,7 +10,7 @@ import pytest
 from nserver_emu.simulation.collision import Ground
 from nserver_emu.simulation.drive import Chassis
 from nserver_emu.simulation.segments import Stretch
-from worlds.bodies import N150
+from worlds.robots import N150
 
 WALLS = np.array(
     [[50.0, -40.0, 50.0, 40.0], [50.0, 40.0, -50.0, 40.0], [-50.0, 40.0, -50.0, -40.0], [-50.0, -40.0, 50.0, -40.0]]

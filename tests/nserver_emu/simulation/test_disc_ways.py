@@ -14,8 +14,8 @@ from nserver_emu.simulation.models import N150 as N150_MODEL
 from nserver_emu.simulation.noise import MEASURED, NO_NOISE
 from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
-from worlds.bodies import N150
 from worlds.geometry import FloatArray
+from worlds.robots import N150
 from worlds.world import StartPose, World
 
 pytestmark = pytest.mark.long

@@ -11,8 +11,8 @@ import pytest
 from nserver_emu.simulation.models import MODELS, N150, RobotModel, parse_models
 from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, Identity, setup_of
 from nserver_emu.simulation.robot import SimulatedRobot
-from worlds.calibration import Calibration
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import Calibration
 from worlds.world import StartPose
 
 WALLS = load_world("thesis_room").walls

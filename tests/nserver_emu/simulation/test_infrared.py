@@ -10,7 +10,7 @@ import pytest
 from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
 from nserver_emu.simulation.segments import NEVER_PS, Pose, Stamp
 from nserver_emu.simulation.visibility import Eye, Sighting
-from worlds.bodies import N200
+from worlds.robots import N200
 
 pytestmark = pytest.mark.long
 

@@ -9,7 +9,7 @@ import pytest
 
 from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, thinned
 from nserver_emu.simulation.visibility import Eye, Sighting
-from worlds.bodies import N200
+from worlds.robots import N200
 
 RADIUS = N200.radius_in
 HERE = Eye(0.0, 0.0, 0.0)

@@ -8,7 +8,7 @@ import pytest
 
 from nserver_emu.simulation.drive import NO_AXIS, DifferentialDrive, SynchroDrive
 from nserver_emu.simulation.models import MODELS, RobotModel
-from worlds.bodies import BODIES
+from worlds.robots import BODIES
 
 
 @pytest.mark.parametrize("name", ["n150", "n200"])

@@ -12,8 +12,8 @@ from nserver_emu.simulation.acoustics import Cry, Polaroid, Scene
 from nserver_emu.simulation.segments import Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import SonarRing
 from nserver_emu.simulation.visibility import Eye
-from worlds.bodies import N150
 from worlds.geometry import FloatArray, nearest_points
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 

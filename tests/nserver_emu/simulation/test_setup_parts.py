@@ -22,8 +22,8 @@ from nserver_emu.simulation.noise import (
 )
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
-from worlds.calibration import Calibration
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import Calibration
 from worlds.world import StartPose
 
 

@@ -10,8 +10,8 @@ import pytest
 from nserver_emu.simulation.segments import NEVER_PS, Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
 from nserver_emu.simulation.visibility import FARTHEST_IN, Eye, Sighting, on_lines
-from worlds.bodies import N150
 from worlds.raycast import cast_discs
+from worlds.robots import N150
 
 OFF = 255
 SQUARE = np.array(

@@ -33,7 +33,7 @@ import numpy as np
 
 from localization.cli.options import make_folder
 from localization.experiments import live_trial as matrix
-from localization.experiments.execution import Kept, Tally, fingerprint, progress
+from localization.experiments.execution import Kept, Tally, code_hash, progress
 from localization.experiments.live_trial import (
     COMPARED,
     COURSES,
@@ -48,7 +48,7 @@ from localization.experiments.live_trial import (
     TrialResult,
     trials,
 )
-from localization.experiments.output import add_shared, crew_for, positive
+from localization.experiments.output import add_shared, executor_for, positive
 from localization.filters.belief import Floats
 from localization.filters.registry import METHODS
 from localization.live.plot import blank, require_matplotlib, save
@@ -212,7 +212,7 @@ class Store:
         self._kept.put(self.path(trial), asdict(result))
 
 
-Crew = Callable[[Sequence[Job]], Iterator[Done]]
+Executor = Callable[[Sequence[Job]], Iterator[Done]]
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -222,9 +222,9 @@ def main(arguments: Sequence[str]) -> None:
         require_matplotlib()
     make_folder(options.out)
     wanted = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
-    store = Store(options.out / "trials", fingerprint())
+    store = Store(options.out / "trials", code_hash())
     with progress(len(wanted), "live", "trials") as tally:
-        results = collect(wanted, store, options.tum, crew_for(matrix.run, options), tally)
+        results = collect(wanted, store, options.tum, executor_for(matrix.run, options), tally)
     found = matrix.summaries(results)
     written = write(found, options.out, picture=options.pictures)
     print(json.dumps(rows(found)) if options.json else table(found), flush=True)
@@ -232,7 +232,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def collect(
-    wanted: Sequence[Trial], store: Store, paths: Path | None, work: Crew, tally: Tally
+    wanted: Sequence[Trial], store: Store, paths: Path | None, work: Executor, tally: Tally
 ) -> dict[Trial, TrialResult]:
     """The results of all trials in their order: from the store, and what is not there by work, kept as it is done.
 

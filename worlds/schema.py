@@ -3,6 +3,12 @@
 Knows of keys, kinds, units and lists of points; not of rooms or robots (files.py). Everything it raises is
 WorldFileError: file, key path (`wall[2].points_in[0]`, counted from 0), what was expected, what was found.
 Lengths come in inches, centimetres or metres, named by the key: x_in, x_cm or x_m, exactly one of them.
+
+The text of a world, a setup, models, a calibration: how long it may be, and what is raised where there is none.
+
+What a closed outline in a file has to be: around some area, its corners in their order.
+
+Rules: checks corners that were read (tables.py), in the same words for rooms, obstacles and fences; reads nothing.
 """
 
 from __future__ import annotations
@@ -10,12 +16,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite, radians
+from pathlib import Path
 from typing import Any, Final, NoReturn
 
+from nclient.common import files
 from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
+from worlds.geometry import area, crossing, lengths, polygon_segments
 
-INCHES: Final = {"in": 1.0, "cm": 1.0 / 2.54, "m": 100.0 / 2.54}
+INCHES_PER_UNIT: Final = {"in": 1.0, "cm": 1.0 / 2.54, "m": 100.0 / 2.54}
 """Inches in one of each unit that a key may end in."""
 
 FARTHEST_IN: Final = 1e5
@@ -142,7 +151,7 @@ class Table:
         if len(given) != 1:
             count = " and ".join(given) if given else "none of them"
             self.fail(given[-1] if given else keys[0], f"expected exactly one of {', '.join(keys)}, found {count}")
-        return given[0], INCHES[given[0].rpartition("_")[2]]
+        return given[0], INCHES_PER_UNIT[given[0].rpartition("_")[2]]
 
     def _point(self, place: str, row: object, scale: float) -> Point:
         if not isinstance(row, list) or len(row) != 2:
@@ -194,4 +203,28 @@ def _short(text: str) -> str:
 
 
 def _length_keys(name: str) -> list[str]:
-    return [f"{name}_{unit}" for unit in INCHES]
+    return [f"{name}_{unit}" for unit in INCHES_PER_UNIT]
+
+
+MOST_BYTES: Final = 1 << 22
+"""Some forty thousand obstacles, which Python's TOML takes seconds for; none that was made by hand comes near it."""
+
+
+def read_text(path: Path) -> str:
+    """What stands in a file, UTF-8. Raises WorldFileError."""
+    return files.read_text(path, MOST_BYTES, WorldFileError)
+
+
+def parse_toml(text: str, file: str) -> dict[str, Any]:
+    """What it holds; `file` is what errors call it. Raises WorldFileError."""
+    return files.parse_toml(text, file, WorldFileError)
+
+
+def require_outline(table: Table, key: str, corners: tuple[Point, ...]) -> None:
+    """Refuse corners whose edges cross, or that lie on one line. Raises WorldFileError about the key."""
+    edges = polygon_segments(corners)
+    if crossed := crossing(edges):
+        one, other = crossed
+        table.fail(key, f"expected the corners in their order around, found edges {one} and {other} that cross")
+    if abs(area(corners)) <= SHORTEST_IN * float(lengths(edges).max()):
+        table.fail(key, "expected an outline around some area, found corners on one line")

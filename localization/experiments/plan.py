@@ -30,15 +30,14 @@ from typing import Any, Final
 import numpy as np
 
 from localization.cli.options import make_folder
-from localization.experiments.execution import Kept, Tally, fingerprint, progress
+from localization.experiments.execution import Kept, Tally, code_hash, progress
 from localization.experiments.live_trial import SCENARIOS, START_STD, Scenario
-from localization.experiments.output import add_work, crew_for, positive
+from localization.experiments.output import add_work, executor_for, positive
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import add, independent
 from localization.filters.odometry import with_parameters
-from localization.missions.controller import Helm, Sight
-from localization.missions.mission import Mission
-from localization.missions.runner import run_mission
+from localization.missions.controller import Observation, RobotController
+from localization.missions.mission import Mission, run_mission
 from localization.missions.settings import Settings
 from localization.navigation.path import room
 from localization.navigation.roadmap import Roadmap, length_in
@@ -46,9 +45,9 @@ from localization.navigation.waypoints import PERIOD_S
 from nclient import connect
 from nclient.robot import Robot
 from nclient.state import Truth
-from worlds.bodies import N150
-from worlds.files import load_world, world_names
 from worlds.geometry import inside, polygon_segments
+from worlds.io import load_world, world_names
+from worlds.robots import N150
 from worlds.world import World
 
 ROOM_IN: Final = 1.5
@@ -127,7 +126,7 @@ class Driven:
         return self.touched or self.least_in <= 0.0
 
 
-class _Onlooker:
+class TruthRecorder:
     """Asks for the truth in every period."""
 
     def __init__(self, robot: Robot, world: World) -> None:
@@ -135,7 +134,7 @@ class _Onlooker:
         self.touched, self.least_in, self.way_in = False, inf, 0.0
         self.last: Truth = robot.truth()
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: Observation) -> None:
         truth = self._robot.truth()
         self.way_in += hypot(truth.x_in - self.last.x_in, truth.y_in - self.last.y_in)
         self.last = truth
@@ -152,25 +151,25 @@ def drive(pair: Pair) -> tuple[Pair, Driven]:
         setup.write_text(pair.errs.setup(pair.number), encoding="utf-8")
         step_s = PERIOD_S / EXCHANGES_A_PERIOD
         address = f"sim:{pair.world}?setup={setup}&seed={pair.number}&start={start}&step_s={step_s}"
-        with connect(address) as robot, _helm(robot, world, pair) as helm:
-            onlooker = _Onlooker(robot, world)
-            helm.watchers.append(onlooker)
-            mission = Mission(helm, Settings(time_limit_s=LIMIT_S))
+        with connect(address) as robot, _helm(robot, world, pair) as controller:
+            onlooker = TruthRecorder(robot, world)
+            controller.watchers.append(onlooker)
+            mission = Mission(controller, Settings(time_limit_s=LIMIT_S))
             run_mission(mission, lambda driver: driver.go_to(*ends.goal))
     return pair, _driven(pair, world, ends, mission, onlooker)
 
 
-def _helm(robot: Robot, world: World, pair: Pair) -> Helm:
+def _helm(robot: Robot, world: World, pair: Pair) -> RobotController:
     """The helm of a robot that stands a little beside where it believes to be; time passes with exchanges alone."""
     errs, state = pair.errs, robot.refresh()
     off = np.array(START_STD) * np.random.default_rng([pair.number, START]).standard_normal(3)
     guess = add(np.array([state.x_in, state.y_in, state.steering_rad]), off)
     belief = with_parameters(independent(guess, START_STD), errs.constants)
     known = LocalizationConfig(world.walls, N150, errs.odometry, errs.sonar)
-    return Helm(robot, known, N150, belief, lambda _: None, METHOD, SPEED_IN_S)
+    return RobotController(robot, known, N150, belief, lambda _: None, METHOD, SPEED_IN_S)
 
 
-def _driven(pair: Pair, world: World, ends: Ends, mission: Mission, onlooker: _Onlooker) -> Driven:
+def _driven(pair: Pair, world: World, ends: Ends, mission: Mission, onlooker: TruthRecorder) -> Driven:
     walls = np.asarray(world.walls)
     shortest = length_in(Roadmap(walls, N150.radius_in).path(ends.start, ends.goal))
     report, truth = mission.report, onlooker.last
@@ -192,7 +191,7 @@ def _driven(pair: Pair, world: World, ends: Ends, mission: Mission, onlooker: _O
 
 NEAR: Final = 1.05
 """A way is as good as the shortest up to this many times as long."""
-Crew = Callable[[Sequence[Pair]], Iterator[tuple[Pair, Driven]]]
+Executor = Callable[[Sequence[Pair]], Iterator[tuple[Pair, Driven]]]
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -200,9 +199,9 @@ def main(arguments: Sequence[str]) -> None:
     options = _parser().parse_args(arguments)
     make_folder(options.out)
     wanted = [Pair(world, number, options.scenario) for number in range(options.pairs) for world in options.worlds]
-    kept = Kept(options.out / "drives", fingerprint())
+    kept = Kept(options.out / "drives", code_hash())
     with progress(len(wanted), "plan", "drives") as tally:
-        results = collect(wanted, kept, crew_for(drive, options), tally)
+        results = collect(wanted, kept, executor_for(drive, options), tally)
     rows = [row(world, [results[pair] for pair in wanted if pair.world == world]) for world in options.worlds]
     written = options.out / f"plan_{options.scenario}.json"
     drives = [asdict(results[pair]) for pair in wanted]
@@ -211,7 +210,7 @@ def main(arguments: Sequence[str]) -> None:
     print(f"written: {written}", file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def collect(wanted: Sequence[Pair], kept: Kept, work: Crew, tally: Tally) -> dict[Pair, Driven]:
+def collect(wanted: Sequence[Pair], kept: Kept, work: Executor, tally: Tally) -> dict[Pair, Driven]:
     """All results: from disk, and what is not there by work, kept as it is done."""
     paths = {pair: kept.path(f"{pair.world}_{pair.scenario}_{pair.number:04d}", (asdict(pair),)) for pair in wanted}
     found = {pair: kept.get(path) for pair, path in paths.items()}

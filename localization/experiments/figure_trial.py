@@ -50,9 +50,9 @@ from localization.filters.sonar_ray import (
     sight,
     wall_map,
 )
-from localization.navigation.speed import Gains, next_step, reached
-from worlds.bodies import N150
-from worlds.files import load_world
+from localization.navigation.speed import ControlGains, next_step, reached
+from worlds.io import load_world
+from worlds.robots import N150
 
 WAYPOINT_RADIUS_IN: Final = 0.25
 """A way-point counts as reached when the estimate is this near to it."""
@@ -66,8 +66,8 @@ NOISE: Final = THESIS_ODOMETRY
 PATIENCE: Final = 3
 """A run longer than this many times the way it had to go, at full steps, is lost and ends."""
 
-_SLOW: Final = Gains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
-_BADLY_CHOSEN: Final = Gains(drho_max_in=0.5, dtheta_max_rad=0.5, alpha_rho=0.08, alpha_theta=0.8)
+_SLOW: Final = ControlGains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
+_BADLY_CHOSEN: Final = ControlGains(drho_max_in=0.5, dtheta_max_rad=0.5, alpha_rho=0.08, alpha_theta=0.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Figure:
     title: str
     world: str
     errors_figure: str = ""
-    gains: Gains = _SLOW
+    gains: ControlGains = _SLOW
     filtered: bool = True
     steps_thesis: int | None = None
 
@@ -108,7 +108,7 @@ class Course:
     goals_in: Floats
     walls: WallMap
     beams: Beams
-    gains: Gains
+    gains: ControlGains
     filtered: bool = True
     start_std: tuple[float, float, float] = START_STD
     noise: OdometryNoise = NOISE

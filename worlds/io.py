@@ -8,11 +8,19 @@
     [[path]]      name, figure, points, start           way-points from the start on; start: number of a [[start]]
 
 corners, points, x and y end in their unit: _in, _cm or _m. Whatever is wrong is a WorldFileError.
+
+A world as the text of a file: files.py reads the same world out of it. Pure.
+
+Rules: every text can be read again. Obstacles move while a simulation runs; a start or a path that one of them has come
+to stand on is left out, and a comment says so.
 """
 
 from __future__ import annotations
 
 import functools
+import json
+from collections.abc import Iterable, Iterator
+from math import degrees
 from os import PathLike, fspath
 from pathlib import Path as FilePath
 from typing import Final
@@ -22,9 +30,7 @@ import numpy as np
 from nclient.common.hints import suggest
 from nclient.errors import WorldFileError
 from worlds.geometry import FloatArray, lengths, polygon_segments, polyline_segments
-from worlds.outlines import require_outline
-from worlds.tables import SHORTEST_IN, Table
-from worlds.texts import read_text, toml_of
+from worlds.schema import SHORTEST_IN, Table, parse_toml, read_text, require_outline
 from worlds.world import AT_ORIGIN, Path, Point, Polygon, StartPose, World
 
 SHIPPED: Final = FilePath(__file__).resolve().parent
@@ -45,11 +51,11 @@ def load_world(name_or_path: str | PathLike[str]) -> World:
     A bare name is a shipped world before it is a file; a path "worlds/X.toml" that does not exist from here is the
     shipped world X. Raises WorldFileError whenever no valid world comes of it.
     """
-    text, path = world_text(name_or_path)
+    text, path = read_world_text(name_or_path)
     return parse_world(text, str(path), path.stem)
 
 
-def world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
+def read_world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
     """What the file says that load_world would read, and where it is. Raises WorldFileError where there is none."""
     name = fspath(name_or_path)
     try:
@@ -62,7 +68,7 @@ def world_text(name_or_path: str | PathLike[str]) -> tuple[str, FilePath]:
 def parse_world(text: str, file: str, name: str) -> World:
     """The world that the text of a file describes; `file` is what errors call it, `name` what it is called
     unless it says so itself. Raises WorldFileError."""
-    values = toml_of(text, file)
+    values = parse_toml(text, file)
     top = Table(file, "", values)
     top.allow(("name", "title", "room", "wall", "obstacle", "start", "path"))
     if not any(values.get(key) for key in ("room", "wall", "obstacle")):
@@ -181,3 +187,70 @@ def _path(table: Table, starts: tuple[StartPose, ...]) -> Path:
             f"found ({points[0][0]:g}, {points[0][1]:g}) in",
         )
     return Path(name, figure, start, points)
+
+
+def format_world(world: World, said: str = "") -> str:
+    """The world as TOML, in inches and degrees; `said` stands above it as a comment, line by line."""
+    return "\n".join([*(f"# {line}" for line in said.splitlines()), *_lines(world)]) + "\n"
+
+
+def polylines(walls: FloatArray) -> Iterator[list[Point]]:
+    """Walls (m, 4) as lines of points: each wall that begins where the one before it ends goes on with it."""
+    line: list[Point] = []
+    for x1, y1, x2, y2 in walls.tolist():
+        if line and line[-1] != (x1, y1):
+            yield line
+            line = []
+        line += [(x2, y2)] if line else [(x1, y1), (x2, y2)]
+    if line:
+        yield line
+
+
+def _lines(world: World) -> Iterator[str]:
+    yield f"name = {_text(world.name)}"
+    if world.title.strip():
+        yield f"title = {_text(world.title)}"
+    for room in world.rooms:
+        yield from _outline("room", room)
+    for points in polylines(world.inner_walls):
+        yield from ("", "[[wall]]", f"points_in = {_points(points)}")
+    for thing in world.obstacles:
+        yield from _outline("obstacle", thing)
+    starts = [start for start in world.starts if world.clearance(start.x_in, start.y_in) > 0.0]
+    for start in world.starts:
+        if start not in starts:
+            yield from ("", f"# left out, since something stands there: a start at {start.x_in!r}, {start.y_in!r}")
+        elif world.starts != (StartPose(0.0, 0.0),):
+            yield from ("", "[[start]]", f"x_in = {start.x_in!r}", f"y_in = {start.y_in!r}")
+            yield f"steering_deg = {degrees(start.steering_rad)!r}"
+            yield f"turret_deg = {degrees(start.turret_rad)!r}"
+    for path in world.paths.values():
+        if all(world.clearance(*point) > 0.0 for point in path.points_in):
+            yield from _path_writing(path, starts)
+        else:
+            yield from ("", f"# left out, since something stands on it: the path {_text(path.name)}")
+
+
+def _path_writing(path: Path, starts: list[StartPose]) -> Iterator[str]:
+    yield from ("", "[[path]]", f"name = {_text(path.name)}")
+    if path.figure:
+        yield f"figure = {_text(path.figure)}"
+    if path.start in starts and path.start != StartPose(*path.points_in[0]):
+        yield f"start = {starts.index(path.start)}"
+    yield f"points_in = {_points(path.points_in)}"
+
+
+def _outline(kind: str, polygon: Polygon) -> Iterator[str]:
+    yield from ("", f"[[{kind}]]")
+    if polygon.name:
+        yield f"name = {_text(polygon.name)}"
+    yield f"corners_in = {_points(polygon.corners_in)}"
+
+
+def _points(points: Iterable[Point]) -> str:
+    return f"[{', '.join(f'[{float(x)!r}, {float(y)!r}]' for x, y in points)}]"
+
+
+def _text(text: str) -> str:
+    """A text as both JSON and TOML write it."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

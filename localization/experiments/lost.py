@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Final, NamedTuple, TypedDict
 
 from localization.cli.options import make_folder
-from localization.experiments.execution import Kept, fingerprint, progress
+from localization.experiments.execution import Kept, code_hash, progress
 from localization.experiments.live_trial import SCENARIOS
 from localization.experiments.lost_trial import Case, Kind, Outcome, drive
-from localization.experiments.output import add_work, crew_for, positive
-from worlds.files import world_names
+from localization.experiments.output import add_work, executor_for, positive
+from worlds.io import world_names
 
 SOON_S: Final = 5.0
 """Within this LOST is to be said after a kidnapping."""
@@ -86,7 +86,7 @@ def summarize(kind: Kind, world: str, scenario: str, outcomes: Sequence[Outcome]
     )
     if kind is Kind.KIDNAPPED:
         _add_told(summary, outcomes)
-    if kind is not Kind.CALM:
+    if kind is not Kind.TRACKING:
         _add_found(summary, outcomes)
     return summary
 
@@ -144,7 +144,7 @@ def _times(spread: tuple[float, float] | None) -> str:
 
 
 WORLD: Final = "several_walls"
-RUNS: Final = {Kind.CALM: 300, Kind.KIDNAPPED: 100, Kind.NOWHERE: 100}
+RUNS: Final = {Kind.TRACKING: 300, Kind.KIDNAPPED: 100, Kind.UNKNOWN_START: 100}
 
 
 class Done(NamedTuple):
@@ -163,7 +163,7 @@ def main(arguments: Sequence[str]) -> None:
         for kind in options.kinds
         for seed in range(options.runs or RUNS[kind])
     ]
-    found = summaries(_outcomes(cases, Kept(options.out / "runs", fingerprint()), options))
+    found = summaries(_outcomes(cases, Kept(options.out / "runs", code_hash()), options))
     path = options.out / "lost.json"
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(found) if options.json else "\n".join(map(words, found)), flush=True)
@@ -182,7 +182,7 @@ def _outcomes(cases: Sequence[Case], kept: Kept, options: argparse.Namespace) ->
     outcomes = {case: Outcome(**found) for case, found in there.items()}
     with progress(len(cases), "lost", "runs") as tally:
         tally(len(outcomes))
-        for case, outcome in crew_for(run, options)([case for case in cases if case not in there]):
+        for case, outcome in executor_for(run, options)([case for case in cases if case not in there]):
             kept.put(paths[case], outcome.as_dict())
             outcomes[case] = outcome
             tally(len(outcomes))

@@ -28,14 +28,14 @@ from localization.live.localizer import Echo, Fit
 from nclient.connect import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.url import parse_address, split_address
-from worlds.files import DEFAULT_WORLD, load_world
-from worlds.texts import read_text, toml_of
+from worlds.io import DEFAULT_WORLD, load_world
+from worlds.schema import parse_toml, read_text
 from worlds.world import World
 
 SIMULATION: Final = "sim"
 
 
-def body_of(option: str | None, model: str, address: str | None) -> str:
+def resolve_robot_model(option: str | None, model: str, address: str | None) -> str:
     """The name of the body: the option's, where the address does not tell; else `model`, as the address has it.
 
     `address` None: the default's. Raises AddressError where they contradict.
@@ -78,11 +78,11 @@ def taken(option: str | None, simulated: bool, address: str | None = None) -> Ta
     default's)."""
     if option is not None:
         return Taken(option == "rays", guessed=False)
-    told = rays_told_by(address_or_default(address))
+    told = sonar_model_of_address(address_or_default(address))
     return Taken(simulated, guessed=True) if told is None else Taken(told, guessed=False)
 
 
-def rays_told_by(address: str) -> bool | None:
+def sonar_model_of_address(address: str) -> bool | None:
     """Whether an address says that sonars are exact rays; None where it says nothing of it."""
     there = split_address(address)
     if there.scheme != SIMULATION:
@@ -91,7 +91,7 @@ def rays_told_by(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values = toml_of(read_text(Path(setup)), setup)
+        values = parse_toml(read_text(Path(setup)), setup)
     except WorldFileError:
         return None
     sonar = values.get("sonar", {})
@@ -108,14 +108,14 @@ def hint(sonars: Taken, echoes: Iterable[Echo]) -> str:
     return "" if fit.good or fit.taken + fit.refused < FEWEST else fit.line()
 
 
-def add_map(parser: argparse.ArgumentParser, known: str = "") -> None:
+def add_map_option(parser: argparse.ArgumentParser, known: str = "") -> None:
     """The option; `known` is where else the command may have its walls from, for its help."""
     parser.add_argument("--map", "--world", metavar="WORLD",
                         help=f"the walls: a shipped world or a TOML file (default: {known}the world of a sim: address)")
     parser.set_defaults(refuse=parser.error)
 
 
-def world_of(options: argparse.Namespace, known: str = "") -> World:
+def resolve_world(options: argparse.Namespace, known: str = "") -> World:
     """The world, of options with an `address` (None: the default's); where none is told that is wrong usage. Raises
     WorldFileError where it cannot be read, AddressError where the address is none."""
     there = split_address(address_or_default(options.address))
