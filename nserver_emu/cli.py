@@ -51,7 +51,7 @@ from nserver_emu.server.limits import limits_of, make_room
 from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.service import STOPPING, Manager, announced
-from nserver_emu.viewer.options import viewed
+from nserver_emu.viewer.options import running_viewer
 from worlds.io import load_world, world_names
 from worlds.raycast import load_compiled
 
@@ -151,7 +151,7 @@ async def _run(
     manager = Manager(os.environ)
     async with (
         controlled(daemon, options) as control,
-        viewed(daemon, options) as page,
+        running_viewer(daemon, options) as page,
         run_gateway(gateway, daemon, options.shadow_every),
         autosaved(file, options.autosave),
     ):

@@ -85,7 +85,7 @@ def test_long_commands_have_valid_arguments(command: str) -> None:
     assert command.startswith(EXPERIMENTS)
     kind, *words = shlex.split(command.removeprefix(EXPERIMENTS))
     if kind in ("live", "lost", "plan"):
-        experiment = importlib.import_module(f"localization.experiments.{kind}_command")
+        experiment = importlib.import_module(f"localization.experiments.{kind}")
         assert experiment._parser().parse_args(words)
     else:
         assert __main__._parser().parse_args([kind, *words]).figures[0] == kind

@@ -11,9 +11,9 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.metrics import STUCK_S, health, metrics, numbers
+from nserver_emu.viewer.metrics import STUCK_S, all_metrics, health, metrics
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import elsewhere, served
+from tests.nserver_emu.viewer.viewed_daemon import elsewhere, serve_viewer
 
 LINE = re.compile(r"# HELP [a-z_]+ \S.*|# TYPE [a-z_]+ (gauge|counter)|[a-z_]+ -?\d+(\.\d+)?(e[+-]?\d+)?")
 
@@ -25,7 +25,7 @@ def test_the_text_is_prometheus() -> None:
     assert "nserver_viewers 3" in lines
     assert "nserver_robots 1" in lines
     assert "nserver_tasks 7" in lines
-    found = list(numbers(daemon, 3, 7))
+    found = list(all_metrics(daemon, 3, 7))
     assert len({one.name for one in found}) == len(found) == len(lines) / 3
     assert all(one.name.endswith("_total") is (one.kind == "counter") for one in found)
 
@@ -34,7 +34,7 @@ def test_steps_are_counted_with_the_time_they_took() -> None:
     daemon = Daemon(Emulator(simulation()))
     for _ in range(5):
         daemon.step(0.2)
-    told = {one.name: one.value for one in numbers(daemon, 0, 0)}
+    told = {one.name: one.value for one in all_metrics(daemon, 0, 0)}
     assert (told["steps_total"], told["simulated_seconds"]) == (5, 1.0)
 
 
@@ -50,7 +50,7 @@ def test_a_clock_that_stands_is_not_well() -> None:
 
 def test_what_clients_did_is_counted_after_they_are_gone() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             reader, writer = await asyncio.open_connection("127.0.0.1", here.daemon.emulator.port)
             writer.write(codec.encode_tcp_request(Call("connect_robot", (1, 1))) + codec.encode_tcp_request(Call("gs")))
             writer.write(codec.encode_tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
@@ -74,7 +74,7 @@ def test_what_clients_did_is_counted_after_they_are_gone() -> None:
 @pytest.mark.parametrize("path", ["/metrics", "/health"])
 def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, elsewhere() as outsider:
+        async with serve_viewer(Emulator(simulation())) as here, elsewhere() as outsider:
             while not here.daemon.ticked_s:
                 await asyncio.sleep(0.005)
             async with outsider.get(here.origin + path) as answer:
@@ -86,7 +86,7 @@ def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.MonkeyP
                 assert answer.status == 200  # from the address that he asks
             async with outsider.get(here.origin + path) as answer:
                 assert answer.status == 403
-            async with outsider.get(here.origin + path, params={"token": here.viewing.watch_token}) as answer:
+            async with outsider.get(here.origin + path, params={"token": here.viewer_server.watch_token}) as answer:
                 assert answer.status == 200
 
     asyncio.run(scenario())

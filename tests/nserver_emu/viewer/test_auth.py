@@ -16,10 +16,10 @@ from nserver_emu import cli
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer import auth
-from nserver_emu.viewer.auth import TokenFileError, Tokens, address, new_tokens, tokens_of
-from nserver_emu.viewer.server import served as page_served
+from nserver_emu.viewer.auth import TokenFileError, Tokens, address, load_tokens, new_tokens
+from nserver_emu.viewer.server import serve_viewer as page_served
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, served
+from tests.nserver_emu.viewer.viewed_daemon import HOST, serve_viewer
 
 ACT, WATCH = "a" * 16, "b" * 200
 
@@ -34,20 +34,20 @@ def test_tokens_are_new_each_time_and_tell_who_may_act() -> None:
 
 def test_a_file_of_tokens_is_made_for_its_owner_alone_and_then_kept(tmp_path: Path) -> None:
     path = tmp_path / "tokens"
-    first = tokens_of(path)
+    first = load_tokens(path)
     assert path.stat().st_mode & 0o777 == 0o600
-    assert tokens_of(path) == first
+    assert load_tokens(path) == first
     path.write_text(f"{ACT}\n{WATCH}\n")
-    assert tokens_of(path) == Tokens(ACT, WATCH)
+    assert load_tokens(path) == Tokens(ACT, WATCH)
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o620])
 def test_a_file_that_others_may_touch_is_refused_with_the_remedy(mode: int, tmp_path: Path) -> None:
     path = tmp_path / "tokens"
-    tokens_of(path)
+    load_tokens(path)
     path.chmod(mode)
     with pytest.raises(TokenFileError, match=f"chmod 600 {path}"):
-        tokens_of(path)
+        load_tokens(path)
 
 
 @pytest.mark.parametrize("text", [b"", ACT.encode(), b"short\nshorter", f"{ACT}\n{ACT}".encode(),
@@ -57,17 +57,17 @@ def test_what_is_no_pair_of_tokens_is_refused(text: bytes, tmp_path: Path) -> No
     path.touch(0o600)
     path.write_bytes(text)
     with pytest.raises(TokenFileError, match="tokens"):
-        tokens_of(path)
+        load_tokens(path)
 
 
 def test_a_place_where_no_file_can_be_is_told() -> None:
     with pytest.raises(TokenFileError, match="cannot be used for tokens"):
-        tokens_of(Path("/dev/null/tokens"))
+        load_tokens(Path("/dev/null/tokens"))
 
 
 def test_the_address_stays_the_same_over_restarts(tmp_path: Path) -> None:
     async def line() -> str:
-        tokens = tokens_of(tmp_path / "tokens")
+        tokens = load_tokens(tmp_path / "tokens")
         async with page_served(Daemon(Emulator(simulation())), HOST, 0, tokens) as lines:
             return lines[0].rpartition("/")[2]
 
@@ -88,13 +88,13 @@ def test_a_token_file_that_is_wrong_ends_the_start_with_the_remedy(
 
 def test_who_has_no_token_gets_a_page_that_says_what_to_do_and_loads_nothing() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             async with here.web.get(here.origin, params={"token": "old"}) as answer:
                 assert answer.status == 403
                 assert answer.content_type == "text/html"
                 assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
                 text = await answer.text()
-            assert "take the whole address that nserver printed" in text
+            assert "use the whole address that nserver printed" in text
             assert "src=" not in text
             assert "<link" not in text
             async with here.web.get(f"{here.origin}/favicon.ico") as answer:
@@ -108,10 +108,10 @@ def test_who_has_no_token_gets_a_page_that_says_what_to_do_and_loads_nothing() -
 def test_a_host_that_is_none_is_403_and_no_fault(path: str, host: str) -> None:
     """By hand, for a client library would not say such a thing."""
     async def scenario() -> bytes:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             verb = "POST" if path == "/publish" else "GET"
             reader, writer = await asyncio.open_connection(HOST, here.port)
-            head = f"{verb} {path}?token={here.viewing.token} HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\n"
+            head = f"{verb} {path}?token={here.viewer_server.token} HTTP/1.1\r\nHost: {host}\r\nContent-Length: 0\r\n"
             upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
             key = "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nOrigin: http://[\r\n"
             writer.write(f"{head}{upgrade if path == '/ws' else ''}{key}\r\n".encode("latin-1"))
@@ -172,4 +172,4 @@ def test_a_page_on_a_name_prints_that_name_and_is_known_by_it(caplog: pytest.Log
 
     asyncio.run(scenario())
     assert not caplog.records
-    assert auth.known_host("Robots.Example:1", "robots.example")
+    assert auth.is_known_host("Robots.Example:1", "robots.example")

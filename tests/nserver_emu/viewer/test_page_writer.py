@@ -12,9 +12,9 @@ from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import MEDIUM, SHORT, STALLED_S, Outlet, _transport, frame
+from nserver_emu.viewer.server import MEDIUM, SHORT, STALLED_S, PageWriter, _transport, frame
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import served
+from tests.nserver_emu.viewer.viewed_daemon import serve_viewer
 
 
 class Line(asyncio.Transport):
@@ -39,9 +39,9 @@ class Line(asyncio.Transport):
         self.closing = True
 
 
-def an_outlet(now: float = 0.0, *, closed: bool = False) -> tuple[Outlet, Line]:
+def an_outlet(now: float = 0.0, *, closed: bool = False) -> tuple[PageWriter, Line]:
     line = Line()
-    return Outlet(cast(web.WebSocketResponse, SimpleNamespace(closed=closed)), line, now), line
+    return PageWriter(cast(web.WebSocketResponse, SimpleNamespace(closed=closed)), line, now), line
 
 
 def test_a_frame_is_as_the_standard_has_it() -> None:
@@ -54,50 +54,50 @@ def test_frames_of_every_length_are_read_by_another_library() -> None:
     empty = len(json.dumps({"type": "x", "text": ""}))
 
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page() as page:
+        async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
             for size in (empty, SHORT, SHORT + 1, MEDIUM, MEDIUM + 1, 20 * MEDIUM):
                 text = "x" * (size - empty)
-                here.viewing.hub.tell(json.dumps({"type": "x", "text": text}))
+                here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": text}))
                 assert (await page.until(lambda message: message["type"] == "x"))["text"] == text
-            here.viewing.hub.tell(json.dumps({"type": "x", "text": "äöü"}, ensure_ascii=False))
+            here.viewer_server.broadcaster.notify(json.dumps({"type": "x", "text": "äöü"}, ensure_ascii=False))
             assert (await page.until(lambda message: message["type"] == "x"))["text"] == "äöü"
 
     asyncio.run(scenario())
 
 
 def test_who_has_not_taken_all_is_told_no_more_and_who_takes_on_is_not_given_up() -> None:
-    outlet, line = an_outlet()
-    assert outlet.takes(1.0)
+    writer, line = an_outlet()
+    assert writer.is_ready(1.0)
     line.unsent = 1000
-    assert not outlet.takes(2.0)
+    assert not writer.is_ready(2.0)
     now = 2.0
     while line.unsent > 1:
         line.unsent -= 111
         now += STALLED_S - 0.1
-        assert not outlet.takes(now)
-        assert not outlet.stalled(now)
+        assert not writer.is_ready(now)
+        assert not writer.is_stalled(now)
     line.unsent = 0
-    assert outlet.takes(now + 100.0)
-    assert not outlet.stalled(now + 100.0)
+    assert writer.is_ready(now + 100.0)
+    assert not writer.is_stalled(now + 100.0)
 
 
 def test_who_takes_nothing_for_long_is_given_up_however_little_is_left() -> None:
-    outlet, line = an_outlet(100.0)
+    writer, line = an_outlet(100.0)
     line.unsent = 1
-    assert not outlet.takes(110.0)
+    assert not writer.is_ready(110.0)
     line.unsent = 7  # a ping came to it
-    assert not outlet.takes(110.0 + STALLED_S)
-    assert not outlet.stalled(110.0 + STALLED_S)
-    assert outlet.stalled(110.1 + STALLED_S)
-    outlet.hang_up()
+    assert not writer.is_ready(110.0 + STALLED_S)
+    assert not writer.is_stalled(110.0 + STALLED_S)
+    assert writer.is_stalled(110.1 + STALLED_S)
+    writer.abort()
     line.unsent = 0
-    assert not outlet.takes(130.0)
+    assert not writer.is_ready(130.0)
 
 
 def test_nothing_is_said_after_the_goodbye() -> None:
-    outlet, _ = an_outlet(closed=True)
-    assert not outlet.takes(1.0)
-    assert not outlet.stalled(1.0 + 2 * STALLED_S)
+    writer, _ = an_outlet(closed=True)
+    assert not writer.is_ready(1.0)
+    assert not writer.is_stalled(1.0 + 2 * STALLED_S)
 
 
 def test_who_is_gone_before_it_is_answered_has_no_transport() -> None:
@@ -105,5 +105,5 @@ def test_who_is_gone_before_it_is_answered_has_no_transport() -> None:
     assert _transport(make_mocked_request("GET", "/ws", transport=line)) is line
     request = make_mocked_request("GET", "/ws")
     request._protocol.transport = None
-    with pytest.raises(ConnectionResetError, match="gone"):
+    with pytest.raises(ConnectionResetError, match="closed"):
         _transport(request)

@@ -14,11 +14,11 @@ from nclient.errors import ConnectionLost
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import Limits
-from nserver_emu.viewer.auth import HTTP_LOG, from_here, known_host
-from nserver_emu.viewer.messages import DEAD_MAN_S
-from nserver_emu.viewer.server import PERIOD_S, Viewing, next_due
+from nserver_emu.viewer.auth import HTTP_LOG, is_known_host, is_same_origin
+from nserver_emu.viewer.messages import DRIVE_TIMEOUT_S
+from nserver_emu.viewer.server import PERIOD_S, ViewerServer, next_due
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, elsewhere, served
+from tests.nserver_emu.viewer.viewed_daemon import HOST, elsewhere, serve_viewer
 
 
 def an_emulator() -> Emulator:
@@ -27,12 +27,12 @@ def an_emulator() -> Emulator:
 
 def test_the_page_wants_its_token_and_loads_nothing_from_elsewhere() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
-            for token in ("", "wrong", here.viewing.token[:-1]):
+        async with serve_viewer(an_emulator()) as here:
+            for token in ("", "wrong", here.viewer_server.token[:-1]):
                 async with here.web.get(here.origin, params={"token": token}) as answer:
                     assert answer.status == 403
-                    assert "take the whole address" in await answer.text()
-            for token in (here.viewing.token, here.viewing.watch_token):
+                    assert "use the whole address" in await answer.text()
+            for token in (here.viewer_server.token, here.viewer_server.watch_token):
                 async with here.web.get(here.origin, params={"token": token}) as answer:
                     assert answer.status == 200
                     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
@@ -54,25 +54,26 @@ def test_the_page_wants_its_token_and_loads_nothing_from_elsewhere() -> None:
 @pytest.mark.parametrize("origin", ["", "http://evil.example", "http://127.0.0.1:1", "null", "http://["])
 def test_a_page_from_elsewhere_gets_no_websocket(origin: str) -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
+        async with serve_viewer(an_emulator()) as here:
             headers = {"Origin": origin} if origin else {}
-            with pytest.raises(aiohttp.WSServerHandshakeError) as rejection_reason:
-                await here.web.ws_connect(f"{here.origin}/ws", params={"token": here.viewing.token}, headers=headers)
-            assert rejection_reason.value.status == 403
-            assert not here.viewing.hub.viewers
+            token = {"token": here.viewer_server.token}
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
+                await here.web.ws_connect(f"{here.origin}/ws", params=token, headers=headers)
+            assert refusal.value.status == 403
+            assert not here.viewer_server.broadcaster.viewers
 
     asyncio.run(scenario())
 
 
 def test_a_name_that_resolves_to_us_is_not_ours() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
+        async with serve_viewer(an_emulator()) as here:
             name = f"evil.example:{here.port}"
             headers = {"Host": name, "Origin": f"http://{name}"}
-            for params in ({"token": here.viewing.token}, {}):
+            for params in ({"token": here.viewer_server.token}, {}):
                 async with here.web.get(here.origin, params=params, headers=headers) as answer:
                     assert answer.status == 403
-                    assert "ask by its number" in await answer.text()
+                    assert "use its numeric address" in await answer.text()
 
     asyncio.run(scenario())
 
@@ -83,35 +84,35 @@ def test_a_name_that_resolves_to_us_is_not_ours() -> None:
      ("evil.example", False), ("", False)],
 )  # fmt: skip
 def test_hosts_are_numbers_or_loopback(host: str, ours: bool) -> None:
-    assert known_host(host) is ours
+    assert is_known_host(host) is ours
 
 
 def test_a_port_in_use_is_told_with_the_remedy() -> None:
     async def scenario() -> None:
-        viewing = Viewing(Daemon(an_emulator()))
+        viewer_server = ViewerServer(Daemon(an_emulator()))
         with socket.socket() as taken:
             taken.bind((HOST, 0))
             taken.listen()
             with pytest.raises(ConnectionLost, match="--viewer 0 takes a free port"):
-                await viewing.open(HOST, taken.getsockname()[1])
-        await viewing.close()
+                await viewer_server.open(HOST, taken.getsockname()[1])
+        await viewer_server.close()
 
     asyncio.run(scenario())
 
 
 def test_a_viewer_sees_pictures_go_on_and_is_forgotten_when_gone() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
+        async with serve_viewer(an_emulator()) as here:
             async with here.page() as page:
                 hello = await page.until(lambda message: message["type"] == "hello")
-                assert (hello["may_act"], hello["watch_token"]) == (True, here.viewing.watch_token)
+                assert (hello["may_act"], hello["watch_token"]) == (True, here.viewer_server.watch_token)
                 first = await page.until(lambda message: message["type"] == "picture")
                 later = await page.until(lambda message: message.get("frame", 0) >= first["frame"] + 5)
                 assert first["since"] == 0
                 assert later["since"] == later["frame"] - 1
                 assert later["time_s"] > first["time_s"]
             async with asyncio.timeout(5):
-                while here.viewing.hub.viewers:
+                while here.viewer_server.broadcaster.viewers:
                     await asyncio.sleep(0.01)
 
     asyncio.run(scenario())
@@ -119,10 +120,10 @@ def test_a_viewer_sees_pictures_go_on_and_is_forgotten_when_gone() -> None:
 
 def test_a_slow_viewer_gets_pictures_again_once_it_has_caught_up() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
-            (viewer,) = here.viewing.hub.viewers
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
+            (viewer,) = here.viewer_server.broadcaster.viewers
             async with asyncio.timeout(5):
-                while not viewer.behind:
+                while not viewer.is_behind:
                     await asyncio.sleep(0.02)
             held = viewer.sent
             await asyncio.sleep(0.3)
@@ -134,7 +135,7 @@ def test_a_slow_viewer_gets_pictures_again_once_it_has_caught_up() -> None:
 
 def test_who_may_only_look_does_nothing_else() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page(here.viewing.watch_token) as page:
+        async with serve_viewer(an_emulator()) as here, here.page(here.viewer_server.watch_token) as page:
             hello = await page.until(lambda message: message["type"] == "hello")
             assert (hello["may_act"], hello["watch_token"]) == (False, None)
             await page.say(do="call", id=4, robot=1, call="vm", args=[100, 0, 0])
@@ -145,14 +146,15 @@ def test_who_may_only_look_does_nothing_else() -> None:
             assert "JSON" in (await page.until(lambda message: message["type"] == "answer"))["error"]
             await page.socket.ping()
             await page.say(do="watch", traffic=True, laser=True)
-            await page.until(lambda message: message["type"] == "picture" and here.viewing.hub.watch_traffic)
+            viewers = here.viewer_server.broadcaster
+            await page.until(lambda message: message["type"] == "picture" and viewers.watch_traffic)
 
     asyncio.run(scenario())
 
 
 def test_what_a_page_says_is_done_as_a_client_would_have_it_done() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             robots = here.daemon.emulator.simulation.robots
             await page.say(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 900, 0])
             assert (await page.answer(1))["ok"]
@@ -177,14 +179,14 @@ def test_what_a_page_says_is_done_as_a_client_would_have_it_done() -> None:
 
 def test_who_drives_by_hand_and_falls_silent_lets_go() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             robot = here.daemon.emulator.simulation.robots[1]
             clock = asyncio.get_running_loop().time
             await page.say(do="drive", id=1, robot=1, args=[50, 0, 0])
             await page.answer(1)
             began = clock()
             await page.until(lambda _: robot.still((0,)))
-            assert DEAD_MAN_S * 0.9 <= clock() - began < DEAD_MAN_S + 1.0
+            assert DRIVE_TIMEOUT_S * 0.9 <= clock() - began < DRIVE_TIMEOUT_S + 1.0
             await page.say(do="drive", id=2, robot=1, args=[0, 0, 0])
             assert (await page.answer(2))["ok"]
 
@@ -193,7 +195,7 @@ def test_who_drives_by_hand_and_falls_silent_lets_go() -> None:
 
 def test_the_owner_controls_time() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             await page.say(do="control", id=1, command="pause")
             assert (await page.answer(1))["said"]["paused"]
             before = here.daemon.emulator.simulation.time_s
@@ -208,7 +210,7 @@ def test_the_owner_controls_time() -> None:
 
 def test_what_is_no_message_is_answered_and_costs_nothing() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page(here.viewing.watch_token) as page:
+        async with serve_viewer(an_emulator()) as here, here.page(here.viewer_server.watch_token) as page:
             for text in ('{"do":"waypoints","robot":1,"points":[[1' + "0" * 400 + ',0]]}', "{"):
                 await page.socket.send_str(text)
                 assert not (await page.until(lambda message: message["type"] == "answer"))["ok"]
@@ -222,7 +224,7 @@ def test_what_is_no_message_is_answered_and_costs_nothing() -> None:
 
 def test_whoever_comes_is_told_where_robots_were_sent() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             await page.say(do="waypoints", robot=1, points=[[10, 20]])
             await page.until(lambda message: message["type"] == "waypoints")
             async with here.page() as late:
@@ -234,7 +236,7 @@ def test_whoever_comes_is_told_where_robots_were_sent() -> None:
 
 def test_who_drives_is_told_that_another_does_as_well() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as one, here.page() as other:
+        async with serve_viewer(an_emulator()) as here, here.page() as one, here.page() as other:
             await one.say(do="drive", id=1, robot=1, args=[10, 0, 0])
             assert (await one.answer(1))["others"] == []
             await other.say(do="drive", id=1, robot=1, args=[-10, 0, 0])
@@ -250,7 +252,7 @@ def test_who_drives_is_told_that_another_does_as_well() -> None:
 def test_an_answer_does_not_wait_for_the_next_picture_and_an_open_page_delays_no_end() -> None:
     async def scenario() -> None:
         loop = asyncio.get_running_loop()
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             await page.say(do="call", id=0, robot=1, call="st", args=[])
             await page.answer(0)
             begin = loop.time()
@@ -259,38 +261,38 @@ def test_an_answer_does_not_wait_for_the_next_picture_and_an_open_page_delays_no
                 await page.answer(number)
             assert loop.time() - begin < 20 * PERIOD_S
             begin = loop.time()
-            await here.viewing.close()
+            await here.viewer_server.close()
             assert loop.time() - begin < 1.5
-            assert not here.viewing.hub.viewers
+            assert not here.viewer_server.broadcaster.viewers
 
     asyncio.run(scenario())
 
 
 def test_the_name_that_the_page_is_served_on_is_known() -> None:
-    assert known_host("robots.example:7080", "robots.example")
-    assert not known_host("evil.example:7080", "robots.example")
+    assert is_known_host("robots.example:7080", "robots.example")
+    assert not is_known_host("evil.example:7080", "robots.example")
 
 
 @pytest.mark.parametrize(("host", "remedy"), [("192.0.2.1", "take an address of this machine")])
 def test_where_it_cannot_be_served_the_remedy_fits(host: str, remedy: str) -> None:
     async def scenario() -> None:
         with pytest.raises(ConnectionLost, match=remedy):
-            await Viewing(Daemon(an_emulator())).open(host, 0)
+            await ViewerServer(Daemon(an_emulator())).open(host, 0)
 
     asyncio.run(scenario())
     assert HTTP_LOG.filters == []
 
 
 def test_a_host_that_is_none_is_refused() -> None:
-    assert not known_host("[")
-    assert not known_host("")
-    assert from_here("http://LOCALHOST:7080", "http", "localhost:7080")
-    assert not from_here("https://localhost:7080", "http", "localhost:7080")
+    assert not is_known_host("[")
+    assert not is_known_host("")
+    assert is_same_origin("http://LOCALHOST:7080", "http", "localhost:7080")
+    assert not is_same_origin("https://localhost:7080", "http", "localhost:7080")
 
 
 def test_noise_is_switched_and_a_world_put_by_a_page_that_may() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             wanted = {"robot": 1, "sensors": "measured", "motion": "noisy"}
             await page.say(do="control", id=1, command="noise", argument=wanted)
             assert (await page.answer(1))["said"] == {"noise": {"1": {"sensors": "measured", "motion": "noisy"}}}
@@ -298,7 +300,7 @@ def test_noise_is_switched_and_a_world_put_by_a_page_that_may() -> None:
             text = (await page.answer(2))["said"]["text"]
             await page.say(do="control", id=3, command="world set", argument={"text": text, "file": "it.toml"})
             assert (await page.answer(3))["said"] == {"world": "thesis_room"}
-            async with here.page(here.viewing.watch_token) as looking:
+            async with here.page(here.viewer_server.watch_token) as looking:
                 await looking.say(do="control", id=4, command="noise", argument=wanted)
                 assert (await looking.answer(4))["error"] == "this link only looks"
 
@@ -307,12 +309,12 @@ def test_noise_is_switched_and_a_world_put_by_a_page_that_may() -> None:
 
 def test_a_click_is_taken_where_a_client_waits_for_it() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here, here.page() as page:
+        async with serve_viewer(an_emulator()) as here, here.page() as page:
             await page.say(do="click", robot=1, pose=[1, 2, 3, 4])
-            assert "nobody asks" in (await page.until(lambda message: message["type"] == "answer"))["error"]
+            assert "no client asks" in (await page.until(lambda message: message["type"] == "answer"))["error"]
             await page.say(do="waypoints", robot=1, points=[[10, 20]])
             assert (await page.until(lambda message: message["type"] == "waypoints"))["points"] == [[10, 20]]
-            assert here.viewing.desk.waypoints == {1: [[10, 20]]}
+            assert here.viewer_server.controller.waypoints == {1: [[10, 20]]}
 
     asyncio.run(scenario())
 
@@ -331,15 +333,15 @@ def test_pictures_are_twenty_a_second_on_the_whole_and_come_in_no_bursts() -> No
 
 def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
+        async with serve_viewer(an_emulator()) as here:
             here.daemon.admission.limits = Limits(viewers=1)
-            query, headers = {"token": here.viewing.token}, {"Origin": here.origin}
+            query, headers = {"token": here.viewer_server.token}, {"Origin": here.origin}
             async with here.page() as page:
-                with pytest.raises(aiohttp.WSServerHandshakeError) as rejection_reason:
+                with pytest.raises(aiohttp.WSServerHandshakeError) as refusal:
                     await here.web.ws_connect(f"{here.origin}/ws", params=query, headers=headers)
-                assert rejection_reason.value.status == 503
+                assert refusal.value.status == 503
                 await page.until(lambda message: message["type"] == "picture")
-            while here.viewing.hub.viewers:
+            while here.viewer_server.broadcaster.viewers:
                 await asyncio.sleep(0.005)
             async with here.page() as page:
                 await page.until(lambda message: message["type"] == "picture")
@@ -349,9 +351,9 @@ def test_one_page_too_many_is_told_and_the_others_go_on() -> None:
 
 def test_who_only_asks_for_a_websocket_takes_no_place() -> None:
     async def scenario() -> None:
-        async with served(an_emulator()) as here:
+        async with serve_viewer(an_emulator()) as here:
             here.daemon.admission.limits = Limits(viewers=1)
-            query, headers = {"token": here.viewing.token}, {"Origin": here.origin}
+            query, headers = {"token": here.viewer_server.token}, {"Origin": here.origin}
             for _ in range(2):
                 async with here.web.get(f"{here.origin}/ws", params=query, headers=headers) as answer:
                     assert answer.status == 400  # no upgrade was asked for
@@ -363,13 +365,13 @@ def test_an_address_that_is_not_let_in_gets_nothing(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
 
     async def scenario() -> None:
-        async with served(an_emulator()) as here, elsewhere() as outsider:
+        async with serve_viewer(an_emulator()) as here, elsewhere() as outsider:
             here.daemon.admission.access = Allowlist((ipaddress.ip_network("192.0.2.0/24"),))
             for path in ("/", "/ws", "/page/main.js", "/health"):
-                async with outsider.get(f"{here.origin}{path}", params={"token": here.viewing.token}) as answer:
-                    assert (answer.status, await answer.text()) == (403, "this address is not let in\n")
+                async with outsider.get(f"{here.origin}{path}", params={"token": here.viewer_server.token}) as answer:
+                    assert (answer.status, await answer.text()) == (403, "this address is not allowed\n")
             assert here.daemon.admission.rejected == 4
-            async with here.web.get(f"{here.origin}/", params={"token": here.viewing.token}) as answer:
+            async with here.web.get(f"{here.origin}/", params={"token": here.viewer_server.token}) as answer:
                 assert answer.status == 200  # from the address that he asks: on this machine
 
     asyncio.run(scenario())

@@ -12,7 +12,7 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import FOR_A_PAGE, Limits
 from nserver_emu.viewer.auth import HTTP_LOG
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, Served, served
+from tests.nserver_emu.viewer.viewed_daemon import HOST, Served, serve_viewer
 
 HALF = b"GET / HTTP/1.1\r\n"
 ICON = b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -21,7 +21,7 @@ PATIENCE_S = 20
 
 def at(limits: Limits, scenario: Callable[[Served], Awaitable[None]]) -> None:
     async def evening() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             here.daemon.admission.limits = limits
             await scenario(here)
 
@@ -64,8 +64,8 @@ def test_who_asks_nothing_is_closed_in_time_and_who_asked_is_not() -> None:
 def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(here: Served) -> None:
         inside = [await comes(here) for _ in range(most)]
-        assert here.viewing._runner is not None
-        server = here.viewing._runner.server
+        assert here.viewer_server._runner is not None
+        server = here.viewer_server._runner.server
         assert server is not None
         async with asyncio.timeout(PATIENCE_S):
             while len(server.connections) < most:
@@ -89,8 +89,8 @@ def test_what_is_no_http_is_told_of_once_without_a_traceback(caplog: pytest.LogC
         assert here.daemon.admission.rejected == 3
 
     at(Limits(), scenario)
-    (told,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
-    assert told.getMessage().startswith(f"{HOST}: turned away: what it says at the page's port is no HTTP")
+    (picture,) = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert picture.getMessage().startswith(f"{HOST}: turned away: what it says at the page's port is no HTTP")
     assert HTTP_LOG.filters == []
 
 

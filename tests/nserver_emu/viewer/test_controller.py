@@ -7,12 +7,12 @@ import asyncio
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import ConnectionContext
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import served
+from tests.nserver_emu.viewer.viewed_daemon import serve_viewer
 
 
 def test_that_a_program_waits_for_a_pose_is_told_once_and_that_it_waits_no_more() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page() as page:
+        async with serve_viewer(Emulator(simulation())) as here, here.page() as page:
             assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {}
             visit = ConnectionContext(robot_id=1)
             clicked = here.daemon.emulator.pose_requests.ask(1, visit, lambda: (0, 0, 0, 0))
@@ -26,11 +26,11 @@ def test_that_a_program_waits_for_a_pose_is_told_once_and_that_it_waits_no_more(
 
 def test_what_is_said_is_told_to_those_who_watch_with_the_command_it_answers() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page() as page, here.page() as other:
+        async with serve_viewer(Emulator(simulation())) as here, here.page() as page, here.page() as other:
             await other.say(do="call", id=1, robot=1, call="st", args=[])
             await other.answer(1)
             await page.say(do="watch", traffic=True, laser=False)
-            while not here.viewing.desk.listening.watched:
+            while not here.viewer_server.controller.traffic_monitor.watched:
                 await asyncio.sleep(0.01)
             await other.say(do="call", id=2, robot=1, call="vm", args=[10, 0, 0])
             told = await page.until(lambda message: message["type"] == "traffic")
