@@ -102,7 +102,7 @@ class Setting:
         simulation = Simulation(load_world(self.world), seed=self.seed)
         setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
         places = FreePlaces(simulation)
-        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, awake=False)
+        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, powered=False)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
             place = start or places.next(model.body.radius_in)
@@ -111,8 +111,8 @@ class Setting:
                     f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots or a larger "
                     "world, or give it a --start"
                 )
-            simulation.add_robot(robot_id, place, model, setup, awake=False)
-        simulation.wake()
+            simulation.add_robot(robot_id, place, model, setup, powered=False)
+        simulation.power_on()
         return simulation
 
 

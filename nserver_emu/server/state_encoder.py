@@ -83,7 +83,7 @@ def is_on(mode: int) -> bool:
 
 def laser_vector(robot: SimulatedRobot, visit: Visit, width: int) -> tuple[int, ...]:
     """The vector with so many words a reading, on the terms of this connection; (0,) where nothing is seen."""
-    seen = robot.look_with_laser(visit.laser_columns)
+    seen = robot.scan_laser(visit.laser_columns)
     if width not in (POINTS, LINES):
         rows = pixels(seen)
         return (len(rows), *rows)
@@ -201,7 +201,7 @@ def with_laser(
     robot: SimulatedRobot, visit: Visit, slots: list[int], *, wanted: bool = True
 ) -> tuple[list[int], tuple[int, ...] | None]:
     """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return slots, None
     terms = visit.terms
     told = [*slots[:LASER_SLOT], terms.laser_mode, *slots[LASER_SLOT + 1 :]]
@@ -215,7 +215,7 @@ def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str,
         stamps |= infrared_stamps(robot)
     if position & Position.BUMPER:
         stamps["bumper"] = stamp_now(robot, time_s)
-    if position & Position.LASER and robot.model.sees:
+    if position & Position.LASER and robot.model.has_light_sensors:
         stamps["laser"] = stamp_now(robot, time_s)
     if position & Position.COMPASS:
         stamps |= compass_stamps(robot, time_s)

@@ -46,7 +46,7 @@ from nserver_emu.server.context import Stage
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
 from nserver_emu.server.state_encoder import Look, is_on
-from nserver_emu.simulation.acoustics import Cry
+from nserver_emu.simulation.acoustics import Ping
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -107,7 +107,7 @@ class Mark(NamedTuple):
     laser_modes: Modes | None
     said: object
     traces: dict[int, tuple[int, int]]
-    cries: dict[int, tuple[Cry | None, ...]]
+    pings: dict[int, tuple[Ping | None, ...]]
 
 
 NOTHING: Final = Mark(0, None, None, -1, -1, None, "not even silence", {}, {})
@@ -134,7 +134,7 @@ class Album:
             seen = {
                 str(number): _seen(robot)
                 for number, robot in self._stage.simulation.robots.items()
-                if robot.model.sees and (lasers is None or number in lasers) and is_shown(self._modes.get(number, []))
+                if robot.model.has_light_sensors and (lasers is None or number in lasers) and is_shown(self._modes.get(number, []))
             }
             self._lasers_taken += bool(seen or self._lasers)
             self._lasers = seen
@@ -157,7 +157,7 @@ class Album:
             told["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
         if new.said is not old.said:
             told["said"] = [list(utterance) for utterance in self._stage.transcript.said]
-        grown = {"traces": self._grown(old.traces, new.traces), "beams": _cried(old.cries, new.cries)}
+        grown = {"traces": self._grown(old.traces, new.traces), "beams": _cried(old.pings, new.pings)}
         return told | {name: more for name, more in grown.items() if more}
 
     def _mark_of(self, number: int) -> Mark:
@@ -185,7 +185,7 @@ class Album:
             self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
             simulation.world, stage.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
-            {n: robot.sonar.cries for n, robot in simulation.robots.items()},
+            {n: robot.sonar.pings for n, robot in simulation.robots.items()},
         )  # fmt: skip
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
@@ -205,7 +205,7 @@ def body(robot: SimulatedRobot) -> Plain:
     return {
         "model": robot.model.name, "family": robot.model.family, "radius_in": shape.radius_in,
         "ring_in": shape.sonar_ring_radius_in, "bumpers": len(shape.bumper_angles_rad),
-        "differential": robot.model.track_in is not None, "sees": robot.model.sees,
+        "differential": robot.model.track_in is not None, "sees": robot.model.has_light_sensors,
         "noise": noise_of(robot), "noises": noise_choices(robot),
     }  # fmt: skip
 
@@ -254,34 +254,34 @@ def _pose(pose: Pose) -> list[float]:
     ]  # fmt: skip
 
 
-def _cried(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | None, ...]]) -> Plain:
+def _cried(old: dict[int, tuple[Ping | None, ...]], new: dict[int, tuple[Ping | None, ...]]) -> Plain:
     """What sonars cried elsewhere than before, or another way."""
     changed = {
         str(n): [
-            [sonar, *_beam(cry)]
-            for sonar, (before, cry) in enumerate(zip(old.get(n, SILENT), cries, strict=True))
-            if cry is not before and _axis(cry) != _axis(before)
+            [sonar, *_beam(ping)]
+            for sonar, (before, ping) in enumerate(zip(old.get(n, SILENT), pings, strict=True))
+            if ping is not before and _axis(ping) != _axis(before)
         ]
-        for n, cries in new.items()
+        for n, pings in new.items()
     }
     return {n: beams for n, beams in changed.items() if beams}
 
 
-def _axis(cry: Cry | None) -> tuple[float, ...] | None:
-    return None if cry is None else (cry.x_in, cry.y_in, cry.direction_rad)
+def _axis(ping: Ping | None) -> tuple[float, ...] | None:
+    return None if ping is None else (ping.x_in, ping.y_in, ping.direction_rad)
 
 
-def _beam(cry: Cry | None) -> list[float]:
-    if cry is None:
+def _beam(ping: Ping | None) -> list[float]:
+    if ping is None:
         return []
-    return [round(cry.x_in, DIGITS), round(cry.y_in, DIGITS), round(cry.direction_rad, ANGLE_DIGITS)]
+    return [round(ping.x_in, DIGITS), round(ping.y_in, DIGITS), round(ping.direction_rad, ANGLE_DIGITS)]
 
 
 def _seen(robot: SimulatedRobot) -> list[float]:
     """In the map: the robot moves on until the laser is looked through again."""
     x, y, _, turret_rad = robot.actual
     c, s = math.cos(turret_rad), math.sin(turret_rad)
-    seen = points(robot.look_with_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
+    seen = points(robot.scan_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
     return [round(number, 1) for point in seen.tolist() for number in point]
 
 

@@ -208,7 +208,7 @@ class Viewing:
 
     def _laser_modes(self) -> Modes:
         robots = self._daemon.emulator.simulation.robots
-        return laser_modes(self._daemon.connections, [n for n, robot in robots.items() if robot.model.sees])
+        return laser_modes(self._daemon.connections, [n for n, robot in robots.items() if robot.model.has_light_sensors])
 
     @web.middleware
     async def _at_the_door(self, request: web.Request, handler: Handler) -> web.StreamResponse:

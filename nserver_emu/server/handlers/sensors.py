@@ -93,7 +93,7 @@ def conf_ls(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     Threshold, width and processing tell a camera's picture from its noise; there is no picture here, and no source
     that tells their units: they have no effect.
     """
-    if not stage.robot_of(visit).model.sees:
+    if not stage.robot_of(visit).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     visit.laser_columns = max(0, args[3])
     return stage.state(visit)
@@ -106,7 +106,7 @@ def get_ls(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 def conf_sg(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     """How laser points become lines on this connection: threshold and gap in tenths of an inch, fewest points."""
-    if not stage.robot_of(visit).model.sees:
+    if not stage.robot_of(visit).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     if not all(0 <= number <= _HIGHEST_BYTE for number in args):
         return error_reply(BAD_VALUES)
@@ -122,7 +122,7 @@ def get_sg(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply:
 
 def _laser(stage: Stage, visit: Visit, width: int) -> Reply:
     robot, now_s = stage.robot_of(visit), stage.simulation.time_s
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     seen = laser_vector(robot, visit, width) if is_on(visit.terms.laser_mode) else (0,)
     stamps = {"laser": stamp_now(robot, now_s)} if visit.terms.mask.position & Position.LASER else {}

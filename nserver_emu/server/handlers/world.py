@@ -29,7 +29,7 @@ from nserver_emu.server.state_encoder import state_slots, with_laser
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.visibility import Sighting
+from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
 from worlds.raycast import cast_rays
 from worlds.world import Polygon, StartPose
@@ -236,9 +236,9 @@ def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
     """What the sensors would read at another place of the map, ideal ones without noise; no robot goes there."""
     simulation, robot = stage.simulation, stage.robot_of(visit)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    seen = Sighting(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
+    seen = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, lookout=seen, own=len(others)
+        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, positions_of=seen, self_index=len(others)
     )
     slots, laser = with_laser(there, visit, state_slots(there, stage.pace.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from nserver_emu.simulation.drive import DifferentialDrive, SynchroDrive
 from nserver_emu.simulation.models import N150, SCOUT, SCOUT_TRACK_IN
-from nserver_emu.simulation.segments import Stretch
+from nserver_emu.simulation.segments import ConstantAccelerationSegment
 
 
 def drive(ramps: bool = False) -> SynchroDrive:
@@ -19,20 +19,20 @@ def drive(ramps: bool = False) -> SynchroDrive:
 
 def test_a_stretch_ends_where_a_wheel_changes_its_acceleration() -> None:
     wheels = drive()
-    assert wheels.stretch(5.0) == Stretch(5.0, 0.0, 0.0, 0.0, 0.0)
+    assert wheels.segment(5.0) == ConstantAccelerationSegment(5.0, 0.0, 0.0, 0.0, 0.0)
     wheels.translation.move_by(-10.0)
     wheels.steering.move_at(0.5)
-    assert wheels.stretch(5.0) == Stretch(0.5, -20.0, 0.0, 0.5, 0.0)
-    assert wheels.stretch(0.1).duration_s == 0.1
+    assert wheels.segment(5.0) == ConstantAccelerationSegment(0.5, -20.0, 0.0, 0.5, 0.0)
+    assert wheels.segment(0.1).duration_s == 0.1
     ramped = drive(ramps=True)
     ramped.steering.move_at(radians(25.0))
-    assert ramped.stretch(inf) == pytest.approx((0.5, 0.0, 0.0, 0.0, radians(50.0)))
+    assert ramped.segment(inf) == pytest.approx((0.5, 0.0, 0.0, 0.0, radians(50.0)))
 
 
 def test_the_turret_does_not_cut_the_path() -> None:
     wheels = drive()
     wheels.turret.move_by(0.1)
-    assert wheels.stretch(5.0).duration_s == 5.0
+    assert wheels.segment(5.0).duration_s == 5.0
 
 
 def test_angles_follow_their_axes() -> None:
@@ -85,13 +85,13 @@ def driven(wheels: DifferentialDrive, span_s: float) -> tuple[float, float, floa
     """(x, y, heading) after so long, by the stretches that the drive hands out."""
     x = y = 0.0
     while span_s > 1e-12:
-        stretch = wheels.stretch(span_s)
-        dx, dy = stretch.displacement(wheels.heading_rad, stretch.duration_s)
+        segment = wheels.segment(span_s)
+        dx, dy = segment.displacement(wheels.heading_rad, segment.duration_s)
         x, y = x + dx, y + dy
-        assert wheels.heading_rad + stretch.turn_at(stretch.duration_s) == pytest.approx(
-            advanced(wheels, stretch.duration_s), abs=1e-9
+        assert wheels.heading_rad + segment.turn_at(segment.duration_s) == pytest.approx(
+            advanced(wheels, segment.duration_s), abs=1e-9
         )
-        span_s -= stretch.duration_s
+        span_s -= segment.duration_s
     return x, y, wheels.heading_rad
 
 
@@ -147,13 +147,13 @@ def test_a_stretch_ends_where_the_robot_turns_back() -> None:
     wheels = two_wheels(20.0, 4.0, ramps=True)
     wheels.advance(2.0)
     wheels.right.move_at(-20.0)
-    stretch = wheels.stretch(5.0)
-    assert stretch.velocity_at(stretch.duration_s) >= 0.0
-    assert (stretch.duration_s, stretch.speed, stretch.acceleration) == pytest.approx((20.0 / 30.0, 12.0, -15.0))
-    wheels.advance(stretch.duration_s)
-    assert wheels.stretch(5.0).duration_s == pytest.approx(4.0 / 30.0, abs=1e-9)
+    segment = wheels.segment(5.0)
+    assert segment.velocity_at(segment.duration_s) >= 0.0
+    assert (segment.duration_s, segment.speed, segment.acceleration) == pytest.approx((20.0 / 30.0, 12.0, -15.0))
+    wheels.advance(segment.duration_s)
+    assert wheels.segment(5.0).duration_s == pytest.approx(4.0 / 30.0, abs=1e-9)
     wheels.advance(4.0 / 30.0)
-    assert wheels.stretch(5.0).duration_s == pytest.approx(16.0 / 30.0, abs=1e-9)
+    assert wheels.segment(5.0).duration_s == pytest.approx(16.0 / 30.0, abs=1e-9)
 
 
 def test_steering_turret_and_bumpers_are_the_heading() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nserver_emu.simulation.models import MODELS, N150, RobotModel, parse_models
-from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, Identity, setup_of
+from nserver_emu.simulation.noise import IDEAL, MEASURED, WORN, RngFactory, apply_calibration
 from nserver_emu.simulation.robot import SimulatedRobot
 from worlds.calibration import Calibration
 from worlds.files import load_world
@@ -21,7 +21,7 @@ START = StartPose(40.0, 40.0)
 
 
 def robot_of(model: RobotModel) -> SimulatedRobot:
-    return SimulatedRobot(Identity(1, 0), START, WALLS, model)
+    return SimulatedRobot(RngFactory(1, 0), START, WALLS, model)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -55,15 +55,15 @@ def test_each_sonar_reads_more_and_the_ring_looks_elsewhere() -> None:
     for sonar, (read, more) in enumerate(zip(shifted.sonar.readings_in, offsets, strict=True)):
         assert read - near[sonar] == pytest.approx(more, abs=0.5)
     turned = robot_of(replace(N150, errs=Calibration(turned_rad=radians(5.0))))
-    aimed = SimulatedRobot(Identity(1, 0), StartPose(40.0, 40.0, 0.0, radians(5.0)), WALLS, N150)
+    aimed = SimulatedRobot(RngFactory(1, 0), StartPose(40.0, 40.0, 0.0, radians(5.0)), WALLS, N150)
     assert turned.sonar.readings_in == aimed.sonar.readings_in
     assert turned.sonar.readings_in != plain.sonar.readings_in
 
 
 def test_a_polaroid_ring_errs_the_same_way() -> None:
-    plain = SimulatedRobot(Identity(1, 0), START, WALLS, N150, MEASURED)
+    plain = SimulatedRobot(RngFactory(1, 0), START, WALLS, N150, MEASURED)
     errs = Calibration(offsets_in=(3.0,) * 16)
-    shifted = SimulatedRobot(Identity(1, 0), START, WALLS, replace(N150, errs=errs), MEASURED)
+    shifted = SimulatedRobot(RngFactory(1, 0), START, WALLS, replace(N150, errs=errs), MEASURED)
     pairs = list(zip(plain.sonar.readings_in, shifted.sonar.readings_in, strict=True))
     heard = [(one, other) for one, other in pairs if one < 250]
     assert len(heard) > 4
@@ -72,11 +72,11 @@ def test_a_polaroid_ring_errs_the_same_way() -> None:
 
 
 def test_a_model_of_which_nothing_is_known_is_as_its_setup() -> None:
-    assert setup_of(N150, WORN) is WORN
-    own = setup_of(replace(N150, errs=ERRS), WORN)
-    assert own.odometry.slip_in == WORN.odometry.slip_in
-    assert own.odometry.scales == (1.04, 0.97, 1.0)
-    assert own.sonar.std_share == WORN.sonar.std_share
+    assert apply_calibration(N150, WORN) is WORN
+    self_index = apply_calibration(replace(N150, errs=ERRS), WORN)
+    assert self_index.odometry.slip_in == WORN.odometry.slip_in
+    assert self_index.odometry.scales == (1.04, 0.97, 1.0)
+    assert self_index.sonar.range_std_relative == WORN.sonar.range_std_relative
 
 
 def test_model_files_say_it() -> None:
@@ -84,4 +84,4 @@ def test_model_files_say_it() -> None:
     models = parse_models(text, "mine.toml")
     assert models["n150"].errs == models["twin"].errs == Calibration(way_scale=1.04)
     assert models["n200"].errs is None
-    assert setup_of(models["n150"], IDEAL).odometry.scales[0] == 1.04
+    assert apply_calibration(models["n150"], IDEAL).odometry.scales[0] == 1.04

@@ -73,9 +73,9 @@ def test_an_exact_square_closes(room: World, way: int) -> None:
 def test_a_synchro_square_is_the_closed_form(room: World, way: int) -> None:
     odometry = Odometry(scales=(1.02, 0.99, 1.0), drifts=(radians(0.05), 0.004))
     place, turn = square(room, odometry, N150, way)
-    leg = arc(1.02 * LEG_IN, radians(0.05) * LEG_IN)
+    piece = arc(1.02 * LEG_IN, radians(0.05) * LEG_IN)
     corner = (0j, way * (0.99 + 0.004) * pi / 2)
-    expected, turned = composed([leg, corner])
+    expected, turned = composed([piece, corner])
     assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
@@ -87,9 +87,9 @@ def test_a_scouts_square_is_the_closed_form(room: World, way: int) -> None:
     place, turn = square(room, Odometry((right, left, 1.0), (outward, -outward)), SCOUT, way)
     counted = way * pi / 2 * SCOUT_TRACK_IN / 2
     track = SCOUT_TRACK_IN
-    leg = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
+    piece = arc(LEG_IN * (right + left) / 2, LEG_IN * (right - left) / track)
     corner = arc(counted * (right - left) / 2, counted * (right + left) / track + outward * 2.0 * counted)
-    expected, turned = composed([leg, corner])
+    expected, turned = composed([piece, corner])
     assert (place.real, place.imag) == pytest.approx((expected.real, expected.imag), abs=1e-6)
     assert phase(exp(1j * (turn - turned))) == pytest.approx(0.0, abs=1e-9)
 
@@ -120,11 +120,11 @@ def test_worn_is_as_far_off_after_a_square_of_4_m_as_it_says(room: World) -> Non
         ends, errors = [], []
         for way in (CCW, CW):
             if model is SCOUT:
-                leg = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
+                piece = arc(leg_in * (scale + 1.0) / 2.0, leg_in * (wheels[1] / wheels[0] + drift))
                 corner = arc(way * counted * wheels[1] / 2.0, way * counted * ((scale + 1.0) / SCOUT_TRACK_IN + drift))
             else:
-                leg, corner = arc(leg_in * scale, leg_in * drift), (0j, way * pi / 2)
-            ends.append(abs(composed([leg, corner])[0]) * 25.4)
+                piece, corner = arc(leg_in * scale, leg_in * drift), (0j, way * pi / 2)
+            ends.append(abs(composed([piece, corner])[0]) * 25.4)
             errors.append(abs(square(room, odometry, model, way, leg_in)[0]) * 25.4)
         assert errors == pytest.approx(ends, abs=0.01)
         assert max(ends) == pytest.approx(off_mm, abs=0.5)

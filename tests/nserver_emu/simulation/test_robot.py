@@ -258,7 +258,7 @@ def test_leaving_sliding_and_pressing_on(lone: Lone) -> None:
 
 def test_a_disc_blocks_like_a_wall_and_sonars_do_not_see_it_yet(lone: Lone) -> None:
     simulation, robot = lone()
-    robot.stand_beside([(60.0, 0.0, 9.72)])
+    robot.set_obstacles([(60.0, 0.0, 9.72)])
     robot.set_velocities(20.0, 0.0, 0.0)
     simulation.step(5.0)
     assert robot.actual.x_in == pytest.approx(60.0 - 2.0 * 9.72)

@@ -76,7 +76,7 @@ def test_an_empty_file_is_its_base_by_another_name() -> None:
 
 def test_another_sonar_model_keeps_what_both_have() -> None:
     ears = parsed('base = "noisy"\n[sonar]\nmodel = "polaroid"\nstd_share = 0.03\ncone_deg = 20').sonar
-    assert ears == Polaroid(std_share=0.03, least_std_in=0.05, cone_rad=radians(20.0))
+    assert ears == Polaroid(range_std_relative=0.03, range_std_floor_in=0.05, cone_rad=radians(20.0))
     ray = parsed('base = "measured"\n[sonar]\nmodel = "ray"\ndead = [2]').sonar
     assert ray == SonarNoise(0.01, 0.05, (2,))
 

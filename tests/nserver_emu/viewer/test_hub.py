@@ -109,7 +109,7 @@ def test_lasers_are_looked_through_for_the_robots_that_somebody_looks_at(monkeyp
     emulator = Emulator(Setting(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200").simulation())
     hub = Hub(Album(emulator))
     looked: list[SimulatedRobot] = []
-    honest = SimulatedRobot.look_with_laser
+    honest = SimulatedRobot.scan_laser
 
     def look(robot: SimulatedRobot) -> Any:
         looked.append(robot)
