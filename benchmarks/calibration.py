@@ -22,8 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from nclient.cli import main as cli
-from worlds.bodies import SONARS
-from worlds.calibration import Calibration, calibration_text
+from worlds.robots import SONARS, Calibration, format_calibration
 
 CHANCE: Final = "0.02,0.02,0.0005"
 """Of the wheels: in after 1 in, rad after 1 rad, rad after 1 in."""
@@ -66,7 +65,7 @@ def calibrated(seed: int, words: list[str]) -> Outcome:
     true = robot(seed)
     with tempfile.TemporaryDirectory() as folder:
         model, setup = Path(folder, "model.toml"), Path(folder, "setup.toml")
-        model.write_text(calibration_text("n150", true), encoding="utf-8")
+        model.write_text(format_calibration("n150", true), encoding="utf-8")
         setup.write_text(SETUP, encoding="utf-8")
         address = f"sim:{WORLD}?seed={seed}&setup={setup}&model_file={model}"
         told = io.StringIO()

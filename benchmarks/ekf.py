@@ -22,7 +22,7 @@ import numpy as np
 from ekf_peers import FilterPy, Linear, StoneSoup
 
 from localization.experiments.execution import drive
-from localization.experiments.trial import FIGURES, Course, course_of, run
+from localization.experiments.figure_trial import FIGURES, Course, course_of, run
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import Belief, Floats, independent
 from localization.filters.ekf import correct
@@ -32,8 +32,8 @@ from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar, meet, observe, rays, sight
 from localization.filters.update import Observation
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 BOUNDS: Final = {
     "full_us": 150.0,

@@ -26,16 +26,16 @@ from pathlib import Path
 from echo import Pace, compare, parsed_options, started
 
 from nclient.backends.base import Backend
-from nclient.connect import Wanted, open_backend
+from nclient.connect import open_backend
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 
 TARGET_RATIO, TARGET_SHARE = 0.5, 0.95
 BAUD, BITS_A_BYTE = 38400, 10
 GS = Call("gs")
-REQUEST = codec.line_request(GS, line_terms(N150))
+REQUEST = codec.encode_serial_request(GS, serial_wire_state(N150))
 REPLY_SIZE = 48
 """An N150's state packet in its frame."""
 PACED_CALLS = 100
@@ -95,7 +95,7 @@ def hosts(*words: str) -> Iterator[dict[str, Callable[[], None]]]:
         lines = [f"--serial-link={link}@1" for link in links]
         opened.enter_context(started([sys.executable, "-m", "nserver_emu", "--port", "0", *lines, *words]))
         _wait_for(links[-1])
-        backend = open_backend(f"serial://{links[1]}", Wanted())
+        backend = open_backend(f"serial://{links[1]}")
         opened.callback(backend.close)
         yield {"nserver": opened.enter_context(contextlib.closing(Host(links[0]))), "client": partial(_ask, backend)}
 

@@ -24,11 +24,11 @@ from typing import Any
 from localization.cli.options import START_STD
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import independent
-from localization.live.run import Run, RunMoment, Sighting
+from localization.live.run import Run, RunMoment, TruthSample
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Speeds, begin, follow
 from nclient import Robot, connect
-from worlds.bodies import BODIES
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import BODIES
 
 WORLD = "thesis_room"
 WAYPOINTS = [(0.0, 0.0), (60.0, 40.0)]
@@ -80,9 +80,9 @@ def measure(seeds: int, speed: float) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def _sighting(eye: Robot) -> Sighting:
+def _sighting(eye: Robot) -> TruthSample:
     truth = eye.truth()
-    return Sighting(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
+    return TruthSample(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
 
 
 def main() -> None:

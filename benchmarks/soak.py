@@ -29,7 +29,7 @@ from typing import Any, Final
 from soak_verdict import Finding, Sample, ended, verdict, visited
 from soak_visitors import KINDS, MODELS, House, ask_owner
 
-from nclient.common.process import left_in_order
+from nclient.common.process import handle_termination_signals
 from nserver_emu.garbage import TIDY_S
 
 PATIENCE_S: Final = 600.0
@@ -168,7 +168,7 @@ async def _visits(house: House, rng: random.Random, rest_s: float, enough: async
     while not enough.is_set():
         for kind in rng.sample(sorted(KINDS), len(KINDS)):
             if not (rounds and enough.is_set()):
-                await house.visit(kind, rng)
+                await house.context(kind, rng)
                 again_s = house.now_s + rng.uniform(0.0, 2.0 * rest_s)
                 while house.now_s < again_s and not enough.is_set():
                     await asyncio.sleep(LOOK_S)
@@ -230,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write samples, visits and findings to a file")
     options = parser.parse_args(arguments)
     wanted = Wanted(options.visitors, options.rest, 60 * options.every)
-    with left_in_order():  # a run that is ended leaves no daemon behind
+    with handle_termination_signals():  # a run that is ended leaves no daemon behind
         samples, house, found = run(options.hours, wanted, options.seed)
     for finding in found:
         print(f"{'kept  ' if finding.kept else 'BROKEN'} {finding.what}: {finding.value:.6g} (asked: {finding.bound})")

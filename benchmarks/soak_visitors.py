@@ -39,8 +39,8 @@ HOST: Final = "127.0.0.1"
 MODELS: Final = tuple(MODELS_BY_NAME)
 PATIENCE_S: Final = 20.0
 """A visit that takes longer is broken off."""
-CONNECT: Final = [codec.tcp_request(Call("connect_robot", (robot, 1))) for robot in range(1, 4)]
-GS: Final = codec.tcp_request(Call("gs"))
+CONNECT: Final = [codec.encode_tcp_request(Call("connect_robot", (robot, 1))) for robot in range(1, 4)]
+GS: Final = codec.encode_tcp_request(Call("gs"))
 MANY: Final = 1000
 SILENCE_S: Final = 0.3
 ROBOTD_MODEL, SERIAL_MODEL = MODELS[0], MODELS[1]
@@ -61,7 +61,7 @@ class House:
     failed: dict[str, int] = field(default_factory=dict)
     now_s: float = 0.0
 
-    async def visit(self, kind: str, rng: random.Random) -> None:
+    async def context(self, kind: str, rng: random.Random) -> None:
         """One visit of that kind; a fault of a line ends it, and is counted."""
         self.visits[kind] = self.visits.get(kind, 0) + 1
         try:
@@ -110,7 +110,7 @@ async def host(house: House, rng: random.Random) -> None:
 async def dies(house: House, rng: random.Random) -> None:
     """A program that is killed in the middle of an answer."""
     async with _connected(house, rng) as (reader, writer):
-        writer.write(codec.tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
+        writer.write(codec.encode_tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
         await reader.read(100)
         _reset(writer)
 

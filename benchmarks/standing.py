@@ -25,8 +25,8 @@ from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 WORLD: Final = load_world("thesis_room")
 NOISES: Final = tuple(name for name, scenario in SCENARIOS.items() if not scenario.line)

@@ -1,11 +1,10 @@
-"""Hostile input for every reader of the project: `scripts/fuzz`, and the tests of tests/fuzz over the same table.
+"""Fuzzing of every reader of outer input: `scripts/fuzz`, and tests/fuzz with the same table of readers.
 
-    table.py      THE table: every reader, from the rooms below
-    wire.py files.py kept.py page.py words.py      readers, by what they read
-    reader.py     what a row is                   mutating.py   changes that keep a text, a tree or a frame nearly right
-    campaign.py   one reader under atheris        corpus.py     inputs that are kept, and which of them are worth it
-    __main__.py   the command
+    readers.py      the table of all readers
+    wire.py text_files.py saved_files.py messages.py command_text.py      its rows, by what they read
+    reader.py       what a row contains            mutation.py     mutations that keep an input nearly valid
+    runner.py       runs one reader in a process   __main__.py     the command
+    seeds/READER/   at most five named inputs per reader, beside those that the rows make themselves
 
-Rules: a reader here is the real one, called as the program calls it; what it may raise is what its docstring says, and
-anything else is a finding. Nothing of the packages imports this.
+A row calls the reader as the programs do. The exceptions in its row are the documented ones; any other is a finding.
 """

@@ -1,7 +1,7 @@
-"""`scripts/fuzz`: hostile input for every reader, or for those named. See fuzz/__init__.py and docs/fuzzing.md.
+"""Fuzz all readers, or those named. See docs/fuzzing.md.
 
-Rules: our packages are imported under atheris's instrumentation, and by nobody before; each reader has a process of its
-own, forked from this one, so that they are imported once. Exit code 1: something was found, or memory grew.
+The packages are imported once, under atheris's instrumentation; each reader then runs in forked processes. The exit
+code is 1 if an input was a finding or memory grew.
 """
 
 from __future__ import annotations
@@ -12,273 +12,242 @@ import io
 import os
 import signal
 import sys
-import tempfile
 import time
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
-    from fuzz.campaign import Progress
     from fuzz.reader import Reader
+    from fuzz.runner import Status
 
 PACKAGES: Final = ("nclient", "nserver_emu", "localization", "worlds")
 RUNS: Final = 10_000_000
-MOST_GROWN_KB: Final = 100_000
-"""libFuzzer's own corpus and tables are some ten thousand."""
-MOST_GROWN_BLOCKS: Final = 20_000
-"""Objects of Python's: a tenth of one for each input would be a hundred times as many in a long run."""
-_SHOWN: Final = 2000
-"""Characters of an input that a report holds: where only the report is left of a run, it says what was found."""
-_POLL_S: Final = 0.1
-_LEAST_S: Final = 0.2
-"""For less, no process is begun anew."""
-_TOLD_EVERY_S: Final = 1.0
-_CLEAN, _FOUND, _USAGE, _INTERRUPTED = 0, 1, 2, 130
+MAX_GROWTH_KB: Final = 100_000
+"""Tables of libFuzzer take some ten thousand."""
+MAX_GROWTH_OBJECTS: Final = 20_000
+"""A leak of a tenth of an object per input would be a hundred times as many in a long run."""
+_MAX_SHOWN: Final = 2000
+"""Bytes of a finding in the report: enough to reproduce it if only the report is left."""
+_MIN_S: Final = 0.2
+_OK, _FOUND, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 
 
-class Goals(NamedTuple):
-    """Where it happens, when a reader has had enough, and whether anybody looks at the code that is reached."""
+class Limits(NamedTuple):
+    """When a reader is done, where its corpus is, and whether coverage guides it."""
 
-    work: Path
-    runs: int | None
-    seconds: float | None
-    blind: bool
-
-    def after(self, seconds: float) -> Goals:
-        """What is left of them for one that began so long ago."""
-        return self if self.seconds is None else self._replace(seconds=max(_LEAST_S, self.seconds - seconds))
-
-    def more(self, progress: Progress) -> bool:
-        """Whether there is more to do for a reader that ended well and is so far: it was at the end of a spell."""
-        return progress.executions < self.runs if self.runs else (self.seconds or 0.0) > _LEAST_S
+    runs: float
+    seconds: float
+    corpus: Path
+    is_guided: bool
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit code."""
+    """Run the command and return its exit code."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    readers = _readers(instrumented=not (options.again or options.list or options.blind))
+    readers = _load_readers(instrumented=not (options.again or options.list or options.blind))
     for name in options.readers:
         if name not in readers:
-            parser.error(f"no reader {name!r}; there are {', '.join(readers)}")
+            parser.error(f"unknown reader {name!r}; choose from {', '.join(readers)}")
     if options.list:
         for reader in readers.values():
-            print(f"{reader.name:16}  {reader.about}")
-        return _CLEAN
+            print(f"{reader.name:16}  {reader.description}")
+        return _OK
     if options.again:
-        return _again(readers, options.again)
-    return _run([readers[name] for name in options.readers or readers], options)
+        return _run_again(readers, options.again)
+    chosen = [readers[name] for name in options.readers or readers]
+    runs, seconds = (options.runs, float("inf")) if options.seconds is None else (float("inf"), options.seconds)
+    limits = Limits(runs, seconds / len(chosen), options.corpus, not options.blind)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return _FOUND if _run_all(chosen, limits, options.jobs) else _OK
+    except KeyboardInterrupt:
+        print(f"interrupted; the corpus in {options.corpus} remains for the next run", file=sys.stderr)
+        return _INTERRUPTED
 
 
-def _run(chosen: list[Reader], options: argparse.Namespace) -> int:
-    """All of these readers; the exit code."""
-    with contextlib.ExitStack() as held:
-        held.callback(_files_gone)
-        work = options.work or Path(held.enter_context(tempfile.TemporaryDirectory(prefix="nomad-fuzz-")))
-        work.mkdir(parents=True, exist_ok=True)
-        seconds = None if options.seconds is None else options.seconds / len(chosen)
-        try:
-            bad = _all(chosen, Goals(work, None if seconds else options.runs, seconds, options.blind), options.jobs)
-        except KeyboardInterrupt:
-            print("stopped; " + (f"--work {options.work} goes on from here" if options.work else "nothing is kept"),
-                  file=sys.stderr)  # fmt: skip
-            return _INTERRUPTED
-        if options.keep:
-            _keep(chosen, work)
-    return _FOUND if bad else _CLEAN
-
-
-def _keep(chosen: Iterable[Reader], work: Path) -> None:
-    from fuzz.corpus import keep
-
-    for reader in chosen:
-        print(f"{reader.name:16}  {keep(reader, work):4} inputs kept")
-
-
-def _files_gone() -> None:
-    from fuzz.place import folder
-
-    folder().cleanup()
+def default_corpus() -> Path:
+    """Return the folder of the grown corpus: nomad-fuzz in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nomad-fuzz"
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="scripts/fuzz", description="Hostile input for the readers of the project: a value or the documented "
-        "error, nothing else, and no growth in memory. Inputs that show something else are left in fuzz/found."
-    )  # fmt: skip
-    parser.add_argument("readers", nargs="*", metavar="READER", help="only these (default: all; --list tells them)")
-    parser.add_argument("--runs", type=_whole, default=RUNS, metavar="N", help="inputs a reader (default: %(default)s)")
-    parser.add_argument("--seconds", type=_seconds, metavar="S", help="instead: so long, all readers together")
-    parser.add_argument("--blind", action="store_true", help="without looking at what code is reached: up to three "
-                        "times as fast, from what the corpus and --work hold")  # fmt: skip
+        prog="scripts/fuzz",
+        description="Run mutated inputs through the readers of the project. A reader must return a value or raise a "
+        "documented error, quickly and without memory growth; other inputs are stored in fuzz/found.",
+    )
+    parser.add_argument("readers", nargs="*", metavar="READER", help="only these readers (default: all; see --list)")
+    parser.add_argument("--runs", type=_whole, default=RUNS, metavar="N",
+                        help="inputs per reader (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--seconds", type=_seconds, metavar="S",
+                        help="instead of --runs: S seconds shared by all readers")  # fmt: skip
+    parser.add_argument("--blind", action="store_true",
+                        help="mutate at random, without coverage: faster, and without atheris")  # fmt: skip
     parser.add_argument("--jobs", type=_whole, default=os.cpu_count() or 1, metavar="N",
-                        help="readers at a time (default: one a core)")
-    parser.add_argument("--work", type=Path, metavar="DIR", help="keep inputs and counts there; the same again goes on "
-                        "where it was stopped (default: a folder that is gone afterwards)")  # fmt: skip
-    parser.add_argument("--keep", action="store_true", help="put what reached new code into fuzz/corpus")
-    parser.add_argument("--list", action="store_true", help="tell the readers and do nothing")
-    parser.add_argument("--again", type=Path, metavar="FILE", help="read one input again: fuzz/found/worlds-1a2b3c")
+                        help="readers in parallel (default: number of cores)")  # fmt: skip
+    parser.add_argument("--corpus", type=Path, default=default_corpus(), metavar="DIR",
+                        help="store inputs that reach new code in DIR/READER, and start from those there "
+                        "(default: nomad-fuzz in the user's cache)")  # fmt: skip
+    parser.add_argument("--list", action="store_true", help="list the readers and exit")
+    parser.add_argument("--again", type=Path, metavar="FILE",
+                        help="run one input again, such as fuzz/found/worlds-1a2b3c")  # fmt: skip
     return parser
 
 
 def _whole(text: str) -> int:
     if not (text.isascii() and text.isdecimal()) or not int(text[:18]) > 0:
-        raise argparse.ArgumentTypeError(f"a whole number above 0, not {text!r}")
+        raise argparse.ArgumentTypeError(f"must be a whole number above 0, not {text!r}")
     return int(text)
 
 
 def _seconds(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        if 0.0 < float(text) < 1e9:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"must be a number of seconds above 0, not {text!r}")
+
+
+def _load_readers(*, instrumented: bool) -> dict[str, Reader]:
+    if not instrumented:
+        from fuzz.readers import READERS
+
+        return READERS
     try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"a number of seconds above 0, not {text!r}")
-    return value
+        import atheris
+    except ImportError:
+        raise SystemExit("scripts/fuzz needs atheris (Linux, Python 3.11 to 3.13): pip install 'nomad-nserver[dev]'; "
+                         "or use --blind") from None  # fmt: skip
+    with contextlib.redirect_stderr(io.StringIO()), atheris.instrument_imports(include=list(PACKAGES)):
+        from fuzz.readers import READERS
 
-
-def _readers(*, instrumented: bool) -> dict[str, Reader]:
-    if instrumented:
-        try:
-            import atheris
-        except ImportError:
-            raise SystemExit("scripts/fuzz wants atheris (Linux, Python 3.11 to 3.13): pip install 'nomad-nserver[dev]'"
-                             ) from None
-        with contextlib.redirect_stderr(io.StringIO()), atheris.instrument_imports(include=list(PACKAGES)):
-            from fuzz.table import READERS
-    else:
-        from fuzz.table import READERS
     return READERS
 
 
-def _again(readers: dict[str, Reader], path: Path) -> int:
-    """One input, read without anything around it; what it raises is shown whole."""
+def _run_again(readers: dict[str, Reader], path: Path) -> int:
+    """Run one input; an undocumented exception is shown with its traceback."""
     reader = readers.get(path.name.partition("-")[0]) or readers.get(path.absolute().parent.name)
     if reader is None:
-        print(f"{path}: its name or its folder begins with none of {', '.join(readers)}", file=sys.stderr)
+        print(f"{path}: the name of the file or of its folder must be that of a reader: {', '.join(readers)}",
+              file=sys.stderr)  # fmt: skip
         return _USAGE
-    taken = reader.take(path.read_bytes())
-    print("taken" if taken else f"refused as documented: {', '.join(error.__name__ for error in reader.errors)}")
-    return _CLEAN
+    errors = ", ".join(error.__name__ for error in reader.errors)
+    print("accepted" if reader.accepts(path.read_bytes()) else f"rejected as documented: {errors}")
+    return _OK
 
 
-def _all(readers: list[Reader], goals: Goals, jobs: int) -> bool:
-    """Every reader once, so many at a time; whether anything is wrong."""
-    from fuzz.place import folder
+def _run_all(readers: list[Reader], limits: Limits, jobs: int) -> bool:
+    """Run all readers, some in parallel. Return True if there was a finding."""
+    from fuzz.reader import input_folder
+    from fuzz.runner import FOUND, shared_status
 
-    folder()
-    print(f"{'reader':16} {'executions':>11} {'/s':>7} {'taken':>6} {'slowest':>8} {'RSS MB':>13} {'objects':>8}")
-    waiting, running, bad, work = list(readers), dict[int, "Reader"](), False, goals.work
-    begun_s: dict[str, float] = {}
+    input_folder()
+    for log in FOUND.glob(".*.log"):
+        log.unlink()
+    print(f"{'reader':16} {'executions':>11} {'/s':>7} {'accepted':>8} {'slowest':>8} {'RSS MB':>13} {'objects':>8}")
+    waiting, running, has_findings, started_s = list(readers), dict[int, "Reader"](), False, time.time()
+    statuses = {reader.name: shared_status() for reader in readers}
     try:
         while waiting or running:
             while waiting and len(running) < jobs:
                 reader = waiting.pop(0)
-                since_s = time.monotonic() - begun_s.setdefault(reader.name, time.monotonic())
-                running[_begun(reader, goals.after(since_s))] = reader
-            for pid, status in _ended(running):
-                reader = running.pop(pid)
-                since_s = time.monotonic() - begun_s[reader.name]
-                if not status and goals.after(since_s).more(_progress(work, reader)):
-                    waiting.insert(0, reader)
-                else:
-                    bad |= _told(reader, work, status)
-            _show(running.values(), work)
-            time.sleep(_POLL_S)
+                running[_fork(_supervise, reader, statuses[reader.name], limits)] = reader
+            pid, exit_status = os.wait()
+            reader = running.pop(pid)
+            has_findings |= _report(reader, statuses[reader.name], exit_status, started_s)
     finally:
-        for pid in running:
-            os.kill(pid, signal.SIGTERM)
         for pid, reader in running.items():
-            _wait(pid)
-            print(_row(_progress(work, reader)))
-    return bad
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            print(_row(reader, statuses[reader.name]))
+    return has_findings
 
 
-def _begun(reader: Reader, goals: Goals) -> int:
-    """The number of the process that this reader has."""
-    from fuzz.campaign import Campaign
+def _supervise(reader: Reader, status: Status, limits: Limits) -> int:
+    """Run a reader in one process after another until it is done. Return the exit code of the last one."""
+    from fuzz.runner import GUIDED_INPUTS
 
+    os.setpgid(0, 0)  # one process group per reader, so that an interrupt can end all of its processes
+    started_s = time.monotonic()
+    while True:
+        remaining = limits.runs - status.executions
+        seconds = limits.seconds - (time.monotonic() - started_s)
+        if remaining <= 0 or (status.executions and seconds < _MIN_S):
+            return 0
+        inputs = min(remaining, GUIDED_INPUTS) if limits.is_guided else remaining
+        _, exit_status = os.waitpid(_fork(_run, reader, status, limits, inputs, max(seconds, _MIN_S)), 0)
+        if exit_status:
+            return os.waitstatus_to_exitcode(exit_status) & 0xFF
+
+
+def _run(reader: Reader, status: Status, limits: Limits, inputs: float, seconds: float) -> int:
+    from fuzz.runner import Run
+
+    run = Run(reader, status, limits.corpus / reader.name, inputs, seconds, is_guided=limits.is_guided)
+    if limits.is_guided:
+        run.guided()
+    run.blind()
+    return 0
+
+
+def _fork(function: Callable[..., int], *arguments: Any) -> int:
+    """Call a function in a forked process, which exits with its result. Return the process id."""
     sys.stdout.flush()
     sys.stderr.flush()
     pid = os.fork()
     if pid == 0:
+        code = _FOUND
         try:
-            campaign = Campaign(reader, goals.work, goals.runs, goals.seconds)
-            if goals.blind:
-                campaign.run_blind()
-            campaign.run()
-        except BaseException:  # noqa: BLE001 whatever it is, it stands in the log
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            code = function(*arguments)
+        except BaseException:  # noqa: BLE001 anything that ends the process is reported
             traceback.print_exc()
         finally:
-            os._exit(_FOUND)
+            os._exit(code)
     return pid
 
 
-def _ended(running: dict[int, Reader]) -> list[tuple[int, int]]:
-    """Processes that are over, with how they ended."""
-    return [(pid, status) for pid, status in (os.waitpid(pid, os.WNOHANG) for pid in running) if pid]
-
-
-def _wait(pid: int, patience_s: float = 5.0) -> None:
-    until_s = time.monotonic() + patience_s
-    while time.monotonic() < until_s:
-        if os.waitpid(pid, os.WNOHANG)[0]:
-            return
-        time.sleep(_POLL_S)
-    os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
-
-
-def _told(reader: Reader, work: Path, status: int) -> bool:
-    """Print how a reader fared; whether anything is wrong."""
-    progress = _progress(work, reader)
-    print(_row(progress), flush=True)
-    wrong = list(_wrong(progress, status, work))
-    for line in wrong:
+def _report(reader: Reader, status: Status, exit_status: int, started_s: float) -> bool:
+    """Print the result of a reader. Return True if there was a finding."""
+    print(_row(reader, status), flush=True)
+    lines = list(_findings(reader, status, exit_status, started_s))
+    for line in lines:
         print(f"  {line}", flush=True)
-    return bool(wrong)
+    return bool(lines)
 
 
-def _wrong(progress: Progress, status: int, work: Path) -> Iterator[str]:
-    from fuzz.campaign import FOUND
+def _findings(reader: Reader, status: Status, exit_status: int, started_s: float) -> Iterator[str]:
+    from fuzz.runner import FOUND
 
-    for path in progress.found:
-        yield f"found: scripts/fuzz --again {Path(path).relative_to(FOUND.parents[1])}"
-        with contextlib.suppress(FileNotFoundError):  # one of a run before this, mended since
-            yield f"  which is {Path(path).read_bytes()!r:.{_SHOWN}}"
-    if status:
-        yield f"ended with {os.waitstatus_to_exitcode(status)} (a hang, all memory, or a crash)"
-    if status or progress.found:
-        log = (work / f"{progress.reader}.log").read_text(errors="replace").splitlines()
-        yield from ("the end of its log is", *(f"  {line}" for line in log[-12:]))
-    for what, (before, after), most in (("KB of memory", progress.rss_kb, MOST_GROWN_KB),
-                                        ("objects", progress.blocks, MOST_GROWN_BLOCKS)):
-        if after - before > most:
-            yield f"grew by {after - before} {what} since the warm-up"
-
-
-def _row(progress: Progress) -> str:
-    speed, taken = progress.executions / (progress.seconds or 1.0), progress.taken / (progress.executions or 1)
-    (begin_kb, end_kb), (begin, end) = progress.rss_kb, progress.blocks
-    return (f"{progress.reader:16} {progress.executions:11,} {speed:7.0f} {taken:6.1%} "
-            f"{1000 * progress.slowest_s:5.0f} ms {begin_kb / 1024:6.1f} {(end_kb - begin_kb) / 1024:+6.1f} "
-            f"{end - begin:+8}")
+    # Findings of this run; older files are findings of earlier ones.
+    found = [path for path in sorted(FOUND.glob(f"{reader.name}-*")) if path.stat().st_mtime >= started_s - 1.0]
+    for path in found:
+        yield f"found: scripts/fuzz --again {path.relative_to(FOUND.parents[1])}"
+        yield f"  input: {path.read_bytes()!r:.{_MAX_SHOWN}}"
+    if exit_status:
+        yield f"the process ended with {os.waitstatus_to_exitcode(exit_status)}: a hang, exhausted memory, or a crash"
+    if exit_status or found:
+        log = FOUND / f".{reader.name}.log"
+        lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+        yield from ("end of its log:", *(f"  {line}" for line in lines[-12:]))
+    growths = (
+        ("kB of memory", status.end_kb - status.warm_kb, MAX_GROWTH_KB),
+        ("objects", status.end_objects - status.warm_objects, MAX_GROWTH_OBJECTS),
+    )
+    for unit, growth, maximum in growths:
+        if growth > maximum:
+            yield f"grew by {growth} {unit} since the warm-up"
 
 
-def _show(readers: Iterable[Reader], work: Path) -> None:
-    """A line that tells how far those are that run, for who sits at a terminal."""
-    if not sys.stderr.isatty():
-        return
-    told = (_progress(work, reader) for reader in readers)
-    print("\r\33[K" + "   ".join(f"{each.reader} {each.executions:,}" for each in told), end="\r", file=sys.stderr)
-
-
-def _progress(work: Path, reader: Reader) -> Progress:
-    from fuzz.campaign import Progress
-
-    return Progress.read(work, reader.name)
+def _row(reader: Reader, status: Status) -> str:
+    speed, accepted = status.executions / (status.seconds or 1.0), status.accepted / (status.executions or 1)
+    return (f"{reader.name:16} {status.executions:11,} {speed:7.0f} {accepted:8.1%} {1000 * status.slowest_s:5.0f} ms "
+            f"{status.warm_kb / 1024:6.1f} {(status.end_kb - status.warm_kb) / 1024:+6.1f} "
+            f"{status.end_objects - status.warm_objects:+8}")  # fmt: skip
 
 
 if __name__ == "__main__":

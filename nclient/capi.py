@@ -28,10 +28,10 @@ from collections.abc import MutableSequence, Sequence
 from typing import Any
 
 from nclient.backends.base import Backend
-from nclient.connect import Wanted, is_listening, open_line, open_machine
+from nclient.connect import ConnectOptions, is_listening, open_line, open_machine
 from nclient.errors import ConnectionLost, NomadError, RobotRefused
-from nclient.protocol.client_state import STATE_SIZE, HeldState
-from nclient.protocol.codec import within_line
+from nclient.protocol.client_state import STATE_SIZE, ClientState
+from nclient.protocol.codec import clamp_to_serial
 from nclient.protocol.commands import Call
 from nclient.protocol.fields import MAX_LASER_READINGS
 from nclient.protocol.replies import Reply
@@ -94,7 +94,7 @@ _NAK = Reply("nak")
 """What the C library takes for done."""
 
 _backend: Backend | None = None
-_held = HeldState()
+_held = ClientState()
 _error: NomadError | None = None
 
 
@@ -171,7 +171,7 @@ def pr(t_pr: int, s_pr: int, r_pr: int) -> int:
 
 def pa(t_pa: int, s_pa: int, r_pa: int) -> int:
     """Absolute positions: only on a N200's own line; for a server refused by the client, without a word to it."""
-    if _backend is not None and _backend.terms.line:
+    if _backend is not None and _backend.wire_state.line:
         return _send("pa", t_pa, s_pa, r_pa)
     return _refuse("pa", "clients of an Nserver do not send it")
 
@@ -585,7 +585,7 @@ def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] 
     if _backend is not None:
         disconnect_robot(robot_id)
     try:
-        wanted = Wanted(ANSWER_TIMEOUT_S, int(robot_id), create)
+        wanted = ConnectOptions(ANSWER_TIMEOUT_S, int(robot_id), create)
         if line is None:
             _backend = open_machine(SERVER_MACHINE_NAME, int(SERV_TCP_PORT), wanted)
         else:
@@ -593,8 +593,8 @@ def _connect(robot_id: int, *, create: bool = False, line: tuple[int, str, int] 
     except NomadError as error:
         _error = error
         return FALSE
-    Smask[:] = (_backend.terms.mask if _backend.terms.model.sends_mask else EVERYTHING).smask
-    _held = HeldState()
+    Smask[:] = (_backend.wire_state.mask if _backend.wire_state.model.sends_mask else EVERYTHING).smask
+    _held = ClientState()
     if _backend.greeting is not None:
         _hold(_backend.greeting)
     return _backend.port
@@ -608,7 +608,7 @@ def _reply(name: str, *args: Any) -> Reply | None:
         return None
     try:
         call = Call(name, args)
-        reply = _backend.execute(within_line(call) if _backend.terms.line else call)
+        reply = _backend.execute(clamp_to_serial(call) if _backend.wire_state.line else call)
     except NomadError as error:
         _error = error
         if isinstance(error, RobotRefused) and error.code is not None:
@@ -635,7 +635,7 @@ def _arm(name: str, *args: int) -> tuple[int, int]:
 
 
 def _hold(reply: Reply) -> None:
-    _held.absorb(reply)
+    _held.apply_reply(reply)
     State[:] = [old if value is None else value for old, value in zip(State, _held.slots, strict=True)]
     if _held.laser is not None:
         Laser[: len(_held.laser)] = _held.laser

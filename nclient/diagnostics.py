@@ -29,8 +29,8 @@ from typing import Final, NamedTuple
 
 from nclient.backends.base import Backend
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol.commands import COMMANDS, Call, Command, on_line
-from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, model_named, volts
+from nclient.protocol.commands import COMMANDS, Call, Command, exists_on_serial
+from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, get_model, volts
 from nclient.robot import Robot
 from nclient.state import NOTHING_IN, RobotState
 
@@ -217,7 +217,7 @@ _TROUBLES: Final = (ConnectionLost, ReplyTimeout, RobotRefused, WireError)
 
 
 @dataclass(slots=True)
-class Chart:
+class DiagnosticData:
     """What was found out.
 
     states      after each gs that was answered
@@ -229,7 +229,7 @@ class Chart:
     """
 
     model: str = ""
-    on_line: bool = False
+    is_serial: bool = False
     states: list[RobotState] = field(default_factory=list)
     latencies: list[float] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
@@ -243,7 +243,7 @@ class Chart:
         return len(self.states) + len(self.losses)
 
 
-class Examination:
+class Diagnostics:
     """One robot. `opens`: a new conversation with it. Raises ConnectionLost where nobody is there from the start."""
 
     def __init__(
@@ -254,9 +254,9 @@ class Examination:
         self._backend = opens()
         self._robot = Robot(self._backend)
 
-    def run(self, exchanges: int = EXCHANGES, interval_s: float = INTERVAL_S) -> Chart:
+    def run(self, exchanges: int = EXCHANGES, interval_s: float = INTERVAL_S) -> DiagnosticData:
         """Ask all there is to ask."""
-        chart = Chart(self._robot.model.name, self._backend.terms.line)
+        chart = DiagnosticData(self._robot.model.name, self._backend.wire_state.line)
         try:
             self._measure(chart, exchanges, interval_s)
             if chart.states:
@@ -266,7 +266,7 @@ class Examination:
             self._robot.disconnect()
         return chart
 
-    def _measure(self, chart: Chart, exchanges: int, interval_s: float) -> None:
+    def _measure(self, chart: DiagnosticData, exchanges: int, interval_s: float) -> None:
         start_s, missing = self._clock(), 0
         for _ in range(exchanges):
             asked_s = self._clock()
@@ -283,12 +283,12 @@ class Examination:
             chart.states.append(state)
             chart.latencies.append(now_s - asked_s)
             chart.elapsed_s = now_s - start_s
-            if chart.on_line or state.raw[0]:
+            if chart.is_serial or state.raw[0]:
                 self._sleep(max(0.0, interval_s - (now_s - asked_s)))
 
-    def _question(self, chart: Chart) -> None:
+    def _question(self, chart: DiagnosticData) -> None:
         for row in _QUESTIONS:
-            if row.name not in _NOT_THE_ROBOTS and self._has(row, chart.on_line):
+            if row.name not in _NOT_THE_ROBOTS and self._has(row, chart.is_serial):
                 chart.answers[row.name] = self._answer(row)
 
     def _answer(self, row: Command) -> str:
@@ -306,7 +306,7 @@ class Examination:
         """Whether this model has what the question asks for. Nserver answers for the compass of a N150, too."""
         model = self._robot.model
         if line:
-            return on_line(row, model)
+            return exists_on_serial(row, model)
         lacks = {"get_ir": not model.has_infrared, "get_cp": not model.has_turret,
                  "get_ls": not model.has_laser, "get_sg": not model.has_laser}
         return not lacks.get(row.name, False)
@@ -317,7 +317,7 @@ class Examination:
             self._robot = Robot(self._backend)
         return self._robot
 
-    def _count(self, chart: Chart) -> None:
+    def _count(self, chart: DiagnosticData) -> None:
         link = getattr(self._backend, "link", None)
         if link is not None:
             chart.link = link.counts()
@@ -329,7 +329,7 @@ SLOW_S: Final = 0.2
 _FAULTS: Final = ("skipped_bytes", "checksum_errors", "misfits", "implausible", "strays", "naks")
 
 
-def report(chart: Chart) -> list[Finding]:
+def report(chart: DiagnosticData) -> list[Finding]:
     """All findings, in the order one would look."""
     findings = [_link(chart)]
     if not chart.states:
@@ -337,7 +337,7 @@ def report(chart: Chart) -> list[Finding]:
     findings += _line_faults(chart)
     findings += [_firmware(chart), motion(chart.states), clock(chart.states, chart.elapsed_s)]
     findings += sonars(chart.states)
-    if model_named(chart.model).has_infrared:
+    if get_model(chart.model).has_infrared:
         findings += infrareds(chart.states)
     return [*findings, bumpers(chart.states), *batteries(chart.states[-1])]
 
@@ -348,7 +348,7 @@ def percentile_s(latencies: Sequence[float], share: float) -> float:
     return ranked[max(0, math.ceil(share * len(ranked)) - 1)]
 
 
-def _link(chart: Chart) -> Finding:
+def _link(chart: DiagnosticData) -> Finding:
     lost = len(chart.losses)
     if not chart.states:
         return fail("link", f"no answer to {lost} questions: {chart.losses[-1]}",
@@ -364,14 +364,14 @@ def _link(chart: Chart) -> Finding:
     return ok("link", seen)
 
 
-def _line_faults(chart: Chart) -> list[Finding]:
+def _line_faults(chart: DiagnosticData) -> list[Finding]:
     faults = [f"{chart.link[name]} {name.replace('_', ' ')}" for name in _FAULTS if chart.link.get(name)]
     if faults:
         return [warn("line", ", ".join(faults), "the line is not clean: look after plugs, length, and ground")]
     return [ok("line", "no stray byte, no bad checksum")] if chart.link else []
 
 
-def _firmware(chart: Chart) -> Finding:
+def _firmware(chart: DiagnosticData) -> Finding:
     bad = {name: told for name, told in chart.answers.items() if told}
     if bad:
         return fail("firmware", "no good answer to " + "; ".join(f"{name} ({told})" for name, told in bad.items()),

@@ -256,7 +256,7 @@ class Robot(RobotWorld):
 
         `motion`: pose and velocities. What position_data asked for stays asked.
         """
-        position = self._backend.terms.mask.position
+        position = self._backend.wire_state.mask.position
         seen = [int(number in frozenset(wanted)) for wanted in (infrareds, sonars) for number in RING]
         mask = Mask((position, *seen, int(bumpers), *[int(motion)] * 7, 1, int(laser), int(compass)))
         return self._ask("ct", *mask.smask)
@@ -273,7 +273,7 @@ class Robot(RobotWorld):
         """Say for which sensors the states carry position stamps (RobotState.stamps) from now on. C: posDataRequest"""
         wanted = zip((infrareds, sonars, bumpers, laser, compass), Position, strict=True)
         bits = sum(bit for asked, bit in wanted if asked)
-        return self._ask("ct", *self._backend.terms.mask.with_position(bits).smask)
+        return self._ask("ct", *self._backend.wire_state.mask.with_position(bits).smask)
 
     def configure_sonars(
         self, *, rate: int | None = None, interval_s: float | None = None, order: Iterable[int] = DEFAULT_SONAR_ORDER

@@ -18,11 +18,11 @@ from typing import Any, Literal, NamedTuple
 
 from nclient.backends.base import Backend, LinkStatistics
 from nclient.errors import RobotRefused, WireError
-from nclient.protocol.client_state import HeldState
+from nclient.protocol.client_state import ClientState
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_ARC, MOTION_LINE
-from nclient.protocol.types import Model, rad_from_tenths, tenths_from_rad, unwrapped_word
+from nclient.protocol.types import Model, rad_from_tenths, tenths_from_rad, unwrap_word
 from nclient.state import Pose, RobotState, Truth, snapshot
 from nclient.units import Points, points_tenths, tenths_of
 
@@ -81,16 +81,16 @@ class RobotLink:
 
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
-        self._held = HeldState()
+        self._held = ClientState()
         self._lock = threading.RLock()
         if backend.greeting is not None:
-            self._held.absorb(backend.greeting)
-        self._state = snapshot(self._held, backend.terms.model)
+            self._held.apply_reply(backend.greeting)
+        self._state = snapshot(self._held, backend.wire_state.model)
 
     @property
     def model(self) -> Model:
         """The robot's model, as the address or the other end said."""
-        return self._backend.terms.model
+        return self._backend.wire_state.model
 
     @property
     def closed(self) -> bool:
@@ -121,8 +121,8 @@ class RobotLink:
             return reply
 
     def _absorb(self, reply: Reply) -> None:
-        self._held.absorb(reply)
-        self._state = snapshot(self._held, self._backend.terms.model)
+        self._held.apply_reply(reply)
+        self._state = snapshot(self._held, self._backend.wire_state.model)
 
     def _ask(self, name: str, *args: Any) -> RobotState:
         """A command by its C name; what is known after it."""
@@ -310,7 +310,7 @@ class RobotWorld(RobotLink):
         """
         _, time_ms, x, y, heading, turret, seed, robot_id = self._values("sim_truth", at_least=8)
         angles = (math.radians(heading / 1000), math.radians(turret / 1000))
-        return Truth(x / 1000, y / 1000, *angles, time_s=unwrapped_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
+        return Truth(x / 1000, y / 1000, *angles, time_s=unwrap_word(time_ms) / 1000, seed=seed, robot_id=robot_id)
 
     def is_simulated(self) -> bool:
         """Whether the other end is a simulation of ours, which knows the truth. Asks with sim_truth.

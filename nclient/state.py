@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from nclient.protocol.client_state import HeldState
+from nclient.protocol.client_state import ClientState
 from nclient.protocol.types import (
     CPU_RANGE_V,
     M_PER_IN,
@@ -330,11 +330,11 @@ class RobotState:
         return self.raw[44]
 
 
-def snapshot(held: HeldState, model: Model) -> RobotState:
+def snapshot(client_state: ClientState, model: Model) -> RobotState:
     """What is held now, as a value that does not change."""
-    raw = tuple([value or 0 for value in held.slots])
-    stamps = dict(held.stamps) if held.stamps else {}
-    return RobotState(model, raw, held.laser or (0,), stamps, held.clock, held.volts)
+    raw = tuple([value or 0 for value in client_state.slots])
+    stamps = dict(client_state.stamps) if client_state.stamps else {}
+    return RobotState(model, raw, client_state.laser or (0,), stamps, client_state.clock, client_state.volts)
 
 
 def _stamp(raw: Stamp) -> PositionStamp:

@@ -23,7 +23,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from nclient.common import process
-from nclient.common.allowlist import access_of, warning
+from nclient.common.allowlist import allowlist_from_options, warning
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import NomadError, SnapshotError
@@ -33,26 +33,26 @@ from nserver_emu.control import cli
 from nserver_emu.control.options import controlled, may_have_faults
 from nserver_emu.garbage import seldom_sought
 from nserver_emu.gateway import run as real_options
-from nserver_emu.gateway.gateway import Gateway, RealSide
-from nserver_emu.gateway.run import kept, model_of, reached
+from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
+from nserver_emu.gateway.run import connected, model_of, run_gateway
 from nserver_emu.legacy_setup import OldSetup, read_setups
 from nserver_emu.options import DEFAULT_PORT, nserver_parser, read_options
 from nserver_emu.persistence.autosave import SaveFile, autosaved
 from nserver_emu.persistence.options import settle
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
-from nserver_emu.server.admission import Door
-from nserver_emu.server.config import READY_MODELS, Setting, placed
-from nserver_emu.server.connection import REQUESTS_A_TURN
-from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.admission import AdmissionControl
+from nserver_emu.server.config import MODEL_NAMES, SimulationConfig, robot_placements
+from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
+from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import limits_of, make_room
-from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.link import FaultController
 from nserver_emu.server.serial_lines import at_port, open_lines
 from nserver_emu.service import STOPPING, Manager, announced
-from nserver_emu.viewer.options import viewed
-from worlds.files import load_world, world_names
+from nserver_emu.viewer.options import running_viewer
+from worlds.io import load_world, world_names
 from worlds.raycast import load_compiled
 
 log = logging.getLogger(__name__)
@@ -65,14 +65,14 @@ HELP = "help"
 
 def main(argv: list[str] | None = None) -> int:
     """Run the daemon until SIGINT or SIGTERM, or until a client that may ends it; the exit code."""
-    process.fill_in()
+    process.ensure_std_streams()
     words = _asked_for_help(sys.argv[1:] if argv is None else argv)
     run = _daemon if words[:1] != [CONTROL] else lambda words: cli.main(words[1:])
     try:
         code = run(words)
         sys.stdout.flush()
     except OSError as error:
-        return process.ended_by(error, "nserver")
+        return process.handle_broken_pipe(error, "nserver")
     return code
 
 
@@ -108,34 +108,34 @@ async def _serve(options: argparse.Namespace) -> int:
     setups = read_setups(options.setups)
     for key in setups.unused:
         log.warning("%s of the setup file is read and has no effect: what its numbers mean is not known", key)
-    faults = FaultDesk(time.monotonic)
-    with reached(options, faults if may_have_faults(options) else None) as sides:
-        return await _serve_with(sides, setups, options, faults)
+    faults = FaultController(time.monotonic)
+    with connected(options, faults if may_have_faults(options) else None) as proxies:
+        return await _serve_with(proxies, setups, options, faults)
 
 
 async def _serve_with(
-    sides: Mapping[int, RealSide], setups: OldSetup, options: argparse.Namespace, faults: FaultDesk
+    proxies: Mapping[int, RealRobotProxy], setups: OldSetup, options: argparse.Namespace, faults: FaultController
 ) -> int:
     port = next((port for port in (options.port, setups.port) if port is not None), DEFAULT_PORT)
-    beginning = _beginning(options, setups.robot or model_of(sides) or READY_MODELS[0])
+    beginning = _beginning(options, setups.robot or model_of(proxies) or MODEL_NAMES[0])
     emulator = beginning.emulator()
     load_compiled(len(emulator.simulation.robots))
-    if emulator.pace.paused and not options.allow_control:
+    if emulator.clock.paused and not options.allow_control:
         log.warning("paused, and no client can resume: --allow-control lets them")
-    gateway = Gateway(emulator, sides, shadow=options.shadow, around=real_options.around(options))
-    daemon = Daemon(emulator, emulator.pace.factor, gateway, faults)
-    daemon.door = Door(limits := limits_of(options), access_of(options))
+    gateway = Gateway(emulator, proxies, shadow=options.shadow, wrap=real_options.speed_limiter(options))
+    daemon = Daemon(emulator, emulator.clock.factor, gateway if proxies else emulator, faults)
+    daemon.admission = AdmissionControl(limits := limits_of(options), allowlist_from_options(options))
     make_room(limits.connections + (limits.page_connections if options.viewer else 0))
-    daemon.places |= real_options.places(options)
+    daemon.places |= real_options.line_addresses(options)
     stop = asyncio.Event()
     stop_on_signals(stop)
     file = _saved_on_signal(emulator, options.save)
     try:
         port = await daemon.listen(options.bind, port)
-        if open_to := warning(options.bind, daemon.door.access):
+        if open_to := warning(options.bind, daemon.admission.access):
             log.warning("--bind: %s", open_to)
         if options.record:
-            numbers = {"port": port, "requests_a_turn": REQUESTS_A_TURN, "real_robots": len(sides)}
+            numbers = {"port": port, "requests_a_turn": MAX_REQUESTS_PER_TURN, "real_robots": len(proxies)}
             daemon.record(options.record, header(beginning, _now(), **numbers))
         await _run(daemon, gateway, options, stop, file)
     finally:
@@ -151,8 +151,8 @@ async def _run(
     manager = Manager(os.environ)
     async with (
         controlled(daemon, options) as control,
-        viewed(daemon, options) as page,
-        kept(gateway, daemon, options.shadow_every),
+        running_viewer(daemon, options) as page,
+        run_gateway(gateway, daemon, options.shadow_every),
         autosaved(file, options.autosave),
     ):
         for line in (f"listening nserver {at_port(options.bind, daemon.emulator.port)}", *lines, *control, *page):
@@ -171,11 +171,11 @@ def _end(manager: Manager, file: SaveFile | None) -> None:
 
 def _beginning(options: argparse.Namespace, robot: str) -> Beginning:
     """The simulation as the options say, or as a snapshot has it."""
-    (model, start), *others = placed(options.robot or [robot], options.start or (), options.robots)
-    setting = Setting(
+    (model, start), *others = robot_placements(options.robot or [robot], options.start or (), options.robots)
+    setting = SimulationConfig(
         options.world, model, start, options.seed, options.noisy, options.setup or "", tuple(others), options.model_file
     )
-    pace = Pace(options.speed, options.paused, options.lockstep)
+    pace = SimulationClock(options.speed, options.paused, options.lockstep)
     limits = limits_of(options)
     allowed = Allowed(options.allow_quit, options.allow_control, limits.obstacles, limits.graphics, limits.frame)
     return Beginning(setting, pace, allowed, options.restore, options.keeps_pace)

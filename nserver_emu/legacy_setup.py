@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from nclient.common.files import read_data
+from nclient.common.files import read_binary
 from nclient.errors import AddressError, SetupFileError
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 
 CALIBRATION_NUMBERS: Final = 8
 OFFSET_NUMBERS: Final = 2
@@ -96,7 +96,7 @@ def _joined(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _parsed_file(path: Path) -> Mapping[tuple[str, str], Entry]:
-    data = read_data(path, MOST_BYTES, SetupFileError)
+    data = read_binary(path, MOST_BYTES, SetupFileError)
     return parse_setup(data.decode("latin-1"), str(path))
 
 
@@ -122,7 +122,7 @@ def _port(entry: Entry, file: str) -> int:
 
 def _robot(entry: Entry, file: str) -> str:
     try:
-        return model_named(" ".join(entry.words)).name
+        return get_model(" ".join(entry.words)).name
     except AddressError as error:
         raise SetupFileError(f"{file}, line {entry.line}: {error}") from None
 

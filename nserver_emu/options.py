@@ -16,19 +16,19 @@ from typing import TypeVar
 
 from nclient.common import allowlist
 from nclient.common.arguments import Parser
-from nclient.common.hints import did_you_mean, version
+from nclient.common.hints import suggest, version
 from nserver_emu import logs
 from nserver_emu.control import options as control_options
 from nserver_emu.gateway import run as real_options
 from nserver_emu.persistence import autosave
 from nserver_emu.persistence import options as restore_options
 from nserver_emu.server import limits, serial_lines
-from nserver_emu.server.config import MOST_ROBOTS, READY_MODELS
-from nserver_emu.server.context import FASTEST, LONGEST_LOCKSTEP_S, SLOWEST
+from nserver_emu.server.config import MAX_ROBOTS, MODEL_NAMES
+from nserver_emu.server.context import FASTEST, MAX_LOCKSTEP_S, SLOWEST
 from nserver_emu.server.daemon import LOOPBACK
 from nserver_emu.simulation.noise import NOISY, SETUPS, SUFFIX
 from nserver_emu.viewer import options as viewer_options
-from worlds.files import DEFAULT_WORLD, world_names
+from worlds.io import DEFAULT_WORLD, world_names
 
 Number = TypeVar("Number", int, float)
 DEFAULT_PORT = 7019
@@ -67,8 +67,8 @@ def nserver_parser() -> Parser:
 
 def _add_robots(parser: Parser) -> None:
     parser.add_argument("--robot", action="append", metavar="MODEL",
-                        help=f"the robot's model: {', '.join(READY_MODELS)} or one of --model-file (default "
-                        f"{READY_MODELS[0]}); once more for robot 2, and so on")
+                        help=f"the robot's model: {', '.join(MODEL_NAMES)} or one of --model-file (default "
+                        f"{MODEL_NAMES[0]}); once more for robot 2, and so on")
     parser.add_argument("--robots", type=_robot_count, default=1, metavar="N",
                         help="how many robots, numbers 1 to N; clients find the second at nserver://HOST/2")
     parser.add_argument("--model-file", type=Path, metavar="FILE",
@@ -128,9 +128,9 @@ def read_options(parser: Parser, words: Sequence[str]) -> argparse.Namespace:
 def _refuse_unknown_models(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
     """Wrong usage, where no file could know the model."""
     for name in options.robot or ():
-        if options.model_file is None and name.lower() not in READY_MODELS:
-            hint = did_you_mean(name.lower(), READY_MODELS)
-            parser.error(f"argument --robot: no model {name!r}; there are {', '.join(READY_MODELS)}{hint}")
+        if options.model_file is None and name.lower() not in MODEL_NAMES:
+            hint = suggest(name.lower(), MODEL_NAMES)
+            parser.error(f"argument --robot: no model {name!r}; there are {', '.join(MODEL_NAMES)}{hint}")
 
 
 def _refuse_what_contradicts(parser: argparse.ArgumentParser, options: argparse.Namespace, words: list[str]) -> None:
@@ -175,12 +175,12 @@ def _speed(text: str) -> float | None:
 
 
 def _lockstep(text: str) -> float:
-    wanted = f"a step is more than 0 and at most {LONGEST_LOCKSTEP_S:.0f} s"
-    return _number(text, float, (sys.float_info.min, LONGEST_LOCKSTEP_S), wanted)
+    wanted = f"a step is more than 0 and at most {MAX_LOCKSTEP_S:.0f} s"
+    return _number(text, float, (sys.float_info.min, MAX_LOCKSTEP_S), wanted)
 
 
 def _robot_count(text: str) -> int:
-    return _number(text, int, (1, MOST_ROBOTS), f"robots are 1 to {MOST_ROBOTS}")
+    return _number(text, int, (1, MAX_ROBOTS), f"robots are 1 to {MAX_ROBOTS}")
 
 
 def _port(text: str) -> int:
@@ -196,7 +196,7 @@ def _setup(text: str) -> str:
     if text not in SETUPS and not text.endswith(SUFFIX):
         raise argparse.ArgumentTypeError(
             f"no setup {text!r}; there are {', '.join(SETUPS)}, and files that end in {SUFFIX}"
-            f"{did_you_mean(text, SETUPS)}"
+            f"{suggest(text, SETUPS)}"
         )
     return text
 

@@ -3,9 +3,9 @@
 Knows nothing of robots' languages, of physics, of filters. Inches, radians, counter-clockwise positive.
 """
 
-from worlds.bodies import BODIES, N150, N200, SCOUT, Body
-from worlds.files import load_world, world_names
+from worlds.io import load_world, world_names
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import BODIES, N150, N200, SCOUT, Body
 from worlds.world import Path, Polygon, StartPose, World
 
 __all__ = [

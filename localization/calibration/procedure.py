@@ -32,14 +32,14 @@ from localization.filters.belief import HEADING, Floats, wrap_angle
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from localization.navigation.path import waypoints
-from localization.navigation.roadmap import NoWayError, Roadmap, clearances
+from localization.navigation.roadmap import NoPathError, Roadmap, clearances
 from localization.navigation.speed import bearing_error, distance_to
 from localization.navigation.waypoints import (
     COMMAND_TIMEOUT_S,
     PERIOD_S,
     SHORTEST_WAIT_S,
     Command,
-    standing_after,
+    stop_on_exit,
 )
 from nclient.errors import NomadError
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
@@ -148,10 +148,10 @@ def tasks(square: Square, near: tuple[float, float], laps: int, spins: int) -> l
 
 def way_to(goal: tuple[float, float], start: tuple[float, float], world: World, radius_in: float) -> list[Go]:
     """The shortest way from where the robot stands, with as much room of WAY_MARGINS_IN as there is. Raises
-    NoWayError."""
+    NoPathError."""
     *wide, least_in = WAY_MARGINS_IN
     for margin_in in wide:
-        with suppress(NoWayError):
+        with suppress(NoPathError):
             return _way(goal, start, world, radius_in + margin_in)
     return _way(goal, start, world, radius_in + least_in)
 
@@ -253,7 +253,7 @@ def run(
     assert state.clock_s is not None
     localizer = Localizer(known, method.belief, FiringSchedule(state.clock_s), method)
     robot.set_timeout(COMMAND_TIMEOUT_S)
-    with standing_after(robot):
+    with stop_on_exit(robot):
         while True:
             estimate = localizer.update(state)
             command = driver.command(estimate.pose)

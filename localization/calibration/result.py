@@ -20,7 +20,7 @@ import numpy as np
 from localization.filters.belief import Belief
 from localization.filters.calibration import OFFSET, OWN, RING_TURN, SIZE
 from localization.filters.odometry import OdometryParameter
-from worlds.calibration import Calibration, Spread
+from worlds.robots import Calibration, Spread
 
 WAY, TURN, DRIFT, RING, SONAR = 0.03, 0.03, 0.00075, radians(3.0), 1.0
 """Typical: wheels 3 % off, 0.75 mrad/in, a ring 3 degrees, a sonar 1 in."""

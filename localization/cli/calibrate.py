@@ -31,21 +31,20 @@ from localization.calibration.procedure import (
 )
 from localization.calibration.procedure import run as guided
 from localization.calibration.result import calibration_in, missing, noise_in, table
-from localization.cli.assumptions import add_map, body_of, taken, world_of
-from localization.cli.options import add_known, check_writable, numbers, opened, pose, positive, stds
+from localization.cli.options import add_robot_model_options, check_writable, numbers, open_robot, pose, positive, stds
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
 from localization.filters.calibration import CalibratingFilter
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
+from localization.live.assumptions import add_map_option, resolve_robot_model, resolve_world, taken
 from localization.live.localizer import Fit
-from localization.navigation.recovery import Obstruction
+from localization.navigation.recovery import StallDetector
 from nclient import Robot
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import OutputFileError
-from worlds.bodies import BODIES
-from worlds.calibration import Calibration, calibration_text
+from worlds.robots import BODIES, Calibration, format_calibration
 from worlds.world import World
 
 START_STD = (0.5, 0.5, 0.02)
@@ -62,43 +61,81 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "turning on the spot at its corners, with a filter on that knows the walls; then write a model file."
     )
     parser.epilog = "example: nomad calibrate nserver://localhost:7019/1 --map thesis_room --out mine.toml"
-    parser.add_argument("address", nargs="?", metavar="ADDRESS", help="of the robot (default: NOMAD_ROBOT, or a local "
-                                                                      "nserver)")
-    add_map(parser)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write a model file (model_file= of nserver and sim:, "
-                                                                 "--calibration of nomad localize)")
-    parser.add_argument("--start", type=pose, metavar="X,Y,HEADING",
-                        help="where the robot stands now, inches and degrees (default: what its encoders say)")
-    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
-                        help="how well that is known, inches and degrees (default 0.5,0.5,1.15)")
-    add_known(parser)
-    parser.add_argument("--square", type=_square, metavar="X,Y,SIDE",
-                        help="the square: lower left corner and side in inches (default: the largest with room)")
-    parser.add_argument("--laps", type=partial(_count, least=1), metavar="N",
-                        help="laps each way (default: until all is known to a thirtieth of itself, or of what is "
-                             f"typical, but {MOST_LAPS} at most)")
-    parser.add_argument("--spins", type=_count, default=1, metavar="N",
-                        help="full turns on the spot at each corner, for the turn's scale (default %(default)s)")
-    parser.add_argument("--speed", type=positive, default=SPEED_IN_S, metavar="IN_S",
-                        help="speed in in/s (default %(default)s)")
-    parser.add_argument("--turn-speed", type=positive, default=TURN_DEG_S, metavar="DEG_S",
-                        help="speed of turns in deg/s (default %(default)s)")
-    parser.add_argument("--time-limit", type=positive, default=3600.0, metavar="S",
-                        help="give up after so many seconds of the robot's clock (default %(default)s)")
+    parser.add_argument(
+        "address", nargs="?", metavar="ADDRESS", help="of the robot (default: NOMAD_ROBOT, or a local nserver)"
+    )
+    add_map_option(parser)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="write a model file (model_file= of nserver and sim:, --calibration of nomad localize)",
+    )
+    parser.add_argument(
+        "--start",
+        type=pose,
+        metavar="X,Y,HEADING",
+        help="where the robot stands now, inches and degrees (default: what its encoders say)",
+    )
+    parser.add_argument(
+        "--start-std",
+        type=stds,
+        default=START_STD,
+        metavar="X,Y,HEADING",
+        help="how well that is known, inches and degrees (default 0.5,0.5,1.15)",
+    )
+    add_robot_model_options(parser)
+    parser.add_argument(
+        "--square",
+        type=_square,
+        metavar="X,Y,SIDE",
+        help="the square: lower left corner and side in inches (default: the largest with room)",
+    )
+    parser.add_argument(
+        "--laps",
+        type=partial(_count, least=1),
+        metavar="N",
+        help="laps each way (default: until all is known to a thirtieth of itself, or of what is "
+        f"typical, but {MOST_LAPS} at most)",
+    )
+    parser.add_argument(
+        "--spins",
+        type=_count,
+        default=1,
+        metavar="N",
+        help="full turns on the spot at each corner, for the turn's scale (default %(default)s)",
+    )
+    parser.add_argument(
+        "--speed", type=positive, default=SPEED_IN_S, metavar="IN_S", help="speed in in/s (default %(default)s)"
+    )
+    parser.add_argument(
+        "--turn-speed",
+        type=positive,
+        default=TURN_DEG_S,
+        metavar="DEG_S",
+        help="speed of turns in deg/s (default %(default)s)",
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=positive,
+        default=3600.0,
+        metavar="S",
+        help="give up after so many seconds of the robot's clock (default %(default)s)",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when all went well, 3 when it was given up, 4 where readings do not fit: then nothing is written."""
-    world = world_of(options)
+    world = resolve_world(options)
     check_writable(options.out)
-    robot, simulated = opened(options.address)
+    robot, simulated = open_robot(options.address)
     sonars = taken(options.sonars, simulated, options.address)
     fit = Fit(sonars.rays)
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     with robot:
-        options.body = body_of(options.body, robot.model.name, options.address)
+        options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         made = _drive(robot, world, options, fit)
     if isinstance(made, str):
         print(f"given up {made}\n{fit.line()}", file=sys.stderr if options.json else sys.stdout)
@@ -116,7 +153,7 @@ def run(options: argparse.Namespace) -> int:
               flush=True)  # fmt: skip
     if options.out:
         said = f"nomad calibrate, in {world.name}: {laps} laps each way, {options.spins} turns a corner"
-        _write(options.out, calibration_text(options.body, found, said))
+        _write(options.out, format_calibration(options.body, found, said))
     return 0
 
 
@@ -124,12 +161,10 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputFileError(unwritable(path, error)) from error
+        raise OutputFileError(describe_write_error(path, error)) from error
 
 
-def _drive(
-    robot: Robot, world: World, options: argparse.Namespace, fit: Fit
-) -> tuple[Calibration, int] | str:
+def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) -> tuple[Calibration, int] | str:
     """What was found, and in how many laps each way; why not, where it was given up."""
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
@@ -142,7 +177,7 @@ def _drive(
     rounds = Rounds(again, 1 if options.laps is not None else MOST_LAPS,
                     lambda: not (fit.good and missing(calibration_in(method.belief))))  # fmt: skip
     driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), rounds.more)
-    obstruction, told_s = Obstruction(options.speed), state.clock_s or 0.0
+    obstruction, told_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = told_s
     for progress in guided(robot, known, method, driver, time.sleep):
         clock_s = progress.estimate.clock_s
@@ -176,7 +211,7 @@ def _square_of(world: World, radius_in: float, start: tuple[float, ...], options
 def _tasks(
     world: World, radius_in: float, start: tuple[float, ...], square: Square, options: argparse.Namespace
 ) -> _First:
-    """To the square, and round it. Raises NoWayError where there is no way to it."""
+    """To the square, and round it. Raises NoPathError where there is no way to it."""
     here = (start[0], start[1])
     corner, *rest = tasks(square, here, 1 if options.laps is None else options.laps, options.spins)
     assert isinstance(corner, Go)

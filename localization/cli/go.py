@@ -13,10 +13,10 @@ import argparse
 from collections.abc import Callable
 from math import degrees, inf
 
-from localization.cli.driving import add_options, set_out
+from localization.cli.driving import add_options, open_mission
 from localization.cli.mission import carry_out
 from localization.cli.options import numbers
-from localization.missions.controller import Sight
+from localization.missions.controller import Observation
 from localization.missions.settings import LEAST_S, LEAST_WITHIN_IN, LONGEST_S, MOST_WITHIN_IN, OnLost, Settings
 from localization.navigation.waypoints import STOP_RADIUS_IN
 
@@ -25,15 +25,30 @@ TELL_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `nomad go`."""
-    parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="the robot (default: NOMAD_ROBOT, or a local nserver)")
+    parser.add_argument(
+        "address", nargs="?", metavar="ADDRESS", help="the robot (default: NOMAD_ROBOT, or a local nserver)"
+    )
     parser.add_argument("--to", type=_place, required=True, metavar="X,Y[,HEADING]", help="inches and degrees")
-    parser.add_argument("--within", type=_between(LEAST_WITHIN_IN, MOST_WITHIN_IN), default=STOP_RADIUS_IN,
-                        metavar="IN", help="it counts as reached within this (default %(default)s in)")
-    parser.add_argument("--time-limit", type=_between(LEAST_S, LONGEST_S), default=300.0, metavar="S",
-                        help="give up after so many seconds of the robot's clock (default %(default)s)")
-    parser.add_argument("--on-lost", choices=[policy.value for policy in OnLost], default=OnLost.STOP.value,
-                        help="what to do where the robot no longer knows where it is (default %(default)s)")
+    parser.add_argument(
+        "--within",
+        type=_between(LEAST_WITHIN_IN, MOST_WITHIN_IN),
+        default=STOP_RADIUS_IN,
+        metavar="IN",
+        help="it counts as reached within this (default %(default)s in)",
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=_between(LEAST_S, LONGEST_S),
+        default=300.0,
+        metavar="S",
+        help="give up after so many seconds of the robot's clock (default %(default)s)",
+    )
+    parser.add_argument(
+        "--on-lost",
+        choices=[policy.value for policy in OnLost],
+        default=OnLost.STOP.value,
+        help="what to do where the robot no longer knows where it is (default %(default)s)",
+    )
     parser.set_defaults(report=None)
     add_options(parser)
 
@@ -41,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do it; the exit code."""
     settings = Settings(time_limit_s=options.time_limit, on_lost=OnLost(options.on_lost))
-    with set_out(options) as out:
+    with open_mission(options) as out:
         if not options.json:
-            out.helm.watchers.append(_Teller())
+            out.controller.watchers.append(_Teller())
         out.goals.append(options.to[:2])
         return carry_out(out, settings, lambda robot: robot.go_to(*options.to, within_in=options.within), options)
 
@@ -54,7 +69,7 @@ class _Teller:
     def __init__(self) -> None:
         self._told_s = -inf
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: Observation) -> None:
         if sight.estimate.clock_s < self._told_s + TELL_S:
             return
         self._told_s = sight.estimate.clock_s
@@ -79,5 +94,3 @@ def _between(low: float, high: float) -> Callable[[str], float]:
 
 def _place(text: str) -> tuple[float, ...]:
     return tuple(numbers(text, 3 if text.count(",") == 2 else 2))
-
-

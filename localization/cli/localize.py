@@ -15,28 +15,28 @@ import time
 from pathlib import Path
 
 from localization.cli import options as resuming
-from localization.cli.assumptions import add_map, body_of, world_of
 from localization.cli.options import (
     UNKNOWN,
     add_options,
     check_writable,
-    opened,
-    outset,
+    open_robot,
     point,
     positive,
+    prepare_localization,
     seconds,
     start,
 )
 from localization.filters.registry import DEFAULT_METHOD, FINDER, finder
+from localization.live.assumptions import add_map_option, resolve_robot_model, resolve_world
 from localization.live.publish import Publisher, message
-from localization.live.run import Run, RunMoment, Witness
-from localization.navigation.recovery import Obstruction
-from localization.navigation.speed import SteadyPose
+from localization.live.run import GroundTruth, Run, RunMoment
+from localization.navigation.recovery import StallDetector
+from localization.navigation.speed import PoseSmoother
 from localization.navigation.waypoints import STOP_RADIUS_IN, Navigator, Progress, Speeds, begin, follow
 from nclient import NomadError, Robot, WorldFileError
 from nclient.common.exit_codes import ExitCode
-from nclient.common.process import Left
-from worlds.bodies import BODIES
+from nclient.common.process import TerminatedBySignal
+from worlds.robots import BODIES
 from worlds.world import World
 
 
@@ -44,37 +44,66 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `nomad localize`."""
     parser.description = "Drive a robot to way-points, localizing it by its sonars against a map of walls."
     parser.epilog = "example: nomad localize 'sim:thesis_room?noisy=1&seed=1' --waypoints 0,0 60,40"
-    parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
-                             "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)")
-    add_map(parser)
+    parser.add_argument(
+        "address",
+        nargs="?",
+        metavar="ADDRESS",
+        help="nserver://host[:port]/id, serial:///dev/ttyUSB0?model=n150, robotd://host or "
+        "sim:WORLD?noisy=1 (default: NOMAD_ROBOT, or a local nserver)",
+    )
+    add_map_option(parser)
     goals = parser.add_mutually_exclusive_group()
     goals.add_argument("--waypoints", nargs="+", type=point, metavar="X,Y", help="where to go, in inches, in order")
     goals.add_argument("--path", metavar="NAME", help="a path of the map, by its figure's number, such as 5.8")
-    parser.add_argument("--start", type=start, metavar="X,Y,HEADING",
-                        help="where the robot stands now, inches and degrees; its encoders are set to it "
-                             f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)")
-    add_options(parser, DEFAULT_METHOD,
-                "the filter: extended, iterated or unscented Kalman filter, particles, one that finds itself again; a "
-                "smoother drives as ekf", "; way-points set there are gone to instead")
+    parser.add_argument(
+        "--start",
+        type=start,
+        metavar="X,Y,HEADING",
+        help="where the robot stands now, inches and degrees; its encoders are set to it "
+        f"(default: what they say); {UNKNOWN}: it finds itself first (method finder)",
+    )
+    add_options(
+        parser,
+        DEFAULT_METHOD,
+        "the filter: extended, iterated or unscented Kalman filter, particles, one that finds itself again; a "
+        "smoother drives as ekf",
+        "; way-points set there are gone to instead",
+    )
     parser.set_defaults(method=None)
-    parser.add_argument("--radius", type=positive, default=STOP_RADIUS_IN, metavar="IN",
-                        help="a way-point is reached within this (default %(default)s in)")
-    parser.add_argument("--smooth", type=seconds, default=0.0, metavar="S",
-                        help="spread corrections over S seconds for the steering; the estimate stays as it is "
-                             "(default %(default)s)")
-    parser.add_argument("--time-limit", type=positive, default=300.0, metavar="S",
-                        help="give up after so many seconds of the robot's clock (default %(default)s)")
+    parser.add_argument(
+        "--radius",
+        type=positive,
+        default=STOP_RADIUS_IN,
+        metavar="IN",
+        help="a way-point is reached within this (default %(default)s in)",
+    )
+    parser.add_argument(
+        "--smooth",
+        type=seconds,
+        default=0.0,
+        metavar="S",
+        help="spread corrections over S seconds for the steering; the estimate stays as it is (default %(default)s)",
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=positive,
+        default=300.0,
+        metavar="S",
+        help="give up after so many seconds of the robot's clock (default %(default)s)",
+    )
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the run (needs the extra `plot`)")
-    parser.add_argument("--stay", action="store_true",
-                        help="with --publish: where there is nowhere left to go, or no way-point was given, stand and "
-                             "wait for way-points of the page, until the time limit or Ctrl-C")
+    parser.add_argument(
+        "--stay",
+        action="store_true",
+        help="with --publish: where there is nowhere left to go, or no way-point was given, stand and "
+        "wait for way-points of the page, until the time limit or Ctrl-C",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON, alone on stdout")
 
 
 def run(options: argparse.Namespace) -> int:
     """Do it. 0 when every way-point was reached, 3 when one was not; interrupted it still saves and tells."""
-    world = world_of(options)
+    world = resolve_world(options)
     options.method = _method(options)
     check_writable(options.save)
     points = _goals(options, world)
@@ -83,13 +112,13 @@ def run(options: argparse.Namespace) -> int:
 
         check_picture(options.picture)
     publisher = Publisher(options.publish) if options.publish else None
-    robot, simulated = opened(options.address)
+    robot, simulated = open_robot(options.address)
     done = Run(points)
     with robot:
-        options.body = body_of(options.body, robot.model.name, options.address)
+        options.body = resolve_robot_model(options.body, robot.model.name, options.address)
         try:
             _drive(robot, world, done, options, simulated, publisher)
-        except (KeyboardInterrupt, Left):
+        except (KeyboardInterrupt, TerminatedBySignal):
             with contextlib.suppress(NomadError):
                 robot.stop()
             if done.moments:
@@ -110,8 +139,9 @@ def _method(options: argparse.Namespace) -> str:
         if options.resume:
             options.refuse(f"--start {UNKNOWN} begins with nothing, and --resume goes on: leave one of them out")
         if options.method not in (None, FINDER):
-            options.refuse(f"--start {UNKNOWN} is found out by --method {FINDER} alone: leave --method "
-                           f"{options.method} out")
+            options.refuse(
+                f"--start {UNKNOWN} is found out by --method {FINDER} alone: leave --method {options.method} out"
+            )
         return FINDER
     method: str = options.method or DEFAULT_METHOD
     return method
@@ -142,13 +172,13 @@ def _drive(
     robot: Robot, world: World, done: Run, options: argparse.Namespace, simulated: bool,
     publisher: Publisher | None = None,
 ) -> None:  # fmt: skip
-    belief, known, done.sonars = outset(robot, simulated, world, options)
+    belief, known, done.sonars = prepare_localization(robot, simulated, world, options)
     stays = options.stay and publisher is not None
     navigator = Navigator(done.waypoints, Speeds(translation_in_s=options.speed), options.radius, stays=stays)
     method = finder(known, None, options.scale_std) if options.start == UNKNOWN else options.method
     localizer = begin(robot, known, belief, method)
-    witness, obstruction, told_s = Witness(robot, simulated), Obstruction(options.speed), -math.inf
-    for progress in follow(robot, localizer, navigator, time.sleep, SteadyPose(options.smooth)):
+    witness, obstruction, told_s = GroundTruth(robot, simulated), StallDetector(options.speed), -math.inf
+    for progress in follow(robot, localizer, navigator, time.sleep, PoseSmoother(options.smooth)):
         clock_s, state = progress.estimate.clock_s, progress.state
         done.add(_moment(progress, witness))
         if publisher:
@@ -164,7 +194,7 @@ def _drive(
             break
 
 
-def _moment(progress: Progress, witness: Witness) -> RunMoment:
+def _moment(progress: Progress, witness: GroundTruth) -> RunMoment:
     state = progress.state
     truth = witness.at(progress.estimate.clock_s)
     odometry = (state.x_in, state.y_in, state.steering_rad)

@@ -1,6 +1,6 @@
 """Check a map, simplify it, show where it lets a robot know its place.
 
-Rules: reads options and prints; findings are worlds.checking's, fewer walls worlds.simplifying's, the bound weakness's.
+Rules: reads options and prints; findings are worlds.validate's, fewer walls worlds.simplify's, the bound weakness's.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ from localization.filters.belief import Floats
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live.plot import ESTIMATE, GOAL, blank, draw_walls, save
-from localization.mapping.observability import Weakness, weakness
+from localization.mapping.observability import Observability, compute_observability
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import WorldFileError
-from worlds.bodies import BODIES
-from worlds.checking import Finding, Limits, Space, findings, space
-from worlds.files import load_world, parse_world
-from worlds.simplifying import apart_in, simplified
+from worlds.io import format_world, load_world, parse_world
+from worlds.robots import BODIES
+from worlds.simplify import apart_in, simplified
+from worlds.validate import Finding, Limits, Space, findings, space
 from worlds.world import World
-from worlds.writing import world_text
 
 MOST_SHOWN_IN = 3.0
 """Beyond this all is equally bad."""
@@ -69,23 +68,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "example: nomad map show several_walls --out out/map.png"
     tools = parser.add_subparsers(dest="tool", required=True, metavar="check|simplify|show")
     check = tools.add_parser("check", help="gaps, doubled walls, crumbs, starts without room, space that is closed off")
-    check.add_argument("--gap", type=positive, default=Limits().gap_in, metavar="IN",
-                       help="ends of walls this near to another wall are gaps (default %(default)s in)")
+    check.add_argument(
+        "--gap",
+        type=positive,
+        default=Limits().gap_in,
+        metavar="IN",
+        help="ends of walls this near to another wall are gaps (default %(default)s in)",
+    )
     simplify = tools.add_parser("simplify", help="the same map with fewer walls, within a tolerance")
-    simplify.add_argument("--tolerance", type=positive, default=0.5, metavar="IN",
-                          help="no wall moves farther (default %(default)s in)")
+    simplify.add_argument(
+        "--tolerance", type=positive, default=0.5, metavar="IN", help="no wall moves farther (default %(default)s in)"
+    )
     simplify.add_argument("--out", type=Path, required=True, metavar="FILE", help="the world file to write")
     show = tools.add_parser("show", help="how well a robot can know its place: the Cramer-Rao bound over free space")
     show.add_argument("--out", type=Path, metavar="PNG", help="draw it (needs the extra `plot`)")
-    show.add_argument("--sonars", choices=("rays", "cones"), default="cones",
-                      help="exact rays or a real ring's cones (default %(default)s)")
-    show.add_argument("--cell", type=positive, default=CELL_IN, metavar="IN",
-                      help="a place every so many inches (default %(default)s)")
+    show.add_argument(
+        "--sonars",
+        choices=("rays", "cones"),
+        default="cones",
+        help="exact rays or a real ring's cones (default %(default)s)",
+    )
+    show.add_argument(
+        "--cell",
+        type=positive,
+        default=CELL_IN,
+        metavar="IN",
+        help="a place every so many inches (default %(default)s)",
+    )
     show.add_argument("--speed", type=positive, default=5.0, metavar="IN_S", help="of the robot (default %(default)s)")
-    show.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
-                      help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in")
-    show.add_argument("--weak", type=positive, default=WEAK_IN, metavar="IN",
-                      help="places where the bound is above this are weak (default %(default)s in)")
+    show.add_argument(
+        "--odometry-noise",
+        type=noise,
+        default=THESIS_ODOMETRY,
+        metavar="A,B,C",
+        help="stds of what the encoders miss: in after 1 in, rad after 1 rad, rad after 1 in",
+    )
+    show.add_argument(
+        "--weak",
+        type=positive,
+        default=WEAK_IN,
+        metavar="IN",
+        help="places where the bound is above this are weak (default %(default)s in)",
+    )
     for tool in (check, simplify, show):
         tool.add_argument("world", metavar="WORLD", help="a shipped world or a TOML file")
         if tool is not simplify:
@@ -120,15 +144,18 @@ def _simplify(world: World, options: argparse.Namespace) -> int:
     simpler = simplified(world, options.tolerance)
     far_in = apart_in(world.walls, simpler.walls)
     said = f"nomad map simplify {world.name} --tolerance {options.tolerance:g}: {far_in:.3g} in apart at most"
-    text = world_text(simpler, said)
+    text = format_world(simpler, said)
     parse_world(text, str(options.out), world.name)
     try:
         options.out.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise WorldFileError(unwritable(options.out, error)) from error
+        raise WorldFileError(describe_write_error(options.out, error)) from error
     told = {"walls_before": len(world.walls), "walls": len(simpler.walls), "apart_in": far_in}
-    print(json.dumps(told) if options.json else f"{told['walls_before']} walls became {told['walls']}, {far_in:.3g} in "
-          f"apart at most: {options.out}")
+    print(
+        json.dumps(told)
+        if options.json
+        else f"{told['walls_before']} walls became {told['walls']}, {far_in:.3g} in apart at most: {options.out}"
+    )
     return 0
 
 
@@ -142,19 +169,21 @@ def _show(world: World, options: argparse.Namespace) -> int:
     columns, rows = np.nonzero(reached.reached)
     places = np.stack((reached.xs[columns], reached.ys[rows]), axis=-1)
     if not len(places):
-        raise WorldFileError(f"{world.name}: a {options.body} fits at none of its starts: nomad map check "
-                             f"{options.world}")
+        raise WorldFileError(
+            f"{world.name}: a {options.body} fits at none of its starts: nomad map check {options.world}"
+        )
     sonar = WIRE_SONAR if options.sonars == "rays" else ConeSonar()
-    bound = weakness(LocalizationConfig(world.walls, body, options.odometry_noise, sonar), places, options.speed)
+    bound = compute_observability(
+        LocalizationConfig(world.walls, body, options.odometry_noise, sonar), places, options.speed
+    )
     numbers = _numbers(bound, reached, options.weak)
     if options.out is not None:
-
         draw_map(options.out, world, reached, bound.worst_in, findings(world, body.radius_in))
     print(json.dumps(numbers) if options.json else _words(world, numbers, options))
     return 0
 
 
-def _numbers(bound: Weakness, reached: Space, weak_in: float) -> dict[str, Any]:
+def _numbers(bound: Observability, reached: Space, weak_in: float) -> dict[str, Any]:
     worst, heading = bound.worst_in, np.degrees(bound.heading_rad)
     at = int(worst.argmax())
     return {

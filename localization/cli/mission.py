@@ -14,16 +14,15 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from localization.cli.driving import SetOut, add_options, set_out
-from localization.missions.mission import Mission
+from localization.cli.driving import MissionContext, add_options, open_mission
+from localization.missions.mission import Mission, run_mission
 from localization.missions.report import Report
-from localization.missions.runner import run_mission
 from localization.missions.settings import Settings
 from localization.missions.steps import load_mission
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import MissionFileError
-from worlds.files import load_world
+from worlds.io import load_world
 
 FAILED = ExitCode.NOT_REACHED
 
@@ -31,10 +30,12 @@ FAILED = ExitCode.NOT_REACHED
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `nomad mission`."""
     parser.add_argument("file", metavar="FILE", help="the mission, .toml or .py (docs/missions.md)")
-    parser.add_argument("address", nargs="?", metavar="ADDRESS",
-                        help="the robot (default: NOMAD_ROBOT, or a local nserver)")
-    parser.add_argument("--check", action="store_true",
-                        help="read the file and its map, say what is wrong with them, move nothing")
+    parser.add_argument(
+        "address", nargs="?", metavar="ADDRESS", help="the robot (default: NOMAD_ROBOT, or a local nserver)"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="read the file and its map, say what is wrong with them, move nothing"
+    )
     parser.add_argument("--report", type=Path, metavar="JSON", help="write the report there")
     add_options(parser)
 
@@ -49,13 +50,15 @@ def run(options: argparse.Namespace) -> int:
     if options.check:
         print(f"{options.file}: a mission{f', {orders.settings.title}' if orders.settings.title else ''}")
         return 0
-    with set_out(options, orders.settings.map) as out:
+    with open_mission(options, orders.settings.map) as out:
         return carry_out(out, orders.settings, orders.run, options)
 
 
-def carry_out(out: SetOut, settings: Settings, act: Callable[[Mission], object], options: argparse.Namespace) -> int:
+def carry_out(
+    out: MissionContext, settings: Settings, act: Callable[[Mission], object], options: argparse.Namespace
+) -> int:
     """Act as a mission; however that ends, its report is told and what is believed is kept. The exit code."""
-    mission = Mission(out.helm, settings)
+    mission = Mission(out.controller, settings)
     try:
         run_mission(mission, act)
     finally:
@@ -79,4 +82,4 @@ def _write(report: Report, options: argparse.Namespace) -> None:
         try:
             options.report.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
-            raise MissionFileError(unwritable(options.report, error, "the report")) from error
+            raise MissionFileError(describe_write_error(options.report, error, "the report")) from error

@@ -28,7 +28,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from localization.cli.assumptions import Taken, taken
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import Belief, independent
 from localization.filters.health import HealthStatus
@@ -37,16 +36,16 @@ from localization.filters.registry import METHODS
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live import saved_estimate
+from localization.live.assumptions import Taken, taken
 from localization.live.localizer import Estimate
 from localization.live.run import Run
-from localization.live.saved_estimate import Kept, Moved, resumed, site_of
+from localization.live.saved_estimate import Kept, Moved, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose, with_wheels
 from localization.navigation.waypoints import Speeds
 from nclient import ReplyTimeout, Robot, RobotState, connect
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import EstimateFileError, OutputFileError
-from worlds.bodies import BODIES
-from worlds.calibration import FAULTLESS, Calibration, load_calibration
+from worlds.robots import BODIES, IDEAL_CALIBRATION, Calibration, load_calibration
 from worlds.world import World
 
 MOST_NOISE: Final = 10
@@ -54,7 +53,7 @@ MOST_NOISE: Final = 10
 UNKNOWN: Final = "unknown"
 
 
-def opened(address: str | None) -> tuple[Robot, bool]:
+def open_robot(address: str | None) -> tuple[Robot, bool]:
     """The robot, and whether it can be asked for the truth: an Nserver of old leaves unknown messages unanswered."""
     robot = connect(address)
     try:
@@ -68,7 +67,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputFileError(unwritable(folder, error)) from error
+        raise OutputFileError(describe_write_error(folder, error)) from error
 
 
 def check_writable(*files: Path | None) -> None:
@@ -78,8 +77,9 @@ def check_writable(*files: Path | None) -> None:
         make_folder(file.parent)
         real = Path(os.path.realpath(file))
         if real.is_dir() or not os.access(real if real.exists() else real.parent, os.W_OK):
-            raise OutputFileError(f"{str(file)!r}: cannot be written there: name a file in a folder that may be "
-                                  "written to")
+            raise OutputFileError(
+                f"{str(file)!r}: cannot be written there: name a file in a folder that may be written to"
+            )
 
 
 def numbers(text: str, count: int, told: str = "") -> list[float]:
@@ -154,9 +154,13 @@ def positive(text: str) -> float:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The three options."""
     parser.add_argument("--save", type=Path, metavar="FILE", help="write down at the end what is believed of the pose")
-    parser.add_argument("--resume", type=Path, metavar="FILE",
-                        help="go on from what --save wrote, of the same robot on the same map; refused where the "
-                             "encoders were set or the robot was switched off meanwhile")
+    parser.add_argument(
+        "--resume",
+        type=Path,
+        metavar="FILE",
+        help="go on from what --save wrote, of the same robot on the same map; refused where the "
+        "encoders were set or the robot was switched off meanwhile",
+    )
     parser.add_argument("--moved-std", type=_moved, metavar="X,Y,HEADING",
                         help="with --resume: how far the robot may have been moved meanwhile without its encoders' "
                              "telling, inches and degrees (0,0,0: it stood)")  # fmt: skip
@@ -176,7 +180,7 @@ def resumed_belief(options: argparse.Namespace, world: World, state: RobotState)
     old = saved_estimate.load(options.resume)
     pose = np.array([state.x_in, state.y_in, state.steering_rad])
     now = EncoderPose(state.clock_s or 0.0, pose, state.turret_rad)
-    held = resumed(old, site_of(world, options.body), now, options.odometry_noise, options.moved_std)
+    held = resume_belief(old, map_signature(world, options.body), now, options.odometry_noise, options.moved_std)
     known = len(held.mean) - POSE
     return with_parameters(held, options.scale_std[known:])
 
@@ -201,7 +205,7 @@ def keep(
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
     encoders = EncoderPose(estimate.clock_s, np.array(odometry), turret_rad)
     known = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
-    saved_estimate.save(options.save, Kept(site_of(world, options.body), encoders, known))
+    saved_estimate.save(options.save, Kept(map_signature(world, options.body), encoders, known))
 
 
 def _moved(text: str) -> Moved:
@@ -218,7 +222,7 @@ START_STD = (0.1, 0.1, 0.01)
 """How well the robot is placed at the start: inches, inches, radians."""
 
 
-class Outset(NamedTuple):
+class LocalizationSetup(NamedTuple):
     """What is believed at the first state, of a robot in surroundings, and for what its sonars are taken."""
 
     belief: Belief
@@ -226,50 +230,81 @@ class Outset(NamedTuple):
     sonars: Taken
 
 
-def add_known(parser: argparse.ArgumentParser) -> None:
+def add_robot_model_options(parser: argparse.ArgumentParser) -> None:
     """What is known of a robot: --body, --odometry-noise, --sonars."""
-    parser.add_argument("--body", choices=sorted(BODIES),
-                        help="the robot's model, where its address does not tell it (default n150)")
-    parser.add_argument("--odometry-noise", type=noise, default=THESIS_ODOMETRY, metavar="A,B,C",
-                        help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
-                             f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})")
-    parser.add_argument("--sonars", choices=("rays", "cones"),
-                        help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
-                             "with bad readings among them (default: as the setup of a sim: address has them, rays of "
-                             "other simulations, cones of a robot)")
+    parser.add_argument(
+        "--body", choices=sorted(BODIES), help="the robot's model, where its address does not tell it (default n150)"
+    )
+    parser.add_argument(
+        "--odometry-noise",
+        type=noise,
+        default=THESIS_ODOMETRY,
+        metavar="A,B,C",
+        help="stds of what the encoders miss by chance: in after 1 in, rad after 1 rad, rad after 1 in "
+        f"(default {','.join(str(value) for value in astuple(THESIS_ODOMETRY))})",
+    )
+    parser.add_argument(
+        "--sonars",
+        choices=("rays", "cones"),
+        help="how readings are understood: exact rays (setups ideal and noisy) or a real ring's cones, "
+        "with bad readings among them (default: as the setup of a sim: address has them, rays of "
+        "other simulations, cones of a robot)",
+    )
 
 
 def add_options(parser: argparse.ArgumentParser, method: str, method_help: str, publish_help: str) -> None:
     """What all these commands have; `method` is the one where none is given."""
-    parser.add_argument("--start-std", type=stds, default=START_STD, metavar="X,Y,HEADING",
-                        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)")
-    parser.add_argument("--speed", type=positive, default=Speeds().translation_in_s, metavar="IN_S",
-                        help="top speed in in/s (default %(default)s)")
-    add_known(parser)
-    parser.add_argument("--scale-std", type=constants, default=(), metavar="A[,B[,C]]",
-                        help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
-                             "turn, drift in rad/in (default: none; 0.05 is a worn robot's)")
-    parser.add_argument("--calibration", type=Path, metavar="FILE",
-                        help="what this robot's wheels and sonars get wrong: a model file as nomad calibrate writes; "
-                             "counts before --scale-std")
+    parser.add_argument(
+        "--start-std",
+        type=stds,
+        default=START_STD,
+        metavar="X,Y,HEADING",
+        help="how well that is known, inches and degrees (default 0.1,0.1,0.57)",
+    )
+    parser.add_argument(
+        "--speed",
+        type=positive,
+        default=Speeds().translation_in_s,
+        metavar="IN_S",
+        help="top speed in in/s (default %(default)s)",
+    )
+    add_robot_model_options(parser)
+    parser.add_argument(
+        "--scale-std",
+        type=constants,
+        default=(),
+        metavar="A[,B[,C]]",
+        help="find out the encoders' own errors, so uncertain at first: share of the way, share of the "
+        "turn, drift in rad/in (default: none; 0.05 is a worn robot's)",
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="what this robot's wheels and sonars get wrong: a model file as nomad calibrate writes; "
+        "counts before --scale-std",
+    )
     parser.add_argument("--method", choices=METHODS, default=method, help=f"{method_help} (default {method})")
-    parser.add_argument("--publish", metavar="URL",
-                        help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
-                             f"printed{publish_help}")
+    parser.add_argument(
+        "--publish",
+        metavar="URL",
+        help="show estimate and echoes on the page of `nserver --viewer`, at the address that it "
+        f"printed{publish_help}",
+    )
     add_arguments(parser)
 
 
-def outset(robot: Robot, simulated: bool, world: World, options: argparse.Namespace) -> Outset:
+def prepare_localization(robot: Robot, simulated: bool, world: World, options: argparse.Namespace) -> LocalizationSetup:
     """Set the encoders where that is asked for, and say what is believed. Raises EstimateFileError, WorldFileError."""
     state = _placed(robot, robot.refresh(), options.start) if options.start else robot.refresh()
-    errs = load_calibration(options.calibration, options.body) if options.calibration else FAULTLESS
+    errs = load_calibration(options.calibration, options.body) if options.calibration else IDEAL_CALIBRATION
     belief = resumed_belief(options, world, state) or _anew(options, state, errs)
     sonars = taken(options.sonars, simulated, options.address)
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     sonar = WIRE_SONAR if sonars.rays else ConeSonar()
     known = LocalizationConfig(world.walls, BODIES[options.body], options.odometry_noise, sonar, errs=errs)
-    return Outset(belief, known, sonars)
+    return LocalizationSetup(belief, known, sonars)
 
 
 def _placed(robot: Robot, state: RobotState, start: Sequence[float] | str) -> RobotState:

@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Final
 
 from localization.cli.options import make_folder
-from localization.experiments import live_command as live
-from localization.experiments import lost_command, output, plan_command
+from localization.experiments import live, output
+from localization.experiments import lost as lost_command
+from localization.experiments import plan as plan_command
 from localization.experiments.execution import drive, drive_on_cluster, progress
+from localization.experiments.figure_trial import FIGURES, Figure, course_of
 from localization.experiments.output import NO_PICTURES, add_shared, table
 from localization.experiments.results import summarize
-from localization.experiments.trial import FIGURES, Figure, course_of
 from localization.live.plot import require_matplotlib
 from nclient.errors import NomadError
 

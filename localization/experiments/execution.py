@@ -41,9 +41,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar
 
 import numpy as np
 
+from localization.experiments.figure_trial import Figure, course_of, run
 from localization.experiments.results import Outcome, joined, outcome_of
-from localization.experiments.trial import Figure, course_of, run
-from nclient.common.files import write_whole
+from nclient.common.files import write_atomic
 from nclient.errors import ExtraMissing, NomadError, OutputFileError
 
 Item = TypeVar("Item")
@@ -150,7 +150,7 @@ class Kept:
     def put(self, path: Path, result: Mapping[str, Any]) -> None:
         """Keep a result there. Raises OutputFileError where that cannot be."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps(result) + "\n", OutputFileError)
+        write_atomic(path, json.dumps(result) + "\n", OutputFileError)
 
 
 CODE: Final = ("localization", "nclient", "nserver_emu", "worlds")
@@ -158,7 +158,7 @@ CODE: Final = ("localization", "nclient", "nserver_emu", "worlds")
 SUFFIXES: Final = (".py", ".toml")
 
 
-def fingerprint() -> str:
+def code_hash() -> str:
     """What this process would run: a digest of the project's code and worlds, and of numpy's version."""
     digest = sha256(np.__version__.encode())
     for name, content in sorted(_sources().items()):
@@ -236,7 +236,7 @@ def drive_on_cluster(
     items = [(figure, seeds[first : first + _CLUSTER_PART]) for first in range(0, len(seeds), _CLUSTER_PART)]
     parts = []
     tick = _counting(report)
-    for part in on_cluster(_drive_item, items, address, fingerprint):
+    for part in on_cluster(_drive_item, items, address, code_hash):
         parts.append(part)
         tick(sum(result.steps for result in part.results))
     return joined(sorted(parts, key=lambda part: part.results[0].seed))

@@ -44,7 +44,7 @@ from typing import Final, NamedTuple, TypedDict
 
 import numpy as np
 
-from localization.experiments.trial import nees
+from localization.experiments.figure_trial import nees
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
 from localization.filters.belief import Floats, add, chi_square_quantile, difference, independent
 from localization.filters.odometry import OdometryNoise, with_parameters
@@ -56,8 +56,8 @@ from localization.navigation.waypoints import PERIOD_S, Navigator, Speeds
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 from worlds.world import World
 
 COURSES: Final[Mapping[str, str]] = MappingProxyType(

@@ -37,17 +37,17 @@ from localization.filters.registry import finder
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
 from localization.navigation.path import waypoints
-from localization.navigation.recovery import TURN_RAD_S, Groping, Heard
-from localization.navigation.roadmap import NoWayError, Roadmap
+from localization.navigation.recovery import TURN_RAD_S, RecoveryBehavior, SonarState
+from localization.navigation.roadmap import NoPathError, Roadmap
 from localization.navigation.speed import bearing_error
 from localization.navigation.waypoints import PERIOD_S, Command, Navigator, Speeds
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
 from nclient.state import Pose, RobotState
-from worlds.bodies import N150
-from worlds.files import load_world
 from worlds.geometry import nearest_points
+from worlds.io import load_world
+from worlds.robots import N150
 from worlds.world import World
 
 STAND: Final = Command(0.0, 0.0)
@@ -55,13 +55,13 @@ TURN_FIRST_RAD: Final = 1.0
 """Farther off the bearing than this the robot turns on the spot: the law alone would drive a circle."""
 
 
-class Wanderer:
+class RandomExplorer:
     """Goes about on a roadmap. `places` (n, 2) are where it may go."""
 
     def __init__(self, roadmap: Roadmap, places: Floats, speeds: Speeds, chance: np.random.Generator) -> None:
         self._roadmap, self._places, self._speeds, self._chance = roadmap, places, speeds, chance
         self._navigator: Navigator | None = None
-        self._groping = Groping(PERIOD_S)
+        self._groping = RecoveryBehavior(PERIOD_S)
 
     def command(self, pose: Floats) -> Command:
         """What to do at a pose (3,) that is believed."""
@@ -76,7 +76,7 @@ class Wanderer:
             return Command(0.0, float(np.copysign(TURN_RAD_S, error)))
         return command
 
-    def grope(self, state: Heard) -> Command:
+    def grope(self, state: SonarState) -> Command:
         """What to do when nothing is believed."""
         self._navigator = None
         return Command(*self._groping.command(state))
@@ -85,7 +85,7 @@ class Wanderer:
         goal = self._places[self._chance.integers(len(self._places))]
         try:
             path = self._roadmap.path((float(pose[0]), float(pose[1])), (float(goal[0]), float(goal[1])))
-        except NoWayError:
+        except NoPathError:
             return None
         return Navigator(waypoints(path), self._speeds)
 
@@ -110,9 +110,9 @@ GOALS, PLACES, START = 11, 12, 13
 class Kind(Enum):
     """What happens in a run."""
 
-    CALM = "calm"
+    TRACKING = "calm"
     KIDNAPPED = "kidnapped"
-    NOWHERE = "nowhere"
+    UNKNOWN_START = "nowhere"
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,7 @@ class _Run:
         schedule = FiringSchedule(state.clock_s)
         chance = np.random.default_rng([case.seed, START])
         told = None
-        if case.kind is not Kind.NOWHERE:
+        if case.kind is not Kind.UNKNOWN_START:
             guess = _pose(pose) + np.array(START_STD) * chance.standard_normal(3)
             told = with_parameters(independent(guess, START_STD), case.scenario.constants)
         clearance = N150.radius_in
@@ -193,7 +193,7 @@ class _Run:
         self._shown = BadReadings(case.scenario.bad_share, schedule, np.random.default_rng([case.seed, BAD]))
         speeds = Speeds(translation_in_s=case.scenario.speed_in_s)
         roadmap = Roadmap(world.walls, clearance + MARGIN_IN)
-        self._wanderer = Wanderer(roadmap, places, speeds, np.random.default_rng([case.seed, GOALS]))
+        self._wanderer = RandomExplorer(roadmap, places, speeds, np.random.default_rng([case.seed, GOALS]))
         self._chance = chance
         self._alarms = self._polls = self._degraded = 0
         self._squares: list[float] = []
@@ -203,14 +203,14 @@ class _Run:
     def drive(self) -> Outcome:
         """All of it."""
         match self._case.kind:
-            case Kind.CALM:
+            case Kind.TRACKING:
                 self._until(self._case.seconds)
                 return self._outcome()
             case Kind.KIDNAPPED:
                 self._until(float(self._chance.uniform(*KIDNAPPED_S)))
                 self._kidnap()
                 return self._find(*self._until_lost())
-            case Kind.NOWHERE:
+            case Kind.UNKNOWN_START:
                 return self._find(None, 0.0)
 
     def _until(self, end_s: float) -> None:

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from localization.experiments import execution
-from localization.experiments.execution import fingerprint
+from localization.experiments.execution import code_hash
+from localization.experiments.figure_trial import Course, Figure
 from localization.experiments.results import Summary, Track, typical
-from localization.experiments.trial import Course, Figure
 from localization.filters.belief import Floats, difference
 from localization.live.plot import (
     ESTIMATE,
@@ -37,7 +37,7 @@ from localization.live.plot import (
     draw_walls,
     save,
 )
-from worlds.bodies import N150
+from worlds.robots import N150
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Picture
@@ -177,12 +177,12 @@ def add_work(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def crew_for(
+def executor_for(
     work: Callable[[Item], Result], options: argparse.Namespace
 ) -> Callable[[Sequence[Item]], Iterator[Result]]:
     """Who does this work with items, as the options of `add_work` say."""
     if options.cluster:
-        return partial(execution.on_cluster, work, address=options.cluster, code=fingerprint)
+        return partial(execution.on_cluster, work, address=options.cluster, code=code_hash)
     return partial(execution.here, work, jobs=options.jobs)
 
 

@@ -14,7 +14,7 @@ from typing import Final, TypedDict
 
 import numpy as np
 
-from localization.experiments.trial import Figure, Runs, mean_band, nees
+from localization.experiments.figure_trial import Figure, Runs, mean_band, nees
 from localization.filters.belief import Floats, difference
 
 TRACKED_SEEDS: Final = 20

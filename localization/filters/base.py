@@ -22,7 +22,7 @@ from localization.filters.odometry import OdometryNoise
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import STRICT, WIRE_SONAR, Gate, RayModel, RaySonar, SonarRing
 from localization.filters.update import MeasurementModel, UpdateResult
-from worlds.calibration import FAULTLESS, Calibration
+from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 
 class Filter(Protocol):
@@ -101,7 +101,7 @@ class LocalizationConfig:
     sonar: RaySonar | ConeSonar = WIRE_SONAR
     gate: Gate = STRICT
     clearance_in: float = 9.0
-    errs: Calibration = FAULTLESS
+    errs: Calibration = IDEAL_CALIBRATION
 
 
 def measurement_model(

@@ -43,7 +43,7 @@ from localization.filters.reflectors import reflectors
 from localization.filters.sonar_cone import ConeSensor, ConeSonar, EchoCandidate, SonarMount
 from localization.filters.sonar_ray import RaySonar, SonarRing, wall_map
 from localization.filters.update import INFORMATIVE, MeasurementModel, Refusal, UpdateResult, refusal_of
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 
 EDGE_STD_RAD: Final = radians(0.5)
 """How sharp the rim of a cone is taken to be."""

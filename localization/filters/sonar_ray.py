@@ -90,7 +90,7 @@ Indices = npt.NDArray[np.intp]
 
 
 class SonarRing(Protocol):
-    """The part of a body that the sonars need; `worlds.bodies.Body` has it."""
+    """The part of a body that the sonars need; `worlds.robots.Body` has it."""
 
     @property
     def sonar_ring_radius_in(self) -> float: ...

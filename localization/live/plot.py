@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from localization.filters.belief import Floats
 from localization.live.run import Run
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 from nclient.errors import ExtraMissing, OutputFileError
-from worlds.bodies import Body
+from worlds.robots import Body
 from worlds.world import World
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def save(picture: Picture, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         picture.savefig(path, dpi=DPI)
     except OSError as error:
-        raise OutputFileError(unwritable(path, error)) from error
+        raise OutputFileError(describe_write_error(path, error)) from error
 
 
 def draw_walls(axes: Axes, walls: npt.ArrayLike) -> None:

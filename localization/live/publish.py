@@ -59,7 +59,7 @@ def message(
     }  # fmt: skip
 
 
-def waypoints_in(answer: bytes) -> tuple[Points, int]:
+def parse_answer(answer: bytes) -> tuple[Points, int]:
     """The way-points that a page answers, none where they were cleared, and how often they were set.
 
     Raises ValueError for whatever is no such answer.
@@ -101,7 +101,7 @@ class Publisher:
         if self._lost_s is not None and self._clock() - self._lost_s < AGAIN_S:
             return None
         try:
-            wanted, number = waypoints_in(self._post(json.dumps(said | {"began": True} if first else said)))
+            wanted, number = parse_answer(self._post(json.dumps(said | {"began": True} if first else said)))
             before, self._set = self._set, number
         except (OSError, http.client.HTTPException, ValueError) as error:
             self._lose(error)

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from localization.cli.assumptions import AS_CONES, Taken, hint
 from localization.filters.belief import Floats, add, difference
 from localization.filters.health import HealthStatus
 from localization.filters.update import Refusal
+from localization.live.assumptions import AS_CONES, Taken, hint
 from localization.live.localizer import Echo, Estimate
 from localization.live.sensor_input import LONGEST_GAP_S
 from nclient.robot import Robot
@@ -32,13 +32,13 @@ Pose = tuple[float, float, float]
 """x_in, y_in, heading of the steering in radians."""
 
 
-class Sighting(NamedTuple):
+class TruthSample(NamedTuple):
     """The truth, and the clock it belongs to."""
 
     clock_s: float
     pose: Pose
 
-    def towards(self, later: Sighting, clock_s: float) -> Pose:
+    def towards(self, later: TruthSample, clock_s: float) -> Pose:
         """The truth between this sighting and a later one, at a clock between theirs: evenly on the way.
 
         The truth is asked for after the state, so that the robot has gone on by then; each estimate is to be
@@ -214,12 +214,12 @@ def _told(estimate: Estimate) -> str:
     )
 
 
-class Witness:
+class GroundTruth:
     """Of one robot; `robot_id` is 1 where nobody tells."""
 
     def __init__(self, robot: Robot, simulated: bool) -> None:
         self._robot = robot
-        self._seen: Sighting | None = None
+        self._seen: TruthSample | None = None
         self.robot_id = 1
         if simulated:
             self.robot_id, self._seen = self._look()
@@ -231,6 +231,6 @@ class Witness:
         before, (_, self._seen) = self._seen, self._look()
         return before.towards(self._seen, clock_s)
 
-    def _look(self) -> tuple[int, Sighting]:
+    def _look(self) -> tuple[int, TruthSample]:
         truth = self._robot.truth()
-        return truth.robot_id, Sighting(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))
+        return truth.robot_id, TruthSample(truth.time_s, (truth.x_in, truth.y_in, truth.steering_rad))

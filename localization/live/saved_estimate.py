@@ -32,7 +32,7 @@ import numpy as np
 from localization.filters.belief import HEADING, Belief, Floats, add, difference
 from localization.filters.odometry import LARGEST, POSE, OdometryNoise
 from localization.live.sensor_input import EncoderPose
-from nclient.common.files import read_text, write_whole
+from nclient.common.files import read_text, write_atomic
 from nclient.errors import EstimateFileError
 from worlds.world import World
 
@@ -54,7 +54,7 @@ Moved = tuple[float, float, float]
 """Standard deviations in inches, inches, radians."""
 
 
-class Site(NamedTuple):
+class MapSignature(NamedTuple):
     """What a belief is about: a map by its name and a digest of its walls, and a robot's body by its name."""
 
     world: str
@@ -66,20 +66,20 @@ class Site(NamedTuple):
 class Kept:
     """A belief over states (n,) about a site, and the encoders at the clock it is of."""
 
-    site: Site
+    site: MapSignature
     encoders: EncoderPose
     belief: Belief
 
 
-def site_of(world: World, body: str) -> Site:
+def map_signature(world: World, body: str) -> MapSignature:
     """The site of a map and a body. Walls count as the same within a millionth of an inch, in whatever order."""
     ends = np.round(world.walls.reshape(-1, 2, 2), 6) + 0.0
     walls = sorted(sorted(wall) for wall in ends.tolist())
-    return Site(world.name, sha256(repr(walls).encode()).hexdigest()[:16], body)
+    return MapSignature(world.name, sha256(repr(walls).encode()).hexdigest()[:16], body)
 
 
-def resumed(
-    kept: Kept, site: Site, now: EncoderPose, noise: OdometryNoise, moved_std: Moved | None = None
+def resume_belief(
+    kept: Kept, site: MapSignature, now: EncoderPose, noise: OdometryNoise, moved_std: Moved | None = None
 ) -> Belief:
     """The belief now, of a robot whose encoders say `now`. `moved_std`: how far it may have been moved besides.
 
@@ -95,7 +95,7 @@ def resumed(
     return Belief(belief.mean, cov)
 
 
-def _same_site(kept: Site, here: Site) -> None:
+def _same_site(kept: MapSignature, here: MapSignature) -> None:
     if kept.walls != here.walls:
         raise EstimateFileError(
             f"the estimate is of the map {kept.world!r}, whose walls are not those of {here.world!r}: "
@@ -195,7 +195,7 @@ def save(path: Path, kept: Kept) -> None:
         "mean": kept.belief.mean.tolist(),
         "cov": kept.belief.cov.tolist(),
     }
-    write_whole(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
+    write_atomic(path, json.dumps(values, indent=1) + "\n", EstimateFileError)
 
 
 def load(path: Path) -> Kept:
@@ -209,7 +209,7 @@ def load(path: Path) -> Kept:
         _fail(path, "format", f"expected {FORMAT!r}: a file that `nomad localize --save` wrote")
     for key in {*KEYS} ^ {*values}:
         _fail(path, key, "is missing" if key in KEYS else "unknown key")
-    site = Site(*(_text(path, key, values[key]) for key in Site._fields))
+    site = MapSignature(*(_text(path, key, values[key]) for key in MapSignature._fields))
     clock_s, turret_rad = _numbers(path, "clock_s", values, ()), _numbers(path, "turret_rad", values, ())
     encoders = EncoderPose(float(clock_s), _numbers(path, "encoders", values, (POSE,)), float(turret_rad))
     return Kept(site, encoders, _belief(path, values))

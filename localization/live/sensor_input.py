@@ -7,7 +7,7 @@ A robot that is known to err: what it tells as a faultless one would, and what i
     readings    less their sonars' offsets; limits stay limits      turret    turned as the ring really stands
     wheels      the filter's constants (systematic) begin at what was found, as uncertain as that is
 
-Rules: pure; what it errs is worlds.calibration's.
+Rules: pure; what it errs is worlds.robots's.
 
 Which echo is new: State shows the last reading of each sonar and says of none when it was taken.
 
@@ -35,7 +35,7 @@ import numpy as np
 from localization.filters.belief import HEADING, Belief, Floats, add, difference, wrapped
 from localization.filters.odometry import POSE, with_parameters
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE, SONAR_RATE_STEP_S
-from worlds.calibration import FAULTLESS, Calibration
+from worlds.robots import IDEAL_CALIBRATION, Calibration
 
 
 class SensorInput(Protocol):
@@ -80,7 +80,7 @@ _INSIDE_IN: Final = 1e-3
 
 def of(told: SensorInput, errs: Calibration) -> SensorInput:
     """What a robot tells, without what its sonars are known to get wrong."""
-    if errs is FAULTLESS:
+    if errs is IDEAL_CALIBRATION:
         return told
     sonars = tuple(_range_in(read, off) for read, off in zip(told.sonars_in, errs.offsets_in, strict=True))
     return with_readings(told, sonars, told.turret_rad + errs.turned_rad)
@@ -88,7 +88,7 @@ def of(told: SensorInput, errs: Calibration) -> SensorInput:
 
 def with_wheels(pose: Belief, errs: Calibration) -> Belief:
     """A belief over poses (3,) with the constants of such wheels; those of a faultless robot change nothing."""
-    if errs is FAULTLESS:
+    if errs is IDEAL_CALIBRATION:
         return pose
     spread = errs.spread
     longer = with_parameters(pose, (spread.way_scale, spread.turn_scale, spread.drift_rad_in))

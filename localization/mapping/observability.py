@@ -39,7 +39,7 @@ from localization.filters.sonar_ray import (
     sight,
     wall_map,
 )
-from worlds.bodies import SONARS
+from worlds.robots import SONARS
 
 HEADINGS: Final = 4
 WAYS: Final = 8
@@ -49,7 +49,7 @@ START_STD: Final = (24.0, 24.0, 0.5)
 _HEADING_STD_RAD: Final = 0.01
 
 
-class Weakness(NamedTuple):
+class Observability(NamedTuple):
     """Of n places (n, 2) in inches: the bound `cov` (n, 3, 3) on the way on which the place is known best, and standard
     deviations `heading_rad` (n,) on that on which the heading is."""
 
@@ -63,14 +63,14 @@ class Weakness(NamedTuple):
         return _worst_in(self.cov)
 
 
-def weakness(known: LocalizationConfig, places: Floats, speed_in_s: float = 5.0) -> Weakness:
+def compute_observability(known: LocalizationConfig, places: Floats, speed_in_s: float = 5.0) -> Observability:
     """The bound at places (n, 2), inches."""
     information = np.mean([_of_round(known, places, turned) for turned in _turns()], axis=0)
     ways = np.arange(WAYS) * (tau / WAYS)
     covs = np.stack([_driven(known.odometry, information, speed_in_s * ROUND_S, way_rad) for way_rad in ways])
     best = np.argmin(_worst_in(covs), axis=0)
     heading: Floats = np.sqrt(covs[..., HEADING, HEADING].min(axis=0))
-    return Weakness(places, covs[best, np.arange(len(places))], heading)
+    return Observability(places, covs[best, np.arange(len(places))], heading)
 
 
 def _driven(odometry: OdometryNoise, information: Floats, way_in: float, way_rad: float) -> Floats:

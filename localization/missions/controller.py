@@ -27,31 +27,31 @@ from localization.filters.belief import Belief, Floats
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate
 from localization.live.publish import Publisher, message
-from localization.live.run import RunMoment, Witness
+from localization.live.run import GroundTruth, RunMoment
 from localization.missions.settings import Point
-from localization.navigation.obstacles import Unmapped, spared, take_in
+from localization.navigation.obstacles import ObstacleTracker, filter_unmapped, update_obstacles
 from localization.navigation.path_follower import STAND, Velocities
 from localization.navigation.planner import Planner
 from localization.navigation.speed import LIMITS, Pace
-from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Speeds, begin, next_state
+from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Speeds, begin, wait_for_next_state
 from nclient.errors import BumperHit, NomadError
 from nclient.robot import Robot
 from nclient.state import RobotState
-from worlds.bodies import Body
+from worlds.robots import Body
 
 
-class Sight(NamedTuple):
+class Observation(NamedTuple):
     """A period: what is believed, and what the robot said."""
 
     estimate: Estimate
     state: RobotState
 
 
-Watcher = Callable[[Sight], None]
+Watcher = Callable[[Observation], None]
 Wait = Callable[[float], None]
 
 
-class Helm:
+class RobotController:
     """A robot that stands where `belief` says, and is told what to do a period at a time.
 
     `speed_in_s`, `turn_rad_s`: it is driven no faster. `wait(seconds)` lets real time pass, as in navigation.
@@ -71,13 +71,13 @@ class Helm:
         self.robot, self.body, self._wait = robot, body, wait
         self.limits = LIMITS[body.name].capped(speed_in_s, turn_rad_s)
         self.planner = Planner(_walls(known), body.radius_in)
-        self.unmapped = Unmapped(_walls(known), body.sonar_ring_radius_in)
+        self.unmapped = ObstacleTracker(_walls(known), body.sonar_ring_radius_in)
         self.watchers: list[Watcher] = []
         robot.set_timeout(COMMAND_TIMEOUT_S)
         self._pace = Pace()
         self._localizer = begin(robot, known, belief, method)
         state = robot.refresh()
-        self.sight = Sight(self._localizer.update(state), state)
+        self.sight = Observation(self._localizer.update(state), state)
         self._obeyed_s = self.clock_s
 
     def __enter__(self) -> Self:
@@ -103,7 +103,7 @@ class Helm:
         """Keep inside of these edges (k, 4) as if they were walls, from the next plan on."""
         self.planner = Planner(np.concatenate((self.planner.walls, edges)), self.body.radius_in)
 
-    def period(self, command: Velocities = STAND) -> Sight:
+    def period(self, command: Velocities = STAND) -> Observation:
         """Drive so for a period, slower where states come far apart (pace); what is seen at its end. Raises what robot
         and watchers raise."""
         before = self.sight.state
@@ -112,18 +112,18 @@ class Helm:
             after = self.robot.drive(
                 translation_in_s=share * command.translation_in_s, steering_rad_s=share * command.steering_rad_s
             )
-        self.sight = self._look(next_state(self.robot, before, after, self._wait))
+        self.sight = self._look(wait_for_next_state(self.robot, before, after, self._wait))
         if command == STAND or self.sight.state.touching or _moved(before, self.sight.state):
             self._obeyed_s = self.clock_s
         for watcher in self.watchers:
             watcher(self.sight)
         return self.sight
 
-    def _look(self, state: RobotState) -> Sight:
+    def _look(self, state: RobotState) -> Observation:
         angles = self.body.sonar_angles_rad
-        estimate = self._localizer.update(spared(self.unmapped, self.sight.estimate, state, angles))
-        take_in(self.unmapped, estimate, state, angles)
-        return Sight(estimate, state)
+        estimate = self._localizer.update(filter_unmapped(self.unmapped, self.sight.estimate, state, angles))
+        update_obstacles(self.unmapped, estimate, state, angles)
+        return Observation(estimate, state)
 
 
 def _moved(before: RobotState, after: RobotState) -> bool:
@@ -134,14 +134,14 @@ def _walls(known: LocalizationConfig) -> Floats:
     return np.asarray(known.walls, dtype=np.float64)
 
 
-class Showing:
+class ProgressPublisher:
     """A watcher of a helm. `goals`: what is shown as way-points, whenever it changes; the truth beside the estimate is
     the witness's."""
 
-    def __init__(self, publisher: Publisher, witness: Witness, goals: Sequence[Point]) -> None:
+    def __init__(self, publisher: Publisher, witness: GroundTruth, goals: Sequence[Point]) -> None:
         self._publisher, self._witness, self._goals = publisher, witness, goals
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: Observation) -> None:
         estimate, state = sight
         odometry = (state.x_in, state.y_in, state.steering_rad)
         moment = RunMoment(estimate, odometry, self._witness.at(estimate.clock_s), 0, state.turret_rad)

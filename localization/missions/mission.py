@@ -20,6 +20,15 @@ Every verb returns when it is done and raises StepFailed when it cannot be; `lim
 by itself, by its limit or the mission's, by the fence, or by LOST. What a verb is given is checked before anything else
 (arguments.py). What ended a mission (MissionOver, Ctrl-C) is kept,
 and every verb but note raises it again: a program that swallowed it drives no farther.
+
+A mission from its first step to its report, whatever happens.
+
+    done                        every step was
+    a word of a failure         a step failed, and the program did not catch it; or time, fence, LOST, caught or not
+    error, interrupted          the robot or the file failed; Ctrl-C, SIGTERM, SIGHUP. Both are told in the report, and
+                                raised again
+
+Rules: no options, no printing. The helm stops the robot.
 """
 
 from __future__ import annotations
@@ -35,13 +44,13 @@ import numpy as np
 
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
-from localization.missions.controller import Helm, Sight
+from localization.missions.controller import Observation, RobotController
 from localization.missions.report import DONE, INTERRUPTED, MissionOver, Report, Step, StepFailed, ending_of
 from localization.missions.settings import OnLost, Point, Settings, check, points
-from localization.navigation.path import Stretch, straight, turn_between
+from localization.navigation.path import Stretch, angle_difference, straight
 from localization.navigation.path_follower import STAND, TURNED_RAD, Follower, Velocities, turn
 from localization.navigation.pilot import Ending, Patience, Pilot
-from localization.navigation.recovery import DRIVE_IN_S, Groping
+from localization.navigation.recovery import DRIVE_IN_S, RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.errors import MissionFileError
 from worlds.geometry import inside, polygon_segments
@@ -49,29 +58,31 @@ from worlds.geometry import inside, polygon_segments
 BACK_S: Final = 1.5
 
 
-def find_again(helm: Helm, settings: Settings, reason: str) -> None:
+def find_again(controller: RobotController, settings: Settings, reason: str) -> None:
     """Do as the settings say; returns once the place is known. Raises MissionOver."""
     if settings.on_lost is OnLost.GIVE_UP:
         raise MissionOver("lost", reason)
-    until_s = helm.clock_s + settings.lost_s
-    commands = _searching(helm) if settings.on_lost is OnLost.SEARCH else cycle([STAND])
-    while helm.sight.estimate.health.status is HealthStatus.LOST:
-        if helm.clock_s > until_s:
-            raise MissionOver("lost", f"not found again in {settings.lost_s:g} s: {helm.sight.estimate.health.reason}")
-        helm.period(next(commands))
+    until_s = controller.clock_s + settings.lost_s
+    commands = _searching(controller) if settings.on_lost is OnLost.SEARCH else cycle([STAND])
+    while controller.sight.estimate.health.status is HealthStatus.LOST:
+        if controller.clock_s > until_s:
+            raise MissionOver(
+                "lost", f"not found again in {settings.lost_s:g} s: {controller.sight.estimate.health.reason}"
+            )
+        controller.period(next(commands))
 
 
-def _searching(helm: Helm) -> Iterator[Velocities]:
+def _searching(controller: RobotController) -> Iterator[Velocities]:
     """Commands without end."""
-    groping = Groping(PERIOD_S)
+    groping = RecoveryBehavior(PERIOD_S)
     while True:
-        if helm.sight.state.touching:
+        if controller.sight.state.touching:
             yield from [Velocities(-DRIVE_IN_S, 0.0)] * round(BACK_S / PERIOD_S)
             groping.reset()
-        yield Velocities(*groping.command(helm.sight.state))
+        yield Velocities(*groping.command(controller.sight.state))
 
 
-class Turning:
+class TurnProgress:
     """A turn from a heading, by so much to the left."""
 
     def __init__(self, heading_rad: float, by_rad: float) -> None:
@@ -79,7 +90,7 @@ class Turning:
 
     def left_rad(self, heading_rad: float) -> float:
         """What is left of it at this heading, to the left."""
-        self._left_rad -= turn_between(self._heading_rad, heading_rad)
+        self._left_rad -= angle_difference(self._heading_rad, heading_rad)
         self._heading_rad = heading_rad
         return self._left_rad
 
@@ -122,21 +133,21 @@ Condition = Callable[[Seen], bool]
 class Mission:
     """The robot as a mission's program knows it; what it did is in `report`."""
 
-    def __init__(self, helm: Helm, settings: Settings | None = None) -> None:
+    def __init__(self, controller: RobotController, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        self._helm = helm
+        self._helm = controller
         self.report = Report(self.settings.title)
         self.ended: BaseException | None = None
         """What ended it before it was done: MissionOver, or what is no Exception, such as Ctrl-C; a program's own
         sys.exit is a mistake of the program (programs.py)."""
-        self._began_s, self._step_ends_s = helm.clock_s, inf
+        self._began_s, self._step_ends_s = controller.clock_s, inf
         self._fence = polygon_segments(self.settings.fence_in) if self.settings.fence_in else None
         if self._fence is not None:
-            helm.fence(self._fence)
+            controller.fence(self._fence)
         self._step: Step | None = None
         self._told_unmoved = False
-        self._encoders = self._place_of(helm.sight)
-        helm.watchers.append(self._watch)
+        self._encoders = self._place_of(controller.sight)
+        controller.watchers.append(self._watch)
 
     @property
     def seen(self) -> Seen:
@@ -176,9 +187,12 @@ class Mission:
         if (heading_deg is None) == (by_deg is None):
             raise MissionFileError("turn: expected heading_deg or by_deg, one of them")
         if by_deg is not None:
-            words, left_rad = f"by {by_deg:g} deg", Turning(self._heading_rad, radians(by_deg)).left_rad
+            words, left_rad = f"by {by_deg:g} deg", TurnProgress(self._heading_rad, radians(by_deg)).left_rad
         else:
-            words, left_rad = f"to {heading_deg:g} deg", partial(turn_between, second_rad=radians(heading_deg or 0.0))
+            words, left_rad = (
+                f"to {heading_deg:g} deg",
+                partial(angle_difference, second_rad=radians(heading_deg or 0.0)),
+            )
         self._do("turn", words, lambda: self._turn(left_rad), limit_s, retries)
         return self.seen
 
@@ -355,7 +369,7 @@ class Mission:
 
     # what holds in every period
 
-    def _watch(self, sight: Sight) -> None:
+    def _watch(self, sight: Observation) -> None:
         """Time, fence and way, in every period of whatever is done. Raises StepFailed, MissionOver."""
         place = self._place_of(sight)
         if self._step:
@@ -383,10 +397,12 @@ class Mission:
 
     def _unmoved(self) -> str:
         """What to say of a robot that does not do what it is told: nobody tells a program that it is held."""
-        return (f"it is told to drive and stands, {self._helm.unmoved_s:.0f} s now: is it held (nserver ctl status "
-                "tells), or its emergency button pressed?")
+        return (
+            f"it is told to drive and stands, {self._helm.unmoved_s:.0f} s now: is it held (nserver ctl status "
+            "tells), or its emergency button pressed?"
+        )
 
-    def _place_of(self, sight: Sight) -> Point:
+    def _place_of(self, sight: Observation) -> Point:
         return sight.state.x_in, sight.state.y_in
 
     def _note(self, words: str) -> None:
@@ -396,3 +412,22 @@ class Mission:
 
 def _listed(points: Sequence[Point]) -> str:
     return " ".join(f"({x:g}, {y:g})" for x, y in points)
+
+
+def run_mission(mission: Mission, act: Callable[[Mission], object]) -> None:
+    """Run it; `mission.report` says how it ended. Raises what is no failure of a step."""
+    report = mission.report
+    try:
+        act(mission)
+        if mission.ended is not None:
+            raise mission.ended
+        report.ending, report.reason = DONE, ""
+    except (StepFailed, MissionOver) as failure:
+        report.ending, report.reason = ending_of(failure)
+    except BaseException as error:
+        report.ending, report.reason = ending_of(error)
+        raise
+    finally:
+        if isinstance(mission.ended, MissionOver):
+            report.ending, report.reason = mission.ended.ending, str(mission.ended)
+        report.duration_s = mission.seen.clock_s

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from localization.filters.belief import wrapped
 from localization.live.run import Pose
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import NomadError
 
 
@@ -46,8 +46,8 @@ def ending_of(error: BaseException) -> tuple[str, str]:
     """How a step or a mission ends that raised this, in a word and in words; what interrupts is Ctrl-C, or a signal."""
     if isinstance(error, StepFailed | MissionOver):
         return error.ending, str(error)
-    if isinstance(error, KeyboardInterrupt | Left):
-        return INTERRUPTED, error.signal_name if isinstance(error, Left) else "Ctrl-C"
+    if isinstance(error, KeyboardInterrupt | TerminatedBySignal):
+        return INTERRUPTED, error.signal_name if isinstance(error, TerminatedBySignal) else "Ctrl-C"
     kind = "" if isinstance(error, NomadError) else type(error).__name__
     return "error", ": ".join(part for part in (kind, str(error)) if part)
 

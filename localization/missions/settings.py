@@ -2,7 +2,7 @@
 
     go_to: x_in: expected a length, a number, found the text '15'
 
-Rules: pure; values of a program are read as if they stood in a file (worlds.tables), so that both are refused in the
+Rules: pure; values of a program are read as if they stood in a file (worlds.schema), so that both are refused in the
 same words. What is wrong is a MissionFileError: who was given it, which argument, what was expected and what was found;
 files.py puts file and line before it.
 
@@ -25,10 +25,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import MissionFileError, WorldFileError
-from worlds.outlines import require_outline
-from worlds.tables import Point, Table, found
+from worlds.schema import Point, Table, found, require_outline
 
 __all__ = ["OnLost", "Point", "Settings", "settings_in"]
 
@@ -179,7 +178,7 @@ def settings_in(table: Table) -> dict[str, Any]:
 def _policy(table: Table) -> OnLost:
     word, words = table.values["on_lost"], [policy.value for policy in OnLost]
     if word not in words:
-        told = f"{word!r}{did_you_mean(word, words)}" if isinstance(word, str) else found(word)
+        told = f"{word!r}{suggest(word, words)}" if isinstance(word, str) else found(word)
         table.fail("on_lost", f"expected one of {', '.join(words)}, found {told}")
     return OnLost(word)
 

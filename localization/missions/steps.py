@@ -36,7 +36,7 @@ Missions from files: TOML lists of steps, and programs in Python.
 
 Rules: whatever is wrong is a MissionFileError: file, line or key, what was expected. TOML is read whole before anything
 moves; a program is compiled and its module run (programs.py). The only file here that reads missions from the disk; the
-walls that they name are worlds.files', the report that is written is command.py's.
+walls that they name are worlds.io', the report that is written is command.py's.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ from typing import Any, Final
 from localization.missions import settings as arguments
 from localization.missions.mission import Condition, Mission
 from localization.missions.settings import LEAST_S, LONGEST_S, Point, Settings, settings_in
-from nclient.common.files import read_text, toml_of
-from nclient.common.hints import did_you_mean
-from nclient.common.process import Left
+from nclient.common.files import parse_toml, read_text
+from nclient.common.hints import suggest
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, NomadError, WorldFileError
-from worlds.files import load_world
-from worlds.tables import FARTHEST_IN, Table
+from worlds.io import load_world
+from worlds.schema import FARTHEST_IN, Table
 
 Act = Callable[[Mission], object]
 _LIMITS: Final = ("do", "time_limit_s", "retries")
@@ -84,7 +84,7 @@ def step_of(table: Table) -> Act:
         table.fail("do", f"is wanted; there are {', '.join(VERBS)}")
     verb = table.text("do", "")
     if verb not in VERBS:
-        table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{did_you_mean(verb, VERBS)}")
+        table.fail("do", f"expected one of {', '.join(VERBS)}, found {verb!r}{suggest(verb, VERBS)}")
     return VERBS[verb](table)
 
 
@@ -194,7 +194,7 @@ def _limits(table: Table) -> tuple[float, int]:
 
 
 @dataclass(frozen=True, slots=True)
-class Orders:
+class MissionSpec:
     """What a mission is bound to, what it does, and where its map is told: file, line or key."""
 
     settings: Settings
@@ -210,14 +210,14 @@ class Orders:
             raise MissionFileError(f"{self.map_told}: {error}") from error
 
 
-def parse_program(text: str, file: str) -> Orders:
+def parse_program(text: str, file: str) -> MissionSpec:
     """The mission that a program in Python says; `file` is what errors call it. Raises MissionFileError."""
     names: dict[str, Any] = {"__name__": "mission", "__file__": file}
     try:
         exec(compile(text, file, "exec"), names)
     except SyntaxError as error:
         raise MissionFileError(f"{file}: line {error.lineno}: is no Python: {error.msg}") from error
-    except Left:
+    except TerminatedBySignal:
         raise
     except (Exception, SystemExit) as error:
         raise MissionFileError(_told(error, file)) from error
@@ -233,12 +233,12 @@ def parse_program(text: str, file: str) -> Orders:
             _require_no_promise(act(robot), file)
         except MissionFileError as error:
             raise MissionFileError(_told(error, file)) from error
-        except (NomadError, Left):
+        except (NomadError, TerminatedBySignal):
             raise
         except (Exception, SystemExit) as error:
             raise MissionFileError(_told(error, file)) from error
 
-    return Orders(settings, run, f"{file}: settings: map")
+    return MissionSpec(settings, run, f"{file}: settings: map")
 
 
 def _require_plain(act: Callable[..., object], file: str) -> None:
@@ -287,7 +287,7 @@ MOST_BYTES: Final = 1 << 20
 _TOP: Final = ("title", "map", "time_limit_s", "on_lost", "lost_s", "step")
 
 
-def load_mission(path: str | PathLike[str]) -> Orders:
+def load_mission(path: str | PathLike[str]) -> MissionSpec:
     """The mission of a file, *.toml or *.py. Raises MissionFileError."""
     file = Path(fspath(path))
     if file.suffix not in (".toml", ".py"):
@@ -296,9 +296,9 @@ def load_mission(path: str | PathLike[str]) -> Orders:
     return parse_program(text, str(file)) if file.suffix == ".py" else parse_list(text, str(file))
 
 
-def parse_list(text: str, file: str) -> Orders:
+def parse_list(text: str, file: str) -> MissionSpec:
     """The mission that a text in TOML says; `file` is what errors call it. Raises MissionFileError."""
-    values = toml_of(text, file, MissionFileError)
+    values = parse_toml(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP, ("fence",))
@@ -313,7 +313,7 @@ def parse_list(text: str, file: str) -> Orders:
         for act in acts:
             act(robot)
 
-    return Orders(settings, run, _with_line(f"{file}: map", file, text))
+    return MissionSpec(settings, run, _with_line(f"{file}: map", file, text))
 
 
 def _with_line(message: str, file: str, text: str) -> str:

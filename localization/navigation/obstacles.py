@@ -32,7 +32,7 @@ from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
 from localization.live.sensor_input import SensorInput, with_readings
-from localization.navigation.path import turn_between
+from localization.navigation.path import angle_difference
 from nclient.state import RobotState
 from worlds.raycast import cast_rays
 
@@ -56,7 +56,7 @@ _TOLERANCE_IN, _TOLERANCE_SHARE = 3.0, 0.03
 
 
 @dataclass(slots=True)
-class _Find:
+class Obstacle:
     x_in: float
     y_in: float
     towards_rad: float
@@ -65,13 +65,13 @@ class _Find:
     sure: bool = False
 
 
-class Unmapped:
+class ObstacleTracker:
     """The finds of a robot with sonars `ring_in` from its axis, in a map of walls (m, 4)."""
 
     def __init__(self, walls: Floats, ring_in: float) -> None:
         self._walls, self._ring_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), ring_in
         self._corners = np.unique(self._walls.reshape(-1, 2), axis=0)
-        self._finds: list[_Find] = []
+        self._finds: list[Obstacle] = []
         self._clock_s = 0.0
 
     @property
@@ -85,7 +85,7 @@ class Unmapped:
         return self._as_walls([find for find in self._finds if not find.sure])
 
     @staticmethod
-    def _as_walls(finds: list[_Find]) -> Floats:
+    def _as_walls(finds: list[Obstacle]) -> Floats:
         rows = []
         for find in finds:
             dx, dy = -HALF_WIDTH_IN * sin(find.towards_rad), HALF_WIDTH_IN * cos(find.towards_rad)
@@ -121,7 +121,7 @@ class Unmapped:
         """Something was felt by a body of that radius on its way towards there."""
         self._fade(clock_s)
         x, y = place[0] + body_in * cos(towards_rad), place[1] + body_in * sin(towards_rad)
-        self._finds.append(_Find(x, y, towards_rad, MOST, felt=True, sure=True))
+        self._finds.append(Obstacle(x, y, towards_rad, MOST, felt=True, sure=True))
 
     def _fade(self, clock_s: float) -> None:
         share = exp(-max(0.0, clock_s - self._clock_s) / FADE_S)
@@ -136,7 +136,7 @@ class Unmapped:
     def _see_through(self, place: Point, towards_rad: float, range_in: float) -> None:
         for find in self._finds:
             dx, dy = find.x_in - place[0], find.y_in - place[1]
-            beside = abs(turn_between(towards_rad, atan2(dy, dx)))
+            beside = abs(angle_difference(towards_rad, atan2(dy, dx)))
             if not find.felt and beside < THROUGH_RAD and hypot(dx, dy) < range_in - THROUGH_IN:
                 find.weight *= SEEN_THROUGH
         self._drop()
@@ -157,13 +157,13 @@ class Unmapped:
     def _add(self, x_in: float, y_in: float, towards_rad: float) -> None:
         near = [find for find in self._finds if hypot(find.x_in - x_in, find.y_in - y_in) < JOIN_IN and not find.felt]
         if not near:
-            self._finds.append(_Find(x_in, y_in, towards_rad, 1.0))
+            self._finds.append(Obstacle(x_in, y_in, towards_rad, 1.0))
             return
         find = min(near, key=lambda find: hypot(find.x_in - x_in, find.y_in - y_in))
         share = 1.0 / (find.weight + 1.0)
         find.x_in += share * (x_in - find.x_in)
         find.y_in += share * (y_in - find.y_in)
-        find.towards_rad += share * turn_between(find.towards_rad, towards_rad)
+        find.towards_rad += share * angle_difference(find.towards_rad, towards_rad)
         find.weight = min(MOST, find.weight + 1.0)
         find.sure = find.sure or find.weight >= SURE
 
@@ -171,7 +171,9 @@ class Unmapped:
 MOST_SPARED: Final = 6
 
 
-def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> SensorInput:
+def filter_unmapped(
+    unmapped: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]
+) -> SensorInput:
     """The state for the filter whose last estimate is given; the sonars stand at `angles_rad` on the turret."""
     readings = state.sonars_in
     if estimate.health.status is not HealthStatus.LOST:
@@ -183,7 +185,9 @@ def spared(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad
     return with_readings(state, readings)
 
 
-def take_in(unmapped: Unmapped, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]) -> None:
+def update_obstacles(
+    unmapped: ObstacleTracker, estimate: Estimate, state: RobotState, angles_rad: Sequence[float]
+) -> None:
     """Tell the finds of an estimate's echoes. Each was heard up to two tenths of a second before the estimate: the way
     since then is taken off at the velocities of the state."""
     if estimate.health.status is HealthStatus.LOST:

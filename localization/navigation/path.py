@@ -151,7 +151,7 @@ def stretches(legs: Sequence[Leg]) -> tuple[Stretch, ...]:
         if leg.length_in <= SHORTEST_IN:
             continue
         before = groups[-1][-1] if groups else None
-        if before and abs(turn_between(before.at(before.length_in).heading_rad, leg.heading_rad)) <= SAME_WAY_RAD:
+        if before and abs(angle_difference(before.at(before.length_in).heading_rad, leg.heading_rad)) <= SAME_WAY_RAD:
             groups[-1].append(leg)
         else:
             groups.append([leg])
@@ -172,7 +172,7 @@ def length_of(course: Sequence[Stretch]) -> float:
     return sum(stretch.length_in for stretch in course)
 
 
-def turn_between(first_rad: float, second_rad: float) -> float:
+def angle_difference(first_rad: float, second_rad: float) -> float:
     """The short turn from one direction to another, in [-pi, pi]."""
     return remainder(second_rad - first_rad, tau)
 
@@ -191,7 +191,7 @@ def room(points: Floats, walls: Floats) -> Floats:
     return nearest
 
 
-class Rim:
+class CornerCircle:
     """The circle of a radius about an end of a wall, and which parts of it are that far from all walls."""
 
     def __init__(self, centre: Floats, walls: Floats, radius_in: float) -> None:
@@ -208,8 +208,11 @@ class Rim:
         found = []
         for first, last in zip(angles, np.append(angles[1:], angles[0] + tau), strict=True):
             spans = [(first, min(last, tau)), (0.0, last - tau)]
-            found.append(not any(bool((blocked & (self._borders < b - _NEAR) & (ends > a + _NEAR)).any())
-                                 for a, b in spans if b > a))
+            found.append(
+                not any(
+                    bool((blocked & (self._borders < b - _NEAR) & (ends > a + _NEAR)).any()) for a, b in spans if b > a
+                )
+            )
         return found
 
 
@@ -287,7 +290,7 @@ def fastest_in_s(curvature: float, limits: AxisLimits) -> float:
     return min(limits.translation_in_s, turning, easing)
 
 
-class Profile:
+class SpeedProfile:
     """The speeds of a stretch; `duration_s` is what driving it takes."""
 
     def __init__(self, stretch: Stretch, limits: AxisLimits) -> None:
@@ -331,7 +334,7 @@ SLOWEST_IN_S: Final = 1.0
 """An arc so tight that it is driven slower than this is a turn in place."""
 
 
-def rounded(
+def round_corners(
     points: Sequence[tuple[float, float]], within_in: float, limits: AxisLimits, walls: Floats, radius_in: float
 ) -> list[Leg]:
     """The legs along points, corners made round within `within_in` of them; arcs keep `radius_in` from all walls."""
@@ -351,7 +354,7 @@ def rounded(
 
 def _arc(one: Leg, other: Leg, within_in: float, limits: AxisLimits) -> tuple[Leg, float] | None:
     """The arc instead of a corner, and how much of either side it takes; None where none is quicker."""
-    turn = turn_between(one.heading_rad, other.heading_rad)
+    turn = angle_difference(one.heading_rad, other.heading_rad)
     if not _LEAST_RAD < abs(turn) < _SHARPEST_RAD:
         return None
     half = 0.5 * abs(turn)

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.navigation.path import BRAKING_SHARE, Place, Profile, Stretch, turn_between
+from localization.navigation.path import BRAKING_SHARE, Place, SpeedProfile, Stretch, angle_difference
 from localization.navigation.speed import AxisLimits
 
 DAMPING_IN: Final = 6.0
@@ -46,7 +46,7 @@ class Follower:
 
     def __init__(self, course: Sequence[Stretch], limits: AxisLimits) -> None:
         self._course, self._limits = tuple(course), limits
-        self._profiles = [Profile(stretch, limits) for stretch in self._course]
+        self._profiles = [SpeedProfile(stretch, limits) for stretch in self._course]
         self._number, self._along_in, self._turning = 0, 0.0, True
         self.aside_in = 0.0
         """How far beside its course the robot was last."""
@@ -64,7 +64,7 @@ class Follower:
                 float(pose[0]), float(pose[1]), max(0.0, self._along_in - BACK_IN), self._along_in + ON_IN
             )
             place = stretch.at(self._along_in)
-            astray = turn_between(place.heading_rad, float(pose[2]))
+            astray = angle_difference(place.heading_rad, float(pose[2]))
             if stretch.length_in - self._along_in <= THERE_IN:
                 self._number, self._along_in, self._turning = self._number + 1, 0.0, True
                 continue

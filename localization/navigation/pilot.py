@@ -21,12 +21,12 @@ import numpy as np
 from localization.filters.belief import Floats
 from localization.filters.health import HealthStatus
 from localization.live.localizer import Estimate
-from localization.navigation.obstacles import Unmapped
-from localization.navigation.path import room, turn_between
+from localization.navigation.obstacles import ObstacleTracker
+from localization.navigation.path import angle_difference, room
 from localization.navigation.path_follower import STAND, TURNED_RAD, Follower, Velocities, turn
 from localization.navigation.planner import MARGINS_IN, Plan, Planner
-from localization.navigation.roadmap import NoWayError, Point
-from localization.navigation.speed import AxisLimits, allowed_share
+from localization.navigation.roadmap import NoPathError, Point
+from localization.navigation.speed import AxisLimits, allowed_speed_fraction
 from nclient.state import RobotState
 
 
@@ -109,7 +109,7 @@ class Pilot:
         self,
         planner: Planner,
         limits: AxisLimits,
-        unmapped: Unmapped,
+        unmapped: ObstacleTracker,
         goals: Sequence[Point],
         heading_rad: float | None = None,
         patience: Patience | None = None,
@@ -187,7 +187,7 @@ class Pilot:
         start = (float(estimate.pose[0]), float(estimate.pose[1]))
         try:
             plan = self._course(start, finds)
-        except NoWayError as error:
+        except NoPathError as error:
             self._blocked(now_s, error, bool(len(finds)))
             return None
         self._blocked_s = inf
@@ -202,7 +202,7 @@ class Pilot:
                 return plan
         return self._planner.plan(start, self._goals[0], finds, self._least_in)
 
-    def _blocked(self, now_s: float, error: NoWayError, by_finds: bool) -> None:
+    def _blocked(self, now_s: float, error: NoPathError, by_finds: bool) -> None:
         self._follower = None
         if not by_finds:
             self._end(Ending.BLOCKED, str(error))
@@ -221,7 +221,7 @@ class Pilot:
             self._follower = None
             return STAND
         if self._heading_rad is not None:
-            left = turn_between(float(estimate.pose[2]), self._heading_rad)
+            left = angle_difference(float(estimate.pose[2]), self._heading_rad)
             if abs(left) > min(TURNED_RAD, self.patience.heading_rad):
                 return turn(left, self._limits)
         return self._end(Ending.ARRIVED, "arrived")
@@ -233,7 +233,7 @@ class Pilot:
         if ahead is None or not command.translation_in_s:
             return command
         cov = estimate.belief.cov[:3, :3]
-        share = allowed_share(estimate.pose, ahead, cov, self._planner.walls, self._planner.body_in)
+        share = allowed_speed_fraction(estimate.pose, ahead, cov, self._planner.walls, self._planner.body_in)
         if share > 0.0:
             self._uncertain_s = inf
             careful = min(self._unless_suspect(follower, command), self._beside_finds(estimate, command))
@@ -307,4 +307,3 @@ class Pilot:
     def _end(self, ending: Ending, reason: str) -> Velocities:
         self.outcome = Outcome(ending, reason)
         return STAND
-

@@ -19,8 +19,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.navigation.path import Stretch, length_of, room, rounded, stretches
-from localization.navigation.roadmap import NoWayError, Point, Roadmap, length_in
+from localization.navigation.path import Stretch, length_of, room, round_corners, stretches
+from localization.navigation.roadmap import NoPathError, Point, Roadmap, length_in
 from localization.navigation.speed import AxisLimits
 
 MARGINS_IN: Final = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
@@ -54,7 +54,7 @@ class Planner:
 
     def plan(self, start: Point, goal: Point, besides: Floats | None = None, least_in: float = 0.0) -> Plan:
         """A way from start to goal around the map's walls and those found `besides` (k, 4), with `least_in` of margin
-        where that is more than the least. Raises NoWayError."""
+        where that is more than the least. Raises NoPathError."""
         rooms = room(np.array([start, goal]), self.walls) - self.body_in
         most = max(least_in, self._margins[0], float(rooms.min()))
         margins = [margin for margin in self._margins if least_in <= margin <= most] or [least_in]
@@ -62,12 +62,12 @@ class Planner:
         if besides is not None and len(besides):
             return self._widest(start, goal, besides, margins)
         best, most_in = None, inf
-        with suppress(NoWayError):
+        with suppress(NoPathError):
             most_in = (1.0 + LONGER) * length_in(self._roadmap(0.0).path(start, goal, 0.0))
         for margin in margins:
             try:
                 legs = self._roadmap(margin).path(start, goal, least)
-            except NoWayError:
+            except NoPathError:
                 if best is None:
                     raise
                 break
@@ -78,19 +78,19 @@ class Planner:
         return best
 
     def along(self, points: Sequence[Point], within_in: float, limits: AxisLimits) -> Plan:
-        """The straight ways from point to point, corners made round within `within_in` of them. Raises NoWayError where
+        """The straight ways from point to point, corners made round within `within_in` of them. Raises NoPathError
         they come too near to a wall."""
         margin = self._margins[0]
         roadmap = self._roadmap(margin)
         roadmap.require_free(points)
-        legs = rounded(points, within_in, limits, self.walls, self.body_in + margin)
+        legs = round_corners(points, within_in, limits, self.walls, self.body_in + margin)
         return Plan(stretches(legs), margin)
 
     def _widest(self, start: Point, goal: Point, besides: Floats, margins: Sequence[float]) -> Plan:
-        """The shortest way with the most room there is. Raises NoWayError where there is none with the least."""
+        """The shortest way with the most room there is. Raises NoPathError where there is none with the least."""
         walls, least = np.concatenate((self.walls, besides)), self.body_in + self._margins[0]
         *wide, narrow = sorted(margins, reverse=True)
         for margin in wide:
-            with suppress(NoWayError):
+            with suppress(NoPathError):
                 return Plan(stretches(Roadmap(walls, self.body_in + margin).path(start, goal, least)), margin)
         return Plan(stretches(Roadmap(walls, self.body_in + narrow).path(start, goal, least)), narrow)

@@ -32,7 +32,7 @@ ROOM_AHEAD_IN: Final = 18.0
 AHEAD: Final = cos(tau / 8)
 
 
-class Heard(Protocol):
+class SonarState(Protocol):
     """What is looked at of a robot's state."""
 
     @property
@@ -43,7 +43,7 @@ class Heard(Protocol):
     def turret_rad(self) -> float: ...
 
 
-class Groping:
+class RecoveryBehavior:
     """See the head of this file. `period_s`: how often it is asked."""
 
     def __init__(self, period_s: float) -> None:
@@ -54,7 +54,7 @@ class Groping:
         """The place is known again; the next time begins with a look around."""
         self._looked_rad = 0.0
 
-    def command(self, state: Heard) -> tuple[float, float]:
+    def command(self, state: SonarState) -> tuple[float, float]:
         """Translation in in/s and steering in rad/s."""
         if self._looked_rad < LOOK_RAD or not _room_ahead(state):
             self._looked_rad += TURN_RAD_S * self._period_s
@@ -62,7 +62,7 @@ class Groping:
         return DRIVE_IN_S, 0.0
 
 
-def _room_ahead(state: Heard) -> bool:
+def _room_ahead(state: SonarState) -> bool:
     """Whether all sonars that look ahead, an eighth of a turn to either side, hear nothing near."""
     looking = np.arange(len(state.sonars_in)) * (tau / len(state.sonars_in)) + state.turret_rad - state.steering_rad
     heard = zip(state.sonars_in, looking, strict=True)
@@ -76,7 +76,7 @@ SLIDE_IN: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class _Mark:
+class ProgressMark:
     """Where it last made way: encoders (3,), the way-point (2,), the distance from it."""
 
     clock_s: float
@@ -85,12 +85,12 @@ class _Mark:
     left_in: float
 
 
-class Obstruction:
+class StallDetector:
     """Looks on a period at a time. `speed_in_s` > 0: it is driven no faster; the slower, the more patient this is."""
 
     def __init__(self, speed_in_s: float) -> None:
         self.patience_s = max(PATIENCE_S, 2.0 * WAY_IN / speed_in_s)
-        self._mark: _Mark | None = None
+        self._mark: ProgressMark | None = None
 
     def reason(self, clock_s: float, state: RobotState, pose: Floats, goal: Floats | None) -> str:
         """Why there is no use in driving on to `goal` (2,) from the estimate `pose` (3,); "" while there is.
@@ -104,17 +104,19 @@ class Obstruction:
         left_in = float(distance_to(pose, goal))
         mark = self._mark
         if mark is None or not np.array_equal(mark.goal, goal) or self._makes_way(mark, state, encoders, left_in):
-            self._mark = mark = _Mark(clock_s, encoders, goal, left_in)
+            self._mark = mark = ProgressMark(clock_s, encoders, goal, left_in)
         if clock_s - mark.clock_s < self.patience_s:
             return ""
         where = f"{clock_s - mark.clock_s:.0f} s long, {left_in:.1f} in before ({goal[0]:g}, {goal[1]:g})"
         if state.touching:
             return f"it presses against something {where}: bumpers {', '.join(map(str, state.bumpers))} touch"
-        return (f"it makes no way {where}, though it is told to drive: is it held (nserver ctl status tells), or its "
-                "emergency button pressed?")
+        return (
+            f"it makes no way {where}, though it is told to drive: is it held (nserver ctl status tells), or its "
+            "emergency button pressed?"
+        )
 
     @staticmethod
-    def _makes_way(mark: _Mark, state: RobotState, encoders: Floats, left_in: float) -> bool:
+    def _makes_way(mark: ProgressMark, state: RobotState, encoders: Floats, left_in: float) -> bool:
         if state.touching:
             return left_in <= mark.left_in - SLIDE_IN
         x, y, turned = difference(encoders, mark.encoders)

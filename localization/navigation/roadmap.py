@@ -26,7 +26,16 @@ from typing import NamedTuple
 import numpy as np
 
 from localization.filters.belief import Floats
-from localization.navigation.path import SLACK_IN, Leg, Rim, on_circles, room, straight, tangents, tangents_from
+from localization.navigation.path import (
+    SLACK_IN,
+    CornerCircle,
+    Leg,
+    on_circles,
+    room,
+    straight,
+    tangents,
+    tangents_from,
+)
 from nclient.errors import NomadError
 from worlds.geometry import nearest_points
 
@@ -68,7 +77,7 @@ _REACH_IN, _STEP_IN, _DIRECTIONS = 12.0, 0.25, 72
 Point = tuple[float, float]
 
 
-class NoWayError(NomadError):
+class NoPathError(NomadError):
     """There is no way that the robot fits through."""
 
 
@@ -129,7 +138,7 @@ class Roadmap:
     def __init__(self, walls: Floats, radius_in: float) -> None:
         self.walls, self.radius_in = np.asarray(walls, dtype=np.float64).reshape(-1, 4), radius_in
         self._centres = np.unique(self.walls.reshape(-1, 2), axis=0)
-        self._rims = [Rim(centre, self.walls, radius_in) for centre in self._centres]
+        self._rims = [CornerCircle(centre, self.walls, radius_in) for centre in self._centres]
         angles, circles = tangents(self._centres, radius_in)
         ends = [on_circles(self._centres, circles[:, k], angles[:, k], radius_in) for k in (0, 1)]
         free = self._free(np.concatenate(ends, axis=1), radius_in)
@@ -139,25 +148,27 @@ class Roadmap:
     def path(self, start: Point, goal: Point, least_room_in: float | None = None) -> list[Leg]:
         """The shortest way from start to goal; none where they are one point.
 
-        `least_room_in`: how near to a wall the goal may lie (the radius, where it is not given). Raises NoWayError
+        `least_room_in`: how near to a wall the goal may lie (the radius, where it is not given). Raises NoPathError
         where there is no way, saying which end has no room.
         """
         ends = np.array([start, goal], dtype=np.float64)
         rooms = room(ends, self.walls)
         least = self.radius_in if least_room_in is None else least_room_in
         if rooms[1] < least - SLACK_IN:
-            raise NoWayError(f"no room at ({goal[0]:g}, {goal[1]:g}): {rooms[1]:.1f} in to a wall, {least:.1f} wanted")
+            raise NoPathError(f"no room at ({goal[0]:g}, {goal[1]:g}): {rooms[1]:.1f} in to a wall, {least:.1f} wanted")
         if self._free(ends.reshape(1, 4), min(self.radius_in, *rooms))[0]:
             return [straight(start, goal)]
         inner = np.stack([self._pushed(end, far) for end, far in zip(ends, rooms, strict=True)])
         legs = self._among(inner)
         if legs is None:
-            raise NoWayError(f"no way from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) for a robot of "
-                             f"{self.radius_in:.1f} in radius")
+            raise NoPathError(
+                f"no way from ({start[0]:g}, {start[1]:g}) to ({goal[0]:g}, {goal[1]:g}) for a robot of "
+                f"{self.radius_in:.1f} in radius"
+            )
         return [straight(start, inner[START].tolist()), *legs, straight(inner[GOAL].tolist(), goal)]
 
     def require_free(self, points: Sequence[Point]) -> None:
-        """Raises NoWayError, naming it, for the first straight way from point to point that comes too near to a wall;
+        """Raises NoPathError, naming it, for the first straight way from point to point that comes too near to a wall;
         the first point alone may lie nearer."""
         ways = np.array([[*one, *other] for one, other in pairwise(points)], dtype=np.float64).reshape(-1, 4)
         wanted = np.full(len(ways), self.radius_in)
@@ -165,8 +176,10 @@ class Roadmap:
         near = clearances(ways, self.walls)
         for (x1, y1, x2, y2), far, least in zip(ways.tolist(), near, wanted, strict=True):
             if far < least - SLACK_IN:
-                raise NoWayError(f"the way from ({x1:g}, {y1:g}) to ({x2:g}, {y2:g}) comes within {far:.1f} in of a "
-                                 f"wall, {least:.1f} wanted")
+                raise NoPathError(
+                    f"the way from ({x1:g}, {y1:g}) to ({x2:g}, {y2:g}) comes within {far:.1f} in of a "
+                    f"wall, {least:.1f} wanted"
+                )
 
     def _free(self, ways: Floats, wanted_in: float) -> np.typing.NDArray[np.bool_]:
         """Which straight ways (n, 4) keep so far from all walls."""

@@ -55,7 +55,7 @@ from worlds.geometry import nearest_points
 
 
 @dataclass(frozen=True, slots=True)
-class Gains:
+class ControlGains:
     """Limits of one step (`drho_max_in`, `dtheta_max_rad`) and the share of the error one step corrects."""
 
     drho_max_in: float = 0.05
@@ -82,7 +82,7 @@ def bearing_error(pose: Floats, goal: Floats) -> Floats:
     return wrap_angle(direction - pose[..., HEADING])
 
 
-def next_step(pose: Floats, goal: Floats, gains: Gains) -> Floats:
+def next_step(pose: Floats, goal: Floats, gains: ControlGains) -> Floats:
     """The step (..., 2) of drho_in and dtheta_rad to command at poses (..., 3) towards goals (..., 2).
 
     drho = min(drho_max, alpha_rho distance), dtheta = sign(delta) min(dtheta_max, alpha_theta |delta|) with delta
@@ -113,7 +113,7 @@ class Pace:
         return 1.0 if longest_s <= LONGEST_GAP_S else LONGEST_GAP_S / longest_s
 
 
-class SteadyPose:
+class PoseSmoother:
     """A pose that follows estimates with a time constant of `time_s` >= 0 seconds; 0 follows at once.
 
     Raises ValueError for a negative time.
@@ -151,7 +151,7 @@ _AWAY_IN: Final = 0.05
 _NOTHING_IN: Final = 1e-6
 
 
-def allowed_share(pose: Floats, ahead: Floats, cov: Floats, walls: Floats, body_in: float) -> float:
+def allowed_speed_fraction(pose: Floats, ahead: Floats, cov: Floats, walls: Floats, body_in: float) -> float:
     """The share of its speed, 0 to 1, that a robot at a pose (3,), known with the covariance (3, 3), may take on its
     way to the place `ahead` (2,), where an error of the heading tells as well."""
     if not len(walls):

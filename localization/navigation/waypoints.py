@@ -21,8 +21,8 @@ from localization.filters.health import HealthStatus
 from localization.filters.registry import DEFAULT_METHOD
 from localization.live.localizer import Estimate, Localizer
 from localization.live.sensor_input import FiringSchedule
-from localization.navigation.recovery import Groping
-from localization.navigation.speed import Gains, Pace, SteadyPose, distance_to, next_step
+from localization.navigation.recovery import RecoveryBehavior
+from localization.navigation.speed import ControlGains, Pace, PoseSmoother, distance_to, next_step
 from nclient.errors import NomadError
 from nclient.protocol.types import DEFAULT_SONAR_ORDER, DEFAULT_SONAR_RATE
 from nclient.robot import Robot
@@ -48,9 +48,11 @@ class Speeds:
     alpha_theta: float = 0.1
 
     @property
-    def gains(self) -> Gains:
+    def gains(self) -> ControlGains:
         """The same as limits of one step."""
-        return Gains(self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta)
+        return ControlGains(
+            self.translation_in_s * PERIOD_S, self.steering_rad_s * PERIOD_S, self.alpha_rho, self.alpha_theta
+        )
 
 
 class Command(NamedTuple):
@@ -127,7 +129,7 @@ def follow(
     localizer: Localizer,
     navigator: Navigator,
     wait: Callable[[float], None],
-    steady: SteadyPose | None = None,
+    steady: PoseSmoother | None = None,
 ) -> Generator[Progress, None, None]:
     """Drive until the navigator is done, and tell of each period; the robot stands at the end, however it ends. While
     it is LOST it looks for itself (groping) instead. Where states come far apart it goes slower (pace).
@@ -135,10 +137,10 @@ def follow(
     `wait(seconds)` lets real time pass; it is asked only for what the robot's own clock has not gone by itself.
     `steady`: what makes the pose to steer by of the estimates; the estimates themselves where there is none.
     """
-    steady, groping, pace = steady or SteadyPose(0.0), Groping(PERIOD_S), Pace()
+    steady, groping, pace = steady or PoseSmoother(0.0), RecoveryBehavior(PERIOD_S), Pace()
     robot.set_timeout(COMMAND_TIMEOUT_S)
     state = robot.refresh()
-    with standing_after(robot):
+    with stop_on_exit(robot):
         while True:
             estimate = localizer.update(state)
             encoders = np.array([state.x_in, state.y_in, state.steering_rad])
@@ -154,11 +156,11 @@ def follow(
                 return
             translation_in_s, steering_rad_s = (pace.share(estimate.clock_s) * speed for speed in command)
             after = robot.drive(translation_in_s=translation_in_s, steering_rad_s=steering_rad_s)
-            state = next_state(robot, state, after, wait)
+            state = wait_for_next_state(robot, state, after, wait)
 
 
 @contextlib.contextmanager
-def standing_after(robot: Robot) -> Iterator[None]:
+def stop_on_exit(robot: Robot) -> Iterator[None]:
     """The robot stands at the end of this, however it ends; where an error ends it, that is what is told, not what
     stopping has against it."""
     try:
@@ -170,7 +172,9 @@ def standing_after(robot: Robot) -> Iterator[None]:
     robot.stop()
 
 
-def next_state(robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]) -> RobotState:
+def wait_for_next_state(
+    robot: Robot, before: RobotState, after: RobotState, wait: Callable[[float], None]
+) -> RobotState:
     """The state a period after `before`. A real robot shows no speed of time: its time is ours."""
     left_s = PERIOD_S - ((after.clock_s or 0.0) - (before.clock_s or 0.0))
     if left_s >= SHORTEST_WAIT_S:

@@ -29,7 +29,7 @@ from typing import Protocol
 
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import MOTOR_SLOT, Reply
-from nclient.protocol.wire_state import Terms
+from nclient.protocol.wire_state import WireState
 
 BUCKETS_S: tuple[float, ...] = tuple(0.0001 * (1 << k) for k in range(20))
 """Upper edges of the latency buckets but the last, which has none."""
@@ -104,7 +104,7 @@ class Backend(Protocol):
     """One conversation with one robot."""
 
     @property
-    def terms(self) -> Terms:
+    def wire_state(self) -> WireState:
         """What the two ends have agreed: model, mask, laser shape."""
         ...
 
@@ -151,9 +151,9 @@ class Wrapper:
         self._inner = inner
 
     @property
-    def terms(self) -> Terms:
+    def wire_state(self) -> WireState:
         """What the two ends have agreed."""
-        return self._inner.terms
+        return self._inner.wire_state
 
     @property
     def greeting(self) -> Reply | None:

@@ -34,14 +34,14 @@ from nclient.backends.base import LinkStatistics, in_pieces, is_wait
 from nclient.backends.validation import Plausibility
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
-from nclient.protocol.client_state import HELLO_SIZE, adopt, read_hello
+from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
 from nclient.protocol.codec import BYTE_HIGHEST
-from nclient.protocol.commands import NAK_TYPE, Call, Command, on_line
-from nclient.protocol.decode import is_it_another, model_like
+from nclient.protocol.commands import NAK_TYPE, Call, Command, exists_on_serial
+from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
 from nclient.protocol.serial_framing import SMALLEST_FRAME, SerialFrame, SerialFramer
 from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, Terms, line_terms
+from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, WireState, serial_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
 GAP_S = 0.25
@@ -206,7 +206,7 @@ class DirectBackend:
         self.timeout_s = QUICK_S if timeout_s is None else timeout_s
         self._link = link or LinkStatistics()
         self._line = Line(stream, self._link, clock)
-        self._terms = line_terms(model)
+        self._wire_state = serial_wire_state(model)
         self._plausible = Plausibility(model) if checks else None
         self._shaped: dict[str, Call] = {}
         self._doubtful_shapes: set[str] = set()
@@ -222,9 +222,9 @@ class DirectBackend:
             raise
 
     @property
-    def terms(self) -> Terms:
+    def wire_state(self) -> WireState:
         """Model, mask and laser mode of this conversation."""
-        return self._terms
+        return self._wire_state
 
     @property
     def greeting(self) -> Reply | None:
@@ -250,7 +250,7 @@ class DirectBackend:
         """The answer to a call. Raises ReplyTimeout, RobotRefused, WireError and stays usable, or ConnectionLost."""
         if self._over is not None:
             raise ConnectionLost(f"{call.name}: {self._over}; connect again")
-        row = codec.row_named(call.name)
+        row = codec.find_command(call.name)
         if row.name == "place_robot":
             x, y, steering, turret = call.args
             self.execute(Call("dp", (x, y)))
@@ -261,7 +261,7 @@ class DirectBackend:
         if is_wait(call) and call.args[3] > BYTE_HIGHEST:
             return in_pieces(call, BYTE_HIGHEST, self.execute)
         self._refuse(row)
-        request = _request(call, self._terms.model)
+        request = _request(call, self._wire_state.model)
         try:
             self._settle(row, request)
             return self._ask(row, call, request)
@@ -282,10 +282,10 @@ class DirectBackend:
 
     def _refuse(self, row: Command) -> None:
         """What this model's line does not have is not sent."""
-        model = self._terms.model
+        model = self._wire_state.model
         if row.line_type is None:
             raise RobotRefused(row.name, None, "exists only on an Nserver, not on a robot's own line")
-        if not on_line(row, model):
+        if not exists_on_serial(row, model):
             raise RobotRefused(row.name, None, f"a {model.name} does not have it on its own line")
 
     def _ask(self, row: Command, call: Call, request: bytes) -> Reply:
@@ -327,24 +327,24 @@ class DirectBackend:
     def _read(self, frame: SerialFrame) -> Reply:
         """The reply. A laser that an earlier client left in another mode shows by the length, until conf_ls is said."""
         try:
-            return codec.read_line_reply(frame, self._terms)
+            return codec.decode_serial_reply(frame, self._wire_state)
         except WireError:
-            if self._laser_mode_said or "conf_ls" in self._shaped or not self._terms.model.has_laser:
+            if self._laser_mode_said or "conf_ls" in self._shaped or not self._wire_state.model.has_laser:
                 raise
-            other = self._terms.copy()
-            other.note_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
+            other = self._wire_state.copy()
+            other.set_laser_mode(_PIXEL_MODE if other.laser_width == LINES else _LINE_MODE)
             with contextlib.suppress(WireError):
-                reply = codec.read_line_reply(frame, other)
-                self._terms = other
+                reply = codec.decode_serial_reply(frame, other)
+                self._wire_state = other
                 return reply
             raise
 
     def _of_another_model(self, row: Command, frame: SerialFrame) -> str:
         """A hint, where nothing was understood yet and the answer looks like another model's."""
-        like = model_like(frame.data) if row.line_reply is LINE_STATE and not self._understood else None
-        if like is None or like is self._terms.model:
+        like = guess_model(frame.data) if row.line_reply is LINE_STATE and not self._understood else None
+        if like is None or like is self._wire_state.model:
             return ""
-        return "; " + is_it_another(self._terms.model, frame.data)
+        return "; " + model_mismatch_hint(self._wire_state.model, frame.data)
 
     def _failed(self, why: str) -> ReplyTimeout:
         self._link.timeouts += 1
@@ -363,9 +363,9 @@ class DirectBackend:
             self._line.send(row.line_type, request)
         self._see_off(row, row)
         for name in sorted(self._doubtful_shapes - {row.name}, key=_SHAPING.index):
-            again, shaping = self._shaped[name], codec.row_named(name)
+            again, shaping = self._shaped[name], codec.find_command(name)
             self._see_off(shaping, row)
-            self._ask(shaping, again, _request(again, self._terms.model))
+            self._ask(shaping, again, _request(again, self._wire_state.model))
 
     def _see_off(self, row: Command, wanted: Command) -> None:
         """While an answer like this row's is owed, ask something of a type that is not; after that none can come."""
@@ -373,13 +373,13 @@ class DirectBackend:
             self._line.empty_input()
         if not self._line.owes(row.line_type):
             return
-        probes = (codec.row_named(name) for name in _PROBES)
+        probes = (codec.find_command(name) for name in _PROBES)
         probe = next((probe for probe in probes if not self._line.owes(probe.line_type)), None)
         try:
             if probe is None:
                 self._line.wait_for_quiet()
             else:
-                self._exchange(probe, _request(Call(probe.name), self._terms.model), self.timeout_s)
+                self._exchange(probe, _request(Call(probe.name), self._wire_state.model), self.timeout_s)
                 self._line.took()
         except ReplyTimeout as error:
             raise ReplyTimeout(
@@ -390,7 +390,7 @@ class DirectBackend:
 
     def _send_mask(self) -> Reply | None:
         """ct to a N200; N150 and Scout have a fixed mask and are told nothing."""
-        if not self._terms.model.sends_mask:
+        if not self._wire_state.model.sends_mask:
             return None
         mask = Call("ct", EVERYTHING.smask)
         for _ in range(_GREETINGS - 1):
@@ -404,17 +404,17 @@ class DirectBackend:
             raise RobotRefused("ct", None, f"NAK; {self._is_it_another()}") from None
 
     def _is_it_another(self) -> str:
-        return is_it_another(self._terms.model)
+        return model_mismatch_hint(self._wire_state.model)
 
     def _adopt_hello(self) -> None:
-        data = self._line.receive_bare(HELLO_SIZE, self._line.deadline(HELLO_S))
-        if len(data) < HELLO_SIZE:
+        data = self._line.receive_bare(HANDSHAKE_SIZE, self._line.deadline(HELLO_S))
+        if len(data) < HANDSHAKE_SIZE:
             raise ReplyTimeout(
-                f"a N200 says {HELLO_SIZE} bytes first, and {len(data)} came; {self._is_it_another()}"
+                f"a N200 says {HANDSHAKE_SIZE} bytes first, and {len(data)} came; {self._is_it_another()}"
             )
-        adopt(read_hello(data), self._terms)
+        apply_handshake(read_handshake(data), self._wire_state)
         self._laser_mode_said = True
-        self._shaped["ct"] = Call("ct", self._terms.mask.smask)
+        self._shaped["ct"] = Call("ct", self._wire_state.mask.smask)
 
     def _agree(self, call: Call) -> Callable[[], None]:
         """A call is about to go out: what it changes, it may change though no answer comes. How to take it back."""
@@ -422,13 +422,13 @@ class DirectBackend:
             self._plausible.note(call)
         if call.name not in _SHAPING:
             return _nothing
-        before, shaped = self._terms.copy(), dict(self._shaped)
-        codec.note(call, self._terms)
+        before, shaped = self._wire_state.copy(), dict(self._shaped)
+        codec.update_from_request(call, self._wire_state)
         self._shaped[call.name] = call
         self._doubtful_shapes.add(call.name)
 
         def undo() -> None:
-            self._terms, self._shaped = before, shaped
+            self._wire_state, self._shaped = before, shaped
             self._doubtful_shapes.discard(call.name)
 
         return undo
@@ -437,7 +437,7 @@ class DirectBackend:
 @lru_cache(maxsize=256)
 def _request(call: Call, model: Model) -> bytes:
     """Programs ask the same few things again and again; on a line their bytes hang on the model alone."""
-    return codec.line_request(call, line_terms(model))
+    return codec.encode_serial_request(call, serial_wire_state(model))
 
 
 def _nothing() -> None:
@@ -452,9 +452,9 @@ def say_stop(
     stream: ByteStream, patience_s: float, clock: Callable[[], float], told: Callable[[], object]
 ) -> SerialFrame:
     """The frame that answers st; `told` is called for each st said. Raises ReplyTimeout, ConnectionLost."""
-    line_type = codec.row_named("st").line_type
+    line_type = codec.find_command("st").line_type
     assert line_type is not None
-    request = codec.line_request(Call("st"), line_terms(N150))
+    request = codec.encode_serial_request(Call("st"), serial_wire_state(N150))
     for _ in range(ATTEMPTS):
         told()
         line = Line(stream, LinkStatistics(), clock)  # a new one: the late answer to an earlier st is one to this

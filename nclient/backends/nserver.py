@@ -22,7 +22,7 @@ from nclient.protocol.commands import Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nclient.transports.stream import ByteStream, Deadline
 
 DEFAULT_TIMEOUT_S = 5.0
@@ -39,7 +39,7 @@ _REFUSED_PORT: Final = {
 }
 """What port 0 means."""
 
-_request = lru_cache(maxsize=256)(codec.tcp_request)
+_request = lru_cache(maxsize=256)(codec.encode_tcp_request)
 """Programs ask the same few things again and again."""
 
 _TURNED_AWAY: Final = " Does it let this machine in (--allow, --limit-connections)?"
@@ -72,7 +72,7 @@ class NserverBackend:
         self._link = link
         self._pid = os.getpid() if pid is None else pid
         self._stream = stream
-        self._terms = tcp_terms(model)
+        self._wire_state = tcp_wire_state(model)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._owed = 0
         self._slowness = 1.0
@@ -86,9 +86,9 @@ class NserverBackend:
             raise
 
     @property
-    def terms(self) -> Terms:
+    def wire_state(self) -> WireState:
         """Mask, laser shape and model of this conversation."""
-        return self._terms
+        return self._wire_state
 
     @property
     def greeting(self) -> Reply:
@@ -114,11 +114,11 @@ class NserverBackend:
         """The answer to a call. Raises as Backend.execute says."""
         if self._over is not None:
             raise ConnectionLost(f"{call.name}: {self._over}; connect again")
-        row = codec.row_named(call.name)
+        row = codec.find_command(call.name)
         if row.tcp_type is None:
             raise RobotRefused(call.name, None, "exists only on a robot's own line")
         request = _request(call)
-        codec.note(call, self._terms)
+        codec.update_from_request(call, self._wire_state)
         if not row.has_tcp_reply:
             return self._leave(request)
         exchange = self._exchange if self._link is None else self._counted
@@ -185,7 +185,7 @@ class NserverBackend:
 
     def _answer_of(self, row: Command, frame: TcpFrame) -> Reply:
         try:
-            return codec.read_tcp_reply(row, frame, self._terms)
+            return codec.decode_tcp_reply(row, frame, self._wire_state)
         except WireError as error:
             self._finish(f"{row.name} was answered by what does not fit it")
             raise ConnectionLost(f"{row.name}: {error}; the connection was closed") from error

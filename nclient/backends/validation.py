@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from nclient.protocol.commands import Call
-from nclient.protocol.decode import is_it_another
+from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, SONAR_RATE_STEP_S, Model
 
@@ -103,9 +103,10 @@ class Plausibility:
             return ""
         rest = self._model.bumper_rest
         if not rest and bits & _OTHERS_REST == _OTHERS_REST:
-            return f"bumper bits {bits:06x}, of which four always read 1 on other models; {is_it_another(self._model)}"
+            hint = model_mismatch_hint(self._model)
+            return f"bumper bits {bits:06x}, of which four always read 1 on other models; {hint}"
         if bits & rest != rest:
-            return f"bumper bits {bits:06x} {_WITHOUT}; {is_it_another(self._model)}"
+            return f"bumper bits {bits:06x} {_WITHOUT}; {model_mismatch_hint(self._model)}"
         self._model_seen = True
         return ""
 

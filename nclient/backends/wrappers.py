@@ -100,7 +100,7 @@ class Capped(Wrapper):
     ) -> None:
         super().__init__(inner)
         self._speed, self._turn = 10 * max_speed_in_s, 10 * max_turn_deg_s
-        if inner.terms.model.has_turret:
+        if inner.wire_state.model.has_turret:
             self._limits: _Limits = (self._speed, self._turn, self._turn)
         else:
             wheel = min(self._speed, self._turn * SCOUT_WHEEL_IN_PER_DEG)
@@ -155,7 +155,7 @@ class Capped(Wrapper):
         return call
 
     def _velocities(self, asked: Sequence[int]) -> tuple[int, ...]:
-        if self._inner.terms.model.has_turret:
+        if self._inner.wire_state.model.has_turret:
             return tuple(map(_limited, asked, self._limits))
         right, left, rest = asked
         turn = abs(right - left) / 2 / SCOUT_WHEEL_IN_PER_DEG
@@ -164,7 +164,7 @@ class Capped(Wrapper):
 
     def _by_modes(self, modes: Sequence[int], values: Sequence[int]) -> tuple[int, ...]:
         """mv: velocities and speeds are limited by axis; a Scout's wheels, where both have a velocity, together."""
-        if not self._inner.terms.model.has_turret and tuple(modes[:2]) == (_VELOCITY, _VELOCITY):
+        if not self._inner.wire_state.model.has_turret and tuple(modes[:2]) == (_VELOCITY, _VELOCITY):
             values = self._velocities(values)
         within = []
         for mode, value, limit in zip(modes, values, self._limits, strict=True):
@@ -208,7 +208,7 @@ class BumperStop(Wrapper):
 
     def __init__(self, inner: Backend) -> None:
         super().__init__(inner)
-        model = inner.terms.model
+        model = inner.wire_state.model
         self._rest = model.bumper_rest
         self._motors = 7 if model.has_turret else 3
         self._touching = self._bits(inner.greeting) if inner.greeting else 0

@@ -23,15 +23,14 @@ from urllib.parse import quote
 
 from nclient.cli.serving import LOOK_S, Turn, add_door, open_door, tell, visitors
 from nclient.common.exit_codes import ExitCode
-from nclient.common.idle import Overheard
+from nclient.common.idle import IdleMonitor
+from nclient.connect import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model
-from nclient.recording.format import IN, OUT, Entry
-from nclient.recording.readable import lines_of
-from nclient.recording.recorder import Follower, RecordingStream
-from nclient.schemes import Opening, Wanted, opening_of
-from nclient.transports import memory
+from nclient.recording.format import IN, OUT, Entry, format_entry
+from nclient.recording.recorder import FrameDecoder, RecordingStream
 from nclient.transports.stream import ByteStream, Deadline
+from nclient.url import parse_address
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,17 +43,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Pass bytes until stopped; the exit code."""
-    opening = _opening(options)
-    waiting = [_far_end(opening, options.dump)]
+    connector = _connector(options)
+    waiting = [_far_end(connector, options.dump)]
 
     def talk(near: ByteStream, turn: Turn) -> None:
         try:
-            far = waiting.pop() if waiting else _far_end(opening, options.dump)
+            far = waiting.pop() if waiting else _far_end(connector, options.dump)
         except ConnectionLost as error:
             tell(str(error))
             return
         try:
-            pass_on(near, far, turn, Overheard(turn.silence, opening.scheme.line, opening.model))
+            pass_on(near, far, turn, IdleMonitor(turn.silence, connector.wire, connector.model))
         finally:
             far.close()
 
@@ -67,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def pass_on(near: ByteStream, far: ByteStream, turn: Turn, overheard: Overheard) -> None:
+def pass_on(near: ByteStream, far: ByteStream, turn: Turn, overheard: IdleMonitor) -> None:
     """Bytes from each to the other, until one of the two or the near one's turn is over; the near one then is."""
     over = threading.Event()
     back = threading.Thread(
@@ -105,28 +104,28 @@ def _pass_one_way(
         over.set()
 
 
-def _opening(options: argparse.Namespace) -> Opening:
+def _connector(options: argparse.Namespace) -> Connector:
     given: str = options.address
     if options.record:
         given += f"{'&' if '?' in given else '?'}record={quote(options.record)}"
-    opening = opening_of(given, Wanted())
-    scheme = opening.address.scheme
-    if scheme in memory.schemes() or scheme == "replay":
+    connector = Connector(parse_address(given))
+    if connector.address.in_process:
+        scheme = connector.address.scheme
         instead = "`nomad play` serves a recording" if scheme == "replay" else "`nserver` serves a simulation"
         raise AddressError(f"{options.address!r} is answered in one's own process, nothing to bridge: {instead}")
-    return opening
+    return connector
 
 
-def _far_end(opening: Opening, dump: bool) -> ByteStream:
-    stream = opening.stream()
-    return RecordingStream(stream, _Shown(opening.scheme.line, opening.model)) if dump else stream
+def _far_end(connector: Connector, dump: bool) -> ByteStream:
+    stream = connector.open_stream()
+    return RecordingStream(stream, _Shown(connector.wire, connector.model)) if dump else stream
 
 
 class _Shown:
     """A tape that shows what it hears."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self._follower = Follower(line, model)
+        self._follower = FrameDecoder(line, model)
         self._start_s = time.monotonic()
 
     def to_robot(self, data: bytes) -> None:
@@ -140,5 +139,5 @@ class _Shown:
         """Nothing more to show."""
 
     def _show(self, kind: str, data: bytes, decoded: list[dict[str, object]]) -> None:
-        for line in lines_of(Entry(time.monotonic() - self._start_s, kind, "", data, tuple(decoded))):
+        for line in format_entry(Entry(time.monotonic() - self._start_s, kind, "", data, tuple(decoded))):
             print(line, flush=True)

@@ -25,7 +25,7 @@ from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import MODELS
-from nclient.schemes import known_schemes
+from nclient.url import known_schemes
 
 PROGRAMS, WORDS = "nomad.programs", "nomad.words"
 """Entry points: a program's whole parser by its name; the words that a metavar stands for."""

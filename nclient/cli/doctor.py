@@ -16,9 +16,9 @@ import time
 
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import address_or_default
-from nclient.diagnostics import EXCHANGES, INTERVAL_S, Examination, Finding, Grade, report, worst
-from nclient.schemes import Wanted, opening_of
+from nclient.connect import Connector, address_or_default
+from nclient.diagnostics import EXCHANGES, INTERVAL_S, Diagnostics, Finding, Grade, report, worst
+from nclient.url import parse_address
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Examine and tell; the exit code."""
     address = address_or_default(options.address)
-    opening = opening_of(address, Wanted())
-    chart = Examination(opening.talk, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
+    connector = Connector(parse_address(address))
+    chart = Diagnostics(connector.open_session, time.perf_counter, time.sleep).run(options.exchanges, options.interval)
     findings = report(chart)
     grade = worst(findings)
     if options.json:

@@ -21,11 +21,10 @@ from pathlib import Path
 from nclient.cli.serving import tell
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import RecordingError
-from nclient.protocol.codec import row_named
-from nclient.protocol.types import MODELS, N150, model_named
-from nclient.recording.format import IN, OUT, Entry, Recording, read_recording
-from nclient.recording.readable import lines_of
-from nclient.recording.recorder import LINES, Follower
+from nclient.protocol.codec import find_command
+from nclient.protocol.types import MODELS, N150, get_model
+from nclient.recording.format import IN, OUT, Entry, Recording, format_entry, read_recording
+from nclient.recording.recorder import LINES, FrameDecoder
 
 _PIECE = 4096
 
@@ -45,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show it; the exit code."""
     if options.filter:
-        row_named(options.filter)
+        find_command(options.filter)
     recording = _captured(options) if options.line else read_recording(options.file)
     if options.connection and options.connection not in recording.connections():
         there = ", ".join(recording.connections())
@@ -54,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         if options.json:
             _print_objects(entry)
         else:
-            for line in lines_of(entry, options.bytes):
+            for line in format_entry(entry, options.bytes):
                 print(line)
     if recording.cut:
         tell(recording.cut)
@@ -67,7 +66,7 @@ def _captured(options: argparse.Namespace) -> Recording:
         data = options.file.read_bytes()
     except OSError as error:
         raise RecordingError(f"{options.file}: cannot be read ({error.strerror})") from error
-    follower = Follower(options.line, model_named(options.model))
+    follower = FrameDecoder(options.line, get_model(options.model))
     follow, kind = (follower.to_host, IN) if options.from_robot else (follower.to_robot, OUT)
     pieces = [data[k : k + _PIECE] for k in range(0, len(data), _PIECE)]
     entries = tuple(Entry(0.0, kind, "", piece, tuple(follow(piece))) for piece in pieces)

@@ -25,7 +25,7 @@ from nclient.common import process
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode, in_short
 from nclient.common.hints import nearest, remedy, version
-from nclient.common.process import Left, left_in_order
+from nclient.common.process import TerminatedBySignal, handle_termination_signals
 from nclient.errors import NomadError
 
 GROUP = "nomad.commands"
@@ -49,9 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Help, version and arguments that make no sense leave by argparse's SystemExit.
     """
-    process.fill_in()
+    process.ensure_std_streams()
     try:
-        with left_in_order():
+        with handle_termination_signals():
             code = _dispatch(list(sys.argv[1:] if argv is None else argv))
             sys.stdout.flush()
     except NomadError as error:
@@ -59,10 +59,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.USAGE if error.usage else ExitCode.FAILED
     except KeyboardInterrupt:
         return ExitCode.INTERRUPTED
-    except Left as left:
+    except TerminatedBySignal as left:
         return left.exit_code
     except OSError as error:
-        return process.ended_by(error, "nomad")
+        return process.handle_broken_pipe(error, "nomad")
     return code
 
 

@@ -22,7 +22,7 @@ from nclient.cli.serving import LOOK_S, Turn, add_door, open_door, tell, visitor
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import ConnectionLost, RecordingError, ReplyTimeout
 from nclient.recording.format import read_recording
-from nclient.recording.replayer import ORDERS, STRICT, Piece, Player, script_of
+from nclient.recording.replayer import ORDERS, STRICT, Piece, Player, load_exchanges
 from nclient.transports.stream import ByteStream, Deadline
 
 AT_ONCE, RECORDED = "at-once", "recorded"
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     recording = read_recording(options.file)
     if recording.cut:
         tell(recording.cut)
-    script = script_of(recording, options.connection)
+    script = load_exchanges(recording, options.connection)
     wait = time.sleep if options.pace == RECORDED else None
     strayed: list[RecordingError] = []
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from nclient.common import allowlist
 from nclient.common.arguments import seconds
-from nclient.common.idle import NONE, SILENT_S, Silence
+from nclient.common.idle import NONE, SILENT_S, IdleTimer
 from nclient.transports.listener import Door, TcpDoor, TerminalDoor
 from nclient.transports.stream import ByteStream
 
@@ -69,7 +69,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _port_door(options: argparse.Namespace, may: str) -> TcpDoor:
-    rule = allowlist.access_of(options)
+    rule = allowlist.allowlist_from_options(options)
     told: set[str] = set()
 
     def turned_away(host: str, reason: str) -> None:
@@ -78,7 +78,7 @@ def _port_door(options: argparse.Namespace, may: str) -> TcpDoor:
             tell(f"{host}: turned away: {reason} (of further ones nothing is said)")
 
     door = TcpDoor(options.bind, options.listen,
-                   lambda host, at: "" if rule.admits(host, at) else allowlist.NOT_ALLOWED, turned_away)
+                   lambda host, at: "" if rule.allows(host, at) else allowlist.NOT_ALLOWED, turned_away)
     if open_to := allowlist.warning(options.bind, rule, may):
         tell(open_to)
     return door
@@ -90,7 +90,7 @@ class Turn:
     def __init__(
         self, limit_s: float, wanted: Callable[[], bool], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.silence = Silence(limit_s, clock)
+        self.silence = IdleTimer(limit_s, clock)
         self._limit_s, self._wanted, self._clock = limit_s, wanted, clock
         self._looked_s = -math.inf
         self._is_wanted = False
@@ -100,7 +100,7 @@ class Turn:
         """Whether another's turn has come, which is told. `at_rest`: nothing of this one's is left to be read."""
         if self._clock() - self._looked_s >= LOOK_S:
             self._looked_s, self._is_wanted = self._clock(), self._wanted()
-        if not (at_rest and self._is_wanted and self.silence.too_long):
+        if not (at_rest and self._is_wanted and self.silence.expired):
             return False
         tell(f"a visitor who said nothing for {self._limit_s:g} s makes room for another (--limit-silent)")
         self.made_room = True

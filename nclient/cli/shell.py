@@ -37,10 +37,10 @@ from nclient.cli.shell_help import candidates, hint, parse
 from nclient.cli.shell_session import Session
 from nclient.common.exit_codes import ExitCode
 from nclient.common.files import read_text
-from nclient.connect import address_or_default
+from nclient.connect import Connector, address_or_default
 from nclient.errors import NomadError, ShellError
-from nclient.protocol.wire_state import Terms
-from nclient.schemes import Wanted, opening_of
+from nclient.protocol.wire_state import WireState
+from nclient.url import parse_address
 
 REDRAWN_S = 0.5
 
@@ -48,26 +48,26 @@ REDRAWN_S = 0.5
 class Names(Completer):
     """Completion by what completion.py says."""
 
-    def __init__(self, terms: Callable[[], Terms]) -> None:
-        self._terms = terms
+    def __init__(self, wire_state: Callable[[], WireState]) -> None:
+        self._wire_state = wire_state
 
     def get_completions(self, document: Document, complete_event: CompleteEvent) -> Iterable[Completion]:
         """Names that the word before the cursor may become."""
         del complete_event
         typed = document.text_before_cursor
         last = document.get_word_before_cursor(WORD=True).rpartition(";")[2].rpartition("(")[2]
-        for word, about in candidates(typed, self._terms()):
+        for word, about in candidates(typed, self._wire_state()):
             yield Completion(word, start_position=-len(last), display_meta=about)
 
 
 class PromptReader:
     """Lines typed at a terminal; `below`: what stands under them, asked anew twice a second."""
 
-    def __init__(self, terms: Callable[[], Terms], below: Callable[[], str], history: Path | None) -> None:
+    def __init__(self, wire_state: Callable[[], WireState], below: Callable[[], str], history: Path | None) -> None:
         kept: History = InMemoryHistory() if history is None else FileHistory(str(history))
         self._below = below
         self._session: PromptSession[str] = PromptSession(
-            history=kept, auto_suggest=AutoSuggestFromHistory(), completer=Names(terms),
+            history=kept, auto_suggest=AutoSuggestFromHistory(), completer=Names(wire_state),
             complete_while_typing=False, bottom_toolbar=self._toolbar, refresh_interval=REDRAWN_S,
         )
 
@@ -99,15 +99,15 @@ class Reader(Protocol):
         ...
 
 
-def reader(terms: Callable[[], Terms], below: Callable[[], str], history: Path | None) -> Reader:
+def reader(wire_state: Callable[[], WireState], below: Callable[[], str], history: Path | None) -> Reader:
     """Who reads from this terminal; `below`: the line to show under what is typed, where that can be."""
     if history is not None:
         history = _prepared(history)
     if importlib.util.find_spec("prompt_toolkit") is not None:
         # an extra
 
-        return PromptReader(terms, below, history)
-    return PlainReader(terms, history)
+        return PromptReader(wire_state, below, history)
+    return PlainReader(wire_state, history)
 
 
 def default_history(environment: Mapping[str, str]) -> Path:
@@ -130,8 +130,8 @@ def _prepared(history: Path) -> Path | None:
 class PlainReader:
     """input(), with readline's editing, history and completion where the system has readline."""
 
-    def __init__(self, terms: Callable[[], Terms], history: Path | None) -> None:
-        self._terms = terms
+    def __init__(self, wire_state: Callable[[], WireState], history: Path | None) -> None:
+        self._wire_state = wire_state
         self._history = history
         self._found: list[str] = []
         with contextlib.suppress(ImportError):  # Windows has none
@@ -155,7 +155,7 @@ class PlainReader:
             import readline
 
             typed = readline.get_line_buffer()[: readline.get_endidx()]
-            self._found = [candidate.word for candidate in candidates(typed or word, self._terms())]
+            self._found = [candidate.word for candidate in candidates(typed or word, self._wire_state())]
         return self._found[number] if number < len(self._found) else None
 
     def close(self) -> None:
@@ -171,7 +171,7 @@ class PlainReader:
 LOOK_S = 0.5
 
 
-class Watcher:
+class StatusPoller:
     """The line below. `every_s`: seconds between two looks; 0: never looks, shows what commands brought."""
 
     def __init__(self, session: Session, every_s: float = LOOK_S) -> None:
@@ -236,14 +236,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Talk until all is said; the exit code."""
-    opening = opening_of(address_or_default(options.address), Wanted())
+    connector = Connector(parse_address(address_or_default(options.address)))
     lines, name = _given(options)
-    session = Session(opening.backend(), time.sleep)
+    session = Session(connector.open(), time.sleep)
     with session.robot:
         if lines is not None:
             return _do_all(session, lines, name)
-        watcher = Watcher(session, 0.0 if opening.scheme.in_process else LOOK_S)
-        keys = reader(lambda: session.terms, watcher.line, options.history or default_history(os.environ))
+        watcher = StatusPoller(session, 0.0 if connector.address.in_process else LOOK_S)
+        keys = reader(lambda: session.wire_state, watcher.line, options.history or default_history(os.environ))
         try:
             return converse(session, keys, watcher)
         finally:
@@ -251,14 +251,14 @@ def run(options: argparse.Namespace) -> int:
             keys.close()
 
 
-def converse(session: Session, keys: Reader, watcher: Watcher) -> int:
+def converse(session: Session, keys: Reader, watcher: StatusPoller) -> int:
     """Read and do, line by line, until somebody leaves; the exit code."""
-    print(f"{session.terms.model.name}: {watcher.line()}")
+    print(f"{session.wire_state.model.name}: {watcher.line()}")
     print("help lists all commands; Ctrl-C stops the robot, Ctrl-D leaves")
     while not session.finished:
         try:
             watcher.begin()
-            text = keys.read(f"{session.terms.model.name}> ")
+            text = keys.read(f"{session.wire_state.model.name}> ")
         except EOFError:
             break
         except KeyboardInterrupt:

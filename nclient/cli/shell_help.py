@@ -31,11 +31,11 @@ from typing import Final, NamedTuple
 
 from nclient.cli import state_text
 from nclient.errors import ShellError
-from nclient.protocol.codec import line_bounds
-from nclient.protocol.commands import BY_NAME, COMMANDS, Argument, Command, on_line
+from nclient.protocol.codec import serial_argument_bounds
+from nclient.protocol.commands import BY_NAME, COMMANDS, Argument, Command, exists_on_serial
 from nclient.protocol.requests import FLAG_WORD
 from nclient.protocol.types import MODELS, Model
-from nclient.protocol.wire_state import Terms
+from nclient.protocol.wire_state import WireState
 
 
 class OwnWord(NamedTuple):
@@ -76,7 +76,7 @@ _MOST_DIGITS = 9
 _OPENS = {"(": ")", "{": "}", "[": "]"}
 
 
-class Order(NamedTuple):
+class ParsedCommand(NamedTuple):
     """A command and its values, as they were written: whole numbers, others, texts, lists."""
 
     name: str
@@ -96,7 +96,7 @@ class _Token(NamedTuple):
     text: str
 
 
-def parse(text: str) -> tuple[Order | Element, ...]:
+def parse(text: str) -> tuple[ParsedCommand | Element, ...]:
     """The orders of a line; none for an empty one or a comment. Raises ShellError, saying what is wrong where."""
     return tuple(_order(tokens) for tokens in _statements(tuple(_tokens(text))))
 
@@ -128,7 +128,7 @@ def _statements(tokens: tuple[_Token, ...]) -> Iterator[list[_Token]]:
         yield statement
 
 
-def _order(tokens: list[_Token]) -> Order | Element:
+def _order(tokens: list[_Token]) -> ParsedCommand | Element:
     head, rest = tokens[0], tokens[1:]
     if head.kind != "word":
         raise ShellError(f"a line begins with a command, not with {head.text!r}; help lists them")
@@ -138,7 +138,7 @@ def _order(tokens: list[_Token]) -> Order | Element:
         if rest[-1] != ("mark", ")") or ("mark", "(") in rest[1:]:
             raise ShellError(f"{head.text}: a call is {head.text}(1, 2, 3), one pair of parentheses")
         rest = rest[1:-1]
-    return Order(head.text, tuple(_values(head.text, rest)))
+    return ParsedCommand(head.text, tuple(_values(head.text, rest)))
 
 
 def _values(name: str, tokens: list[_Token]) -> Iterator[Value]:
@@ -238,7 +238,7 @@ def parameters(row: Command) -> tuple[Parameter, ...]:
     found: list[Parameter] = []
     for argument in row.arguments:
         name, numbered = re.subn(r"_\d+$", "", argument.name)
-        if row.beside is not None and row.beside[0] in ("pid", "mask") and name in ("pid", "Smask"):
+        if row.extra_arguments is not None and row.extra_arguments[0] in ("pid", "mask") and name in ("pid", "Smask"):
             continue
         if numbered and found and found[-1].name == name:
             found[-1] = found[-1]._replace(length=found[-1].length + 1)
@@ -252,17 +252,17 @@ def usage(row: Command) -> str:
     return " ".join((row.name, *map(str, parameters(row)), *MORE.get(row.name, ())))
 
 
-def available(row: Command, terms: Terms) -> bool:
+def available(row: Command, wire_state: WireState) -> bool:
     """Whether the command exists where these terms hold: over TCP, or on that model's own line."""
-    return on_line(row, terms.model) if terms.line else row.tcp_type is not None
+    return exists_on_serial(row, wire_state.model) if wire_state.line else row.tcp_type is not None
 
 
-def help_lines(name: str, terms: Terms) -> Iterator[str]:
+def help_lines(name: str, wire_state: WireState) -> Iterator[str]:
     """All there is to say of a command of the table."""
     row = BY_NAME[name]
     yield usage(row)
     yield f"  {row.summary}"
-    bounds = {bound: (least, most) for bound, least, most in line_bounds(name)} if terms.line else {}
+    bounds = {bound: (least, most) for bound, least, most in serial_argument_bounds(name)} if wire_state.line else {}
     for parameter in parameters(row):
         if parameter.unit or parameter.name in bounds:
             least, most = bounds.get(parameter.name, ("", ""))
@@ -270,20 +270,20 @@ def help_lines(name: str, terms: Terms) -> Iterator[str]:
             yield f"    {parameter.name:12} {parameter.unit:10} {span}".rstrip()
     if name in _NOTES:
         yield f"  {_NOTES[name]}"
-    if name in _ON_WHEELS and not terms.model.has_turret:
+    if name in _ON_WHEELS and not wire_state.model.has_turret:
         yield f"  {_WHEELS}"
     if name in _EXAMPLES:
         yield f"  such as: {_EXAMPLES[name]}"
     yield f"  in Python: robot.{row.method}; {_where(row)}"
 
 
-def summaries(terms: Terms) -> dict[str, str]:
+def summaries(wire_state: WireState) -> dict[str, str]:
     """Usage and summary of every command that there is here, in the table's order."""
-    return {usage(row): row.summary for row in COMMANDS if available(row, terms)}
+    return {usage(row): row.summary for row in COMMANDS if available(row, wire_state)}
 
 
 def _where(row: Command) -> str:
-    models = [model.name for model in MODELS.values() if on_line(row, model)]
+    models = [model.name for model in MODELS.values() if exists_on_serial(row, model)]
     lines = f"on the own line of {', '.join(models)}" if models else "on no robot's own line"
     return f"{'over TCP' if row.tcp_type is not None else 'not over TCP'}, {lines}"
 
@@ -308,13 +308,13 @@ class Candidate(NamedTuple):
     about: str
 
 
-def candidates(text: str, terms: Terms) -> Iterator[Candidate]:
+def candidates(text: str, wire_state: WireState) -> Iterator[Candidate]:
     """Words that the last one of `text` (up to the cursor; "" after a blank) may become."""
     before, last = _split(text)
     if not before:
-        known = dict(_names(terms))
+        known = dict(_names(wire_state))
     elif before == ["help"]:
-        known = {name: about for name, about in _names(terms) if name not in ARRAYS}
+        known = {name: about for name, about in _names(wire_state) if name not in ARRAYS}
     elif before[0] == "state":
         known = {part: "part of the state" for part in state_text.PARTS if part not in before}
     else:
@@ -338,11 +338,11 @@ def _split(text: str) -> tuple[list[str], str]:
     return before, last
 
 
-def _names(terms: Terms) -> Iterator[tuple[str, str]]:
+def _names(wire_state: WireState) -> Iterator[tuple[str, str]]:
     for word in OWN.values():
         yield word.name, word.summary
     for row in COMMANDS:
-        if available(row, terms):
+        if available(row, wire_state):
             yield row.name, row.summary
     for array in ARRAYS:
         yield array, "the C library's array"

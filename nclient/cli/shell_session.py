@@ -24,8 +24,8 @@ from nclient.cli.shell_help import (
     ARRAYS_HELP,
     OWN,
     Element,
-    Order,
     Parameter,
+    ParsedCommand,
     Value,
     available,
     help_lines,
@@ -39,10 +39,10 @@ from nclient.cli.state_text import shown
 from nclient.errors import ShellError, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
-from nclient.protocol.codec import beyond_line
+from nclient.protocol.codec import describe_serial_overflow
 from nclient.protocol.commands import BY_NAME, Call, Command
 from nclient.protocol.types import EVERYTHING, SLOTS, Mask
-from nclient.protocol.wire_state import Terms
+from nclient.protocol.wire_state import WireState
 from nclient.robot import Robot
 
 _END = 255
@@ -52,17 +52,17 @@ _FARTHEST = 2**63
 """More than any command takes, and less than where floats end."""
 
 
-def call_of(order: Order, terms: Terms, smask: Sequence[int], pid: int) -> Call:
+def call_of(order: ParsedCommand, wire_state: WireState, smask: Sequence[int], pid: int) -> Call:
     """The call that an order is, where these terms hold; `smask`: what ct sends, `pid`: who connects.
 
     Raises ShellError for a command that there is not, or arguments that it does not take; WireError for numbers that
     cannot be sent.
     """
-    row = _row(order.name, terms)
+    row = _row(order.name, wire_state)
     call = Call(row.name, _arguments(row, order.values, smask, pid))
-    if not terms.line:
-        codec.tcp_request(call)
-    elif beyond := beyond_line(call):
+    if not wire_state.line:
+        codec.encode_tcp_request(call)
+    elif beyond := describe_serial_overflow(call):
         raise WireError(beyond)
     return call
 
@@ -72,12 +72,12 @@ def no_command(name: str, beside: Iterable[str] = ()) -> str:
     return f"{codec.no_command(name, (*OWN, *beside))}; help lists them all"
 
 
-def _row(name: str, terms: Terms) -> Command:
+def _row(name: str, wire_state: WireState) -> Command:
     row = BY_NAME.get(name)
     if row is None:
         raise ShellError(no_command(name, ARRAYS))
-    if not available(row, terms):
-        there = f"on the own line of a {terms.model.name}" if terms.line else "over TCP"
+    if not available(row, wire_state):
+        there = f"on the own line of a {wire_state.model.name}" if wire_state.line else "over TCP"
         raise ShellError(f"there is no {name} {there}; help {name} says where there is")
     return row
 
@@ -93,7 +93,7 @@ def _arguments(row: Command, values: tuple[Value, ...], smask: Sequence[int], pi
     if any(number != int(number) for number in numbers):
         raise ShellError(f"{row.name}: whole numbers are wanted (tenths, as in C), not {_shown(values)}")
     whole = tuple(map(int, numbers))
-    return (*whole, pid) if row.beside is not None and row.beside[0] == "pid" else whole
+    return (*whole, pid) if row.extra_arguments is not None and row.extra_arguments[0] == "pid" else whole
 
 
 def _mask(values: tuple[Value, ...], smask: Sequence[int]) -> tuple[int, ...]:
@@ -174,9 +174,9 @@ class Session:
         }  # fmt: skip
 
     @property
-    def terms(self) -> Terms:
+    def wire_state(self) -> WireState:
         """The robot's model, and whether this is its own line."""
-        return self._backend.terms
+        return self._backend.wire_state
 
     def check(self, text: str) -> None:
         """Look a line through, and do nothing. Raises ShellError or WireError."""
@@ -186,7 +186,7 @@ class Session:
             elif order.name in OWN:
                 _check_own(order)
             else:
-                call_of(order, self.terms, self._smask, self._pid)
+                call_of(order, self.wire_state, self._smask, self._pid)
 
     def run(self, text: str) -> Iterator[str]:
         """Do what a line says, to its end or to `quit`; what to show, as it comes. Raises NomadError at the first order
@@ -200,7 +200,7 @@ class Session:
             elif order.name in self._own:
                 yield from self._own[order.name](order.values)
             else:
-                yield from self._said(call_of(order, self.terms, self._smask, self._pid))
+                yield from self._said(call_of(order, self.wire_state, self._smask, self._pid))
 
     def halt(self) -> str:
         """Stop the robot, whatever it does; what to show."""
@@ -227,13 +227,13 @@ class Session:
             if name in OWN:
                 yield from (OWN[name].usage, f"  {OWN[name].summary}")
             else:
-                yield from help_lines(name, self.terms)
+                yield from help_lines(name, self.wire_state)
 
     def _overview(self) -> Iterator[str]:
-        rows = {word.usage: word.summary for word in OWN.values()} | ARRAYS_HELP | summaries(self.terms)
+        rows = {word.usage: word.summary for word in OWN.values()} | ARRAYS_HELP | summaries(self.wire_state)
         for left, right in rows.items():
             yield f"{left:{_LEFT}}  {right}" if len(left) <= _LEFT else f"{left}\n{'':{_LEFT}}  {right}"
-        yield f"{model_note(self.terms.model)}; help NAME says more"
+        yield f"{model_note(self.wire_state.model)}; help NAME says more"
 
     def _state(self, values: tuple[Value, ...]) -> Iterator[str]:
         yield from state_text.lines(self.robot.refresh(), map(str, values))
@@ -265,7 +265,7 @@ class Session:
 
     def _let_time_run(self, left_s: float) -> None:
         """Where time passes with what is asked there is nothing to wait for."""
-        if self.terms.line or self.robot.state.speed_factor:
+        if self.wire_state.line or self.robot.state.speed_factor:
             self._sleep(min(left_s, LOOK_S))
 
     def _quit(self, values: tuple[Value, ...]) -> Iterator[str]:
@@ -293,7 +293,7 @@ def _check_element(element: Element) -> None:
         raise ShellError("Smask[0] is a sum of 1 infrared, 2 sonar, 4 bumper, 8 laser, 16 compass; the others 0 or 1")
 
 
-def _check_own(order: Order) -> None:
+def _check_own(order: ParsedCommand) -> None:
     """Raises ShellError where a word of the shell's own is given what it does not take."""
     name, values = order
     match name:

@@ -21,10 +21,10 @@ from collections.abc import Callable
 from nclient.cli import state_text
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import address_or_default
+from nclient.connect import Connector, address_or_default
 from nclient.errors import AddressError, ShellError
 from nclient.robot import Robot
-from nclient.schemes import Wanted, known_schemes, opening_of
+from nclient.url import known_schemes, parse_address
 
 EVERY_S = 1.0
 _HOME_AND_CLEAR = "\x1b[H\x1b[J"
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Look and tell; the exit code."""
     address, parts = _sorted_words(options.words)
-    robot = Robot(opening_of(address_or_default(address), Wanted()).talk())
+    robot = Robot(Connector(parse_address(address_or_default(address))).open_session())
     watching = options.watch or options.every is not None or options.count is not None
     every_s = EVERY_S if options.every is None else options.every
     try:

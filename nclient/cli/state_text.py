@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import ShellError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import unwrapped_word
+from nclient.protocol.types import unwrap_word
 from nclient.state import NOTHING_IN, RobotState
 
 _SECTOR_DEG = 22.5
@@ -59,7 +59,7 @@ def check(parts: Iterable[str]) -> None:
     """Raises ShellError for a part that there is not."""
     for part in parts:
         if part not in PARTS:
-            raise ShellError(f"no part {part!r} of the state; there are {', '.join(PARTS)}{did_you_mean(part, PARTS)}")
+            raise ShellError(f"no part {part!r} of the state; there are {', '.join(PARTS)}{suggest(part, PARTS)}")
 
 
 def as_object(state: RobotState) -> dict[str, Any]:
@@ -192,7 +192,7 @@ def _truth(reply: Reply) -> Iterator[str]:
     _, time_ms, x, y, heading, turret, seed, robot = reply.values
     yield (
         f"in truth x {x / 1000:.3f} in  y {y / 1000:.3f} in  heading {heading / 1000:.3f} deg  "
-        f"turret {turret / 1000:.3f} deg | {unwrapped_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
+        f"turret {turret / 1000:.3f} deg | {unwrap_word(time_ms) / 1000:.3f} s | robot {robot}, seed {seed}"
     )
 
 

@@ -23,17 +23,15 @@ from nclient.backends.direct import QUICK_S, say_stop
 from nclient.cli.serving import tell
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
-from nclient.connect import address_or_default
+from nclient.connect import Connector, address_or_default
 from nclient.errors import ConnectionLost, NomadError, ReplyTimeout, RobotRefused, WireError
-from nclient.openers import line_talk_without_hello
-from nclient.opening import Opening
-from nclient.protocol.decode import is_it_another
+from nclient.protocol.decode import model_mismatch_hint
 from nclient.protocol.types import Model
 from nclient.recording.recorder import TCP
 from nclient.robot import Robot
-from nclient.schemes import Wanted, opening_of
 from nclient.state import RobotState
 from nclient.transports.stream import ByteStream
+from nclient.url import parse_address
 
 PATIENCE_S = 10.0
 PAUSE_S = 0.05
@@ -53,16 +51,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Stop it; the exit code."""
-    opening = opening_of(address_or_default(options.address), Wanted())
+    connector = Connector(parse_address(address_or_default(options.address)))
     if options.address is None:
-        tell(f"stopping {opening.address.text}")
-    opens = opening.talk if opening.scheme.line == TCP else _on_line(opening)
+        tell(f"stopping {connector.address.text}")
+    opens = connector.open_session if connector.wire == TCP else _on_line(connector)
     return Stopping(opens, time.monotonic, time.sleep).run(options.patience)
 
 
-def _on_line(opening: Opening) -> StopFirst:
-    patience_s = QUICK_S if opening.timeout_s is None else opening.timeout_s
-    return StopFirst(opening.stream, lambda stream: line_talk_without_hello(stream, opening), opening.model, patience_s)
+def _on_line(connector: Connector) -> StopFirst:
+    patience_s = QUICK_S if connector.timeout_s is None else connector.timeout_s
+    return StopFirst(
+        connector.open_stream,
+        lambda stream: connector.start_session(stream, hello=False),
+        connector.model,
+        patience_s,
+    )
 
 
 class StopFirst:
@@ -93,7 +96,7 @@ class StopFirst:
 
     def remedy(self) -> str:
         """What is left to say where st was answered, and nothing after it could be read."""
-        hint = is_it_another(self._model, self.answers[-1])
+        hint = model_mismatch_hint(self._model, self.answers[-1])
         return f"st was answered, and nothing showed that it stands still{'; ' if hint else ''}{hint}"
 
     def _tell(self) -> None:

@@ -21,14 +21,14 @@ DRIVES: Final = "may drive the robots"
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
+class Allowlist:
     """The networks that are let in; none: everybody."""
 
     allowed: tuple[Network, ...] = ()
 
-    def admits(self, host: str, at: str = "") -> bool:
+    def allows(self, host: str, at: str = "") -> bool:
         """Whether who comes from this address may; `at`: the one of ours that he came to."""
-        if not self.allowed or is_this_machine(host, at):
+        if not self.allowed or is_same_machine(host, at):
             return True
         address = ipaddress.ip_address(host.partition("%")[0])
         mapped = getattr(address, "ipv4_mapped", None) or address
@@ -42,12 +42,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         "another (default: whoever reaches the port)")
 
 
-def access_of(options: argparse.Namespace) -> Access:
+def allowlist_from_options(options: argparse.Namespace) -> Allowlist:
     """What the options say."""
-    return Access(tuple(options.allow))
+    return Allowlist(tuple(options.allow))
 
 
-def is_this_machine(host: str, at: str) -> bool:
+def is_same_machine(host: str, at: str) -> bool:
     """Whether who comes from the address `host` to our `at` is on this machine: the system sends nothing of others that
     says it comes from where it goes to."""
     return not host or host == at or is_loopback(host)
@@ -62,7 +62,7 @@ def is_loopback(host: str) -> bool:
     return (getattr(address, "ipv4_mapped", None) or address).is_loopback
 
 
-def warning(host: str, access: Access, may: str = DRIVES) -> str:
+def warning(host: str, access: Allowlist, may: str = DRIVES) -> str:
     """What to say of listening on this address, and of what those who come may do; empty on loopback."""
     if is_loopback(host):
         return ""

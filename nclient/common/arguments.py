@@ -20,7 +20,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from nclient.common.hints import did_you_mean, nearest
+from nclient.common.hints import nearest, suggest
 
 
 class Parser(argparse.ArgumentParser):
@@ -67,7 +67,7 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             known = [str(choice) for choice in action.choices]
-            what = f"no {value!r}; there are {', '.join(known)}{did_you_mean(str(value), known)}"
+            what = f"no {value!r}; there are {', '.join(known)}{suggest(str(value), known)}"
             raise argparse.ArgumentError(action, what)
 
 

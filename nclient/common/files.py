@@ -31,7 +31,7 @@ _MOST_BITS: Final = 4096
 """Written with 0x it may be longer than what Python shows as decimal (4,300 digits): no error could tell of it."""
 
 
-def read_data(path: Path, most_bytes: int, error: Failure) -> bytes:
+def read_binary(path: Path, most_bytes: int, error: Failure) -> bytes:
     """The bytes of a file of `most_bytes` or fewer. Raises `error`."""
     try:
         with path.open("rb") as file:
@@ -48,7 +48,7 @@ def read_data(path: Path, most_bytes: int, error: Failure) -> bytes:
 
 def read_text(path: Path, most_bytes: int, error: Failure) -> str:
     """The text of such a file, UTF-8. Raises `error`."""
-    data = read_data(path, most_bytes, error)
+    data = read_binary(path, most_bytes, error)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
@@ -57,7 +57,7 @@ def read_text(path: Path, most_bytes: int, error: Failure) -> str:
         ) from failure
 
 
-def toml_of(text: str, file: str, error: Failure) -> dict[str, Any]:
+def parse_toml(text: str, file: str, error: Failure) -> dict[str, Any]:
     """What a text in TOML holds; `file` is what errors call it. Raises `error`."""
     try:
         values = tomllib.loads(text)
@@ -88,7 +88,7 @@ _SIZE: Final = "raise the limit on the size of files (ulimit -f)"
 _REMEDIES: Final = {errno.ENOSPC: _ROOM, errno.EDQUOT: _ROOM, errno.EFBIG: _SIZE}
 
 
-def unwritable(path: Path, error: OSError, what: str = "") -> str:
+def describe_write_error(path: Path, error: OSError, what: str = "") -> str:
     """`FILE: cannot be written: No space left on device; make room ...`; `what` stands in the file's place after its
     name: `FILE: the report cannot be written: ...`."""
     return f"{path}: {what}{' ' if what else ''}cannot be written: {error.strerror}; {remedy(error)}"
@@ -103,7 +103,7 @@ _PIECE: Final = 65_536
 """Characters that are made bytes at once."""
 
 
-def write_whole(path: Path, text: str, error: Failure, ending: str = "") -> None:
+def write_atomic(path: Path, text: str, error: Failure, ending: str = "") -> None:
     """Put a text into a file, UTF-8. Raises `error` where that cannot be.
 
     `ending`: of the other name, `.FILE.ENDING`. One who writes the same file again and again gives his own: what he
@@ -116,7 +116,7 @@ def write_whole(path: Path, text: str, error: Failure, ending: str = "") -> None
         else:
             _write(real, real.with_name(f".{real.name}.{ending or os.getpid()}"), text)
     except OSError as failure:
-        raise error(unwritable(path, failure)) from failure
+        raise error(describe_write_error(path, failure)) from failure
     except ValueError as failure:  # a name with a zero byte in it
         raise error(f"{str(path)!r}: cannot be written: {failure}") from failure
 

@@ -38,7 +38,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return longer[0] if len(word) >= _LEAST_OF_A_BEGINNING and len(longer) == 1 else ""
 
 
-def did_you_mean(word: str, known: Iterable[str], before: str = "; ", after: str = "?") -> str:
+def suggest(word: str, known: Iterable[str], before: str = "; ", after: str = "?") -> str:
     """`; did you mean WORD?` with the nearest known word; "" where none is near."""
     near = nearest(word, known)
     return f"{before}did you mean {near}{after}" if near else ""

@@ -16,7 +16,7 @@ from typing import Final
 from nclient.backends.nserver import CLICK_S, ORDINARY_S
 from nclient.protocol.commands import BY_NAME
 from nclient.protocol.types import Model
-from nclient.recording.replayer import Asked, Questions
+from nclient.recording.replayer import RequestKey, RequestReader
 
 SILENT_S: Final = 5.0
 """As long as connect() lets a robot wait for its program before it stops by itself."""
@@ -24,7 +24,7 @@ NONE: Final = 0.0
 """The limit that lets everybody be silent for ever."""
 
 
-class Silence:
+class IdleTimer:
     """`limit_s`: how long is too long, or NONE; `clock`: seconds. Begins now."""
 
     def __init__(self, limit_s: float, clock: Callable[[], float]) -> None:
@@ -44,17 +44,17 @@ class Silence:
             self._until_s = self._clock() + self._limit_s
 
     @property
-    def too_long(self) -> bool:
+    def expired(self) -> bool:
         """Whether it was longer than the limit."""
         return self._limit_s != NONE and self._clock() >= self._until_s
 
 
-class Overheard:
+class IdleMonitor:
     """A conversation in one of recording.follower's LINES. What it hears goes into `silence`."""
 
-    def __init__(self, silence: Silence, line: str, model: Model) -> None:
+    def __init__(self, silence: IdleTimer, line: str, model: Model) -> None:
         self._silence = silence
-        self._questions = Questions(line, model)
+        self._questions = RequestReader(line, model)
         self._one_at_a_time = threading.Lock()
 
     def to_robot(self, data: bytes) -> None:
@@ -69,7 +69,7 @@ class Overheard:
                 self._silence.answered()
 
 
-def _answer_s(asked: Asked) -> float:
+def _answer_s(asked: RequestKey) -> float:
     """How long an answer may take besides the way; 0 for what is answered at once."""
     if asked.name == "ws":
         return float(max(0, asked.args[-1]))

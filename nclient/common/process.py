@@ -24,13 +24,13 @@ from types import FrameType
 from typing import NoReturn
 
 from nclient.common.exit_codes import ExitCode
-from nclient.common.files import unwritable
+from nclient.common.files import describe_write_error
 
 _CODES = {"SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.HUNG_UP}
 _OUTPUTS = (1, 2)
 
 
-class Left(SystemExit):
+class TerminatedBySignal(SystemExit):
     """A signal ends the command. `signal_name`: which."""
 
     def __init__(self, signal_name: str) -> None:
@@ -40,7 +40,7 @@ class Left(SystemExit):
 
 
 @contextlib.contextmanager
-def left_in_order() -> Iterator[None]:
+def handle_termination_signals() -> Iterator[None]:
     """Within this block the signals raise Left; on another thread than the main one nothing is changed."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -55,7 +55,7 @@ def left_in_order() -> Iterator[None]:
         for other in ours:
             signal.signal(other, signal.SIG_IGN)
         _let_go(terminals)
-        raise Left(signal.Signals(number).name)
+        raise TerminatedBySignal(signal.Signals(number).name)
 
     for number in ours:
         signal.signal(number, leave)
@@ -78,7 +78,7 @@ def _let_go(terminals: list[int]) -> None:
 _STANDARD = (0, 1, 2)
 
 
-def fill_in() -> None:
+def ensure_std_streams() -> None:
     """Put /dev/null where stdin, stdout or stderr were closed when the command was started."""
     for number in _STANDARD:
         try:
@@ -89,7 +89,7 @@ def fill_in() -> None:
     sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
 
 
-def ended_by(error: OSError, command: str) -> ExitCode:
+def handle_broken_pipe(error: OSError, command: str) -> ExitCode:
     """What a command ends with whose stdout gave it this error, which is told. Raises another's error again."""
     if isinstance(error, BrokenPipeError):
         _let_go_outputs()
@@ -98,7 +98,7 @@ def ended_by(error: OSError, command: str) -> ExitCode:
         print(flush=True)  # what was written last may be lost already; one more line is refused as well
     except OSError as again:
         _let_go_outputs()
-        print(f"{command}: {unwritable(Path('stdout'), again)}", file=sys.stderr)
+        print(f"{command}: {describe_write_error(Path('stdout'), again)}", file=sys.stderr)
         return ExitCode.FAILED
     raise error
 

@@ -33,6 +33,7 @@ from nclient.faults.plan import (
     BIT,
     GREETING,
     Alteration,
+    Blackout,
     Corrupt,
     Delay,
     Direction,
@@ -40,14 +41,13 @@ from nclient.faults.plan import (
     DropByte,
     Fault,
     HangUp,
+    InsertBytes,
     Nak,
     Noise,
     Plan,
     Rule,
-    Silence,
-    Stray,
 )
-from nclient.protocol.client_state import HELLO_SIZE
+from nclient.protocol.client_state import HANDSHAKE_SIZE
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, BY_TCP_TYPE, ERROR_TYPE, MAX_REPLY_WORDS, NAK_TYPE
 from nclient.protocol.serial_framing import END, HOST_LIMIT, ROBOT_LIMIT, START, build_frame
 from nclient.protocol.tcp_framing import build_frame as build_tcp_frame
@@ -220,7 +220,7 @@ def altered(data: bytes, fault: Alteration, chance: Random) -> bytes:
         case DropByte():
             place = _place(fault.place, len(data), chance)
             return data[:place] + data[place + 1 :]
-        case Stray():
+        case InsertBytes():
             place = _place(fault.place, len(data) + 1, chance)
             return data[:place] + chance.randbytes(fault.count) + data[place:]
     most = len(data) - 1
@@ -286,9 +286,9 @@ class Injector:
         self.plan = plan
         self.line = line
         self._start_s = start_s
-        self._silences: dict[Direction, tuple[float, _Striker]] = {}
+        self._silences: dict[Direction, tuple[float, RuleState]] = {}
         self._strikers = [
-            _Striker(rule, Random(f"{plan.seed} {line} {rule.name}")) for rule in plan.rules if rule.acts_on(line)
+            RuleState(rule, Random(f"{plan.seed} {line} {rule.name}")) for rule in plan.rules if rule.acts_on(line)
         ]
 
     @property
@@ -334,13 +334,14 @@ class Injector:
         return [Delivery(delay_s, data)]
 
     def _changed(
-        self, data: bytes, fault: Alteration | Drop | Silence | Nak | Noise, striker: _Striker, now_s: float, nak: bytes
+        self, data: bytes, fault: Alteration | Drop | Blackout | Nak | Noise, striker: RuleState, now_s: float,
+        nak: bytes,
     ) -> bytes:
         """What goes on of a frame, nothing where the fault swallows it."""
         match fault:
             case Drop():
                 return b""
-            case Silence():
+            case Blackout():
                 silence = (now_s + fault.silence_s, striker)
                 self._silences.update(dict.fromkeys(striker.rule.directions, silence))
                 return b""
@@ -352,7 +353,7 @@ class Injector:
                 return altered(data, fault, striker.chance)
 
 
-class _Striker:
+class RuleState:
     """A rule on one line: how many frames came, and what it did to them."""
 
     def __init__(self, rule: Rule, chance: Random) -> None:
@@ -368,7 +369,7 @@ class _Striker:
             return None
         self._number += 1
         self.tally[SEEN] += 1
-        if not rule.when.strikes(self._number, self.chance.random()):
+        if not rule.when.matches(self._number, self.chance.random()):
             return None
         fault = rule.faults[0] if len(rule.faults) == 1 else self.chance.choice(rule.faults)
         if not isinstance(fault, Noise):
@@ -427,10 +428,10 @@ class LineLanguage:
     nak = LINE_NAK
     patience_s: float | None = 0.25
 
-    def __init__(self, greets: bool = False) -> None:
+    def __init__(self, has_handshake: bool = False) -> None:
         self.requests: Frames = LineFrames(HOST_LIMIT)
-        self.replies: Frames = LineFrames(bare=HELLO_SIZE if greets else 0)
-        self._greets = greets
+        self.replies: Frames = LineFrames(bare=HANDSHAKE_SIZE if has_handshake else 0)
+        self._greets = has_handshake
         self._asked = ""
 
     def request_name(self, piece: Piece) -> str:

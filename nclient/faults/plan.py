@@ -39,8 +39,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from nclient.common.files import read_text, toml_of
-from nclient.common.hints import did_you_mean
+from nclient.common.files import parse_toml, read_text
+from nclient.common.hints import suggest
 from nclient.errors import FaultPlanError
 from nclient.protocol.codec import no_command
 from nclient.protocol.commands import BY_NAME
@@ -100,7 +100,7 @@ class DropByte:
 
 
 @dataclass(frozen=True, slots=True)
-class Stray:
+class InsertBytes:
     """`count` bytes that nobody sent, at one place; before the first byte and behind the last are places, too."""
 
     count: int = 1
@@ -135,7 +135,7 @@ class Nak:
 
 
 @dataclass(frozen=True, slots=True)
-class Silence:
+class Blackout:
     """From this frame on nothing arrives for `silence_s`, whatever the command, in the directions of the rule."""
 
     silence_s: float
@@ -175,11 +175,11 @@ class Noise:
             fail(" + ".join(rates), "together more than 0 and at most 100", sum(rates.values()))
 
 
-Alteration = Corrupt | DropByte | Stray | Cut
+Alteration = Corrupt | DropByte | InsertBytes | Cut
 """What changes bytes of a frame by chance alone."""
-Fault = Drop | Delay | Alteration | Nak | Silence | HangUp | Noise
+Fault = Drop | Delay | Alteration | Nak | Blackout | HangUp | Noise
 KINDS: dict[str, type[Fault]] = {
-    kind.kind: kind for kind in (Drop, Delay, Corrupt, DropByte, Stray, Cut, Nak, Silence, HangUp, Noise)
+    kind.kind: kind for kind in (Drop, Delay, Corrupt, DropByte, InsertBytes, Cut, Nak, Blackout, HangUp, Noise)
 }
 """Every kind by the name that a plan calls it."""
 
@@ -272,7 +272,7 @@ class When:
         """Whether the rule is in force so long after the plan began."""
         return self.from_s <= elapsed_s < self.until_s
 
-    def strikes(self, number: int, draw: float) -> bool:
+    def matches(self, number: int, draw: float) -> bool:
         """Whether it strikes the frame of that number, counted from 1; `draw`: chance, 0 to below 1."""
         if self.every is not None:
             return number % self.every == 0
@@ -371,7 +371,7 @@ def _check_line(rule: str, line: str) -> None:
         known = ", ".join(LINE_KINDS)
         raise FaultPlanError(
             f"rule {rule!r}: line: no line {line!r}; a line is one of {known}, alone or with the robot's number, such "
-            f"as serial:1{did_you_mean(kind, LINE_KINDS)}"
+            f"as serial:1{suggest(kind, LINE_KINDS)}"
         )
 
 
@@ -395,7 +395,7 @@ def read_plan(path: Path) -> str:
 
 def parse_plan(text: str, file: str = "plan") -> Plan:
     """The plan that a text says; `file` is what errors call it. Raises FaultPlanError."""
-    top = toml_of(text, file, FaultPlanError)
+    top = parse_toml(text, file, FaultPlanError)
     try:
         _allow(top, ("seed", "rule"))
         tables = top.get("rule", [])
@@ -434,7 +434,7 @@ def _rule(table: Mapping[str, Any], number: int) -> Rule:
 
 def _kind(word: str) -> type[Fault]:
     if word not in KINDS:
-        raise FaultPlanError(f"do: no kind of fault {word!r}; there are {', '.join(KINDS)}{did_you_mean(word, KINDS)}")
+        raise FaultPlanError(f"do: no kind of fault {word!r}; there are {', '.join(KINDS)}{suggest(word, KINDS)}")
     return KINDS[word]
 
 
@@ -471,7 +471,7 @@ def _plain(key: str, value: Any) -> Any:
 def _allow(table: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for key in table:
         if key not in known:
-            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(known)}{did_you_mean(key, known)}")
+            raise FaultPlanError(f"{key}: unknown here; expected one of {', '.join(known)}{suggest(key, known)}")
 
 
 def _entries(rule: Rule) -> Iterator[tuple[str, Any]]:

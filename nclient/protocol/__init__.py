@@ -5,5 +5,5 @@ commands > requests, replies                 THE table: a row a command; the lay
 language > tcp_frame | serial_frame          calls and replies to bytes and back; whole frames in a stream
 terms > mask, models, hello                  what two ends have agreed; bounds, likeness: what cannot have been meant
 state > stamps, units                        what a client holds, and where tenths become radians
-transcript, wire_page, c_table               the table for people, for docs/protocol.md, for clib
+decode                                       frames in readable form
 """

@@ -24,14 +24,14 @@ from nclient.errors import WireError
 from nclient.protocol import requests
 from nclient.protocol.replies import LAST_TCP_SLOT, Reply
 from nclient.protocol.types import COMPASS_SLOT, LASER_SLOT, Mask, Stamp, mask_from_line
-from nclient.protocol.wire_state import Terms
+from nclient.protocol.wire_state import WireState
 
 STATE_SIZE = 45
 ERROR_SLOT = 44
 _UNSIGNED = 0xFFFFFFFF
 
 
-def zero_extended(reply: Reply) -> Reply:
+def zero_extend(reply: Reply) -> Reply:
     """The reply as a 64-bit C client reads it: each word without its sign, -200 as 4294967096."""
     return replace(
         reply,
@@ -42,7 +42,7 @@ def zero_extended(reply: Reply) -> Reply:
     )
 
 
-class HeldState:
+class ClientState:
     """The client's memory. `wide`: what a 64-bit C client holds, who sees -200 as 4294967096."""
 
     def __init__(self, wide: bool = False) -> None:
@@ -53,10 +53,10 @@ class HeldState:
         self.volts: tuple[int, int] | None = None
         self._wide = wide
 
-    def absorb(self, reply: Reply) -> None:
+    def apply_reply(self, reply: Reply) -> None:
         """Take in one reply, in the order they came."""
         if self._wide:
-            reply = zero_extended(reply)
+            reply = zero_extend(reply)
         if reply.kind == "error":
             self.slots[ERROR_SLOT] = reply.values[0]
         if reply.kind in ("error", "nak", "prediction"):
@@ -74,28 +74,28 @@ class HeldState:
         self.volts = reply.volts or self.volts
 
 
-HELLO_SIZE = 11
+HANDSHAKE_SIZE = 11
 _LAYOUT = Struct("common" / Bytes(5), "compass" / Int8ub, "laser" / Int8ub, "mode" / Int8ub, Padding(3), Terminated)
 
 
-class Hello(NamedTuple):
+class Handshake(NamedTuple):
     """What the robot says of itself: the mask its state packets follow, and its laser mode."""
 
     mask: Mask
     laser_mode: int
 
 
-def read_hello(data: bytes) -> Hello:
+def read_handshake(data: bytes) -> Handshake:
     """The hello that these eleven bytes are. Raises WireError for any other number of bytes."""
     try:
         found = requests.parse(_LAYOUT, data)
     except ConstructError:
-        raise WireError(f"a hello has {HELLO_SIZE} bytes, not {len(data)}") from None
+        raise WireError(f"a hello has {HANDSHAKE_SIZE} bytes, not {len(data)}") from None
     as_ct = (*found.common, found.laser & 1, found.compass & 1 | found.laser & 0x3E)
-    return Hello(mask_from_line(as_ct), found.mode)
+    return Handshake(mask_from_line(as_ct), found.mode)
 
 
-def build_hello(hello: Hello) -> bytes:
+def build_handshake(hello: Handshake) -> bytes:
     """The eleven bytes of a hello. Raises WireError when the laser mode is no byte."""
     smask = hello.mask.smask
     try:
@@ -109,7 +109,7 @@ def build_hello(hello: Hello) -> bytes:
         raise WireError(f"a hello cannot carry this: {error}") from None
 
 
-def adopt(hello: Hello, terms: Terms) -> None:
+def apply_handshake(hello: Handshake, wire_state: WireState) -> None:
     """What a hello changes for the replies that follow it."""
-    terms.note_mask(hello.mask)
-    terms.note_laser_mode(hello.laser_mode)
+    wire_state.set_mask(hello.mask)
+    wire_state.set_laser_mode(hello.laser_mode)

@@ -20,7 +20,7 @@ from typing import Any
 
 from construct import ConstructError
 
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import WireError
 from nclient.protocol import replies as shape
 from nclient.protocol import (
@@ -38,7 +38,7 @@ from nclient.protocol.commands import (
     REPLY_TYPES,
     Call,
     Command,
-    on_line,
+    exists_on_serial,
 )
 from nclient.protocol.fields import LINE_BYTE, LINE_SIGNED, LINE_UNSIGNED
 from nclient.protocol.replies import Reply, one_line
@@ -46,7 +46,7 @@ from nclient.protocol.requests import HISTORY_BYTE, LASER_MODE_BYTE, Fields
 from nclient.protocol.serial_framing import SerialFrame
 from nclient.protocol.tcp_framing import TcpFrame
 from nclient.protocol.types import Mask
-from nclient.protocol.wire_state import LINES, POINTS, TCP_LINE_MODES, Terms
+from nclient.protocol.wire_state import LINES, POINTS, TCP_LINE_MODES, WireState
 
 BYTE_HIGHEST = 255
 _SIGNED, _UNSIGNED, _BYTE = (-0x7FFF, 0x7FFF), (0, 0xFFFF), (0, BYTE_HIGHEST)
@@ -59,7 +59,7 @@ _NOT_NEGATIVE = (0, _FREE[1])
 
 
 @lru_cache
-def line_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
+def serial_argument_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
     """Name, least and greatest of each number of a command, in order; () where it has no such numbers."""
     row = BY_NAME.get(name)
     if row is None or row.packet_type is not None or row.any_length or not isinstance(row.line_request, Fields):
@@ -72,9 +72,9 @@ def line_bounds(name: str) -> tuple[tuple[str, int, int], ...]:
     return tuple(bounds)
 
 
-def within_line(call: Call) -> Call:
+def clamp_to_serial(call: Call) -> Call:
     """The call with each number brought to the nearest that the line can carry."""
-    bounds = line_bounds(call.name)
+    bounds = serial_argument_bounds(call.name)
     if len(bounds) != len(call.args) or not bounds:
         return call
     return Call(call.name, tuple(
@@ -82,9 +82,9 @@ def within_line(call: Call) -> Call:
     ))
 
 
-def beyond_line(call: Call) -> str:
+def describe_serial_overflow(call: Call) -> str:
     """Which number of a call the line cannot carry, how far it may go, and what to do; "" where all fit."""
-    for value, (name, least, most) in zip(call.args, line_bounds(call.name), strict=False):
+    for value, (name, least, most) in zip(call.args, serial_argument_bounds(call.name), strict=False):
         if isinstance(value, int) and not least <= value <= most:
             return (
                 f"{call.name}: {name} is {value}, and a robot's own line carries {least} to {most} "
@@ -96,7 +96,7 @@ def beyond_line(call: Call) -> str:
 _SPECIAL_TYPE_WORD, _SPECIAL_TYPE_BYTE = 15, 3
 
 
-def row_named(name: str) -> Command:
+def find_command(name: str) -> Command:
     """The row of a C name. Raises WireError for a name that is none."""
     try:
         return BY_NAME[name]
@@ -106,33 +106,33 @@ def row_named(name: str) -> Command:
 
 def no_command(name: str, beside: Iterable[str] = ()) -> str:
     """That there is no such command, and which was probably meant; `beside`: what else may have been."""
-    return f"no command {name!r}{did_you_mean(name, (*BY_NAME, *beside))}"
+    return f"no command {name!r}{suggest(name, (*BY_NAME, *beside))}"
 
 
-def note(call: Call, terms: Terms) -> None:
+def update_from_request(call: Call, wire_state: WireState) -> None:
     """What a request changes for the replies that follow it, its own included where PROTOCOL.md says so."""
     match call.name:
         case "ct":
-            terms.note_mask(Mask(call.args))
+            wire_state.set_mask(Mask(call.args))
         case "conf_ls":
-            terms.note_laser_mode(call.args[0])
-        case "get_sg" if not terms.line:
-            terms.laser_width = LINES
-        case "get_ls" if not terms.line and terms.laser_mode in TCP_LINE_MODES:
-            terms.laser_width = POINTS
+            wire_state.set_laser_mode(call.args[0])
+        case "get_sg" if not wire_state.line:
+            wire_state.laser_width = LINES
+        case "get_ls" if not wire_state.line and wire_state.laser_mode in TCP_LINE_MODES:
+            wire_state.laser_width = POINTS
         case _:
             pass
 
 
-def tcp_request(call: Call, *, wide: bool = False) -> bytes:
+def encode_tcp_request(call: Call, *, wide: bool = False) -> bytes:
     """The bytes of a call over TCP. Raises WireError when its arguments cannot be sent."""
-    row = row_named(call.name)
+    row = find_command(call.name)
     if row.tcp_type is None:
         raise WireError(f"{call.name} does not exist over TCP")
     return tcp_framing.build_frame(row.tcp_type, _build(row, row.tcp_request, call.args), wide=wide)
 
 
-def tcp_call(frame: TcpFrame) -> Call:
+def decode_tcp_request(frame: TcpFrame) -> Call:
     """The call that a request frame is. Raises WireError when the numbers are none it can have."""
     row = BY_TCP_TYPE.get(frame.type)
     if row is None:
@@ -141,25 +141,25 @@ def tcp_call(frame: TcpFrame) -> Call:
     return _call(row, frame.payload[_SPECIAL_TYPE_WORD] if special else None, frame.payload, line=False)
 
 
-def tcp_reply(row: Command, reply: Reply, terms: Terms) -> bytes:
+def encode_tcp_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
     """The bytes of the answer to a command over TCP; an error reply goes by its own layout."""
     layout = shape.ERROR if reply.kind == "error" else row.tcp_reply
-    payload = layout.build(reply, terms)
-    return tcp_framing.build_frame(REPLY_TYPES[layout], payload, wide=terms.wide, reply=True)
+    payload = layout.build(reply, wire_state)
+    return tcp_framing.build_frame(REPLY_TYPES[layout], payload, wide=wire_state.wide, reply=True)
 
 
-def read_tcp_reply(row: Command, frame: TcpFrame, terms: Terms) -> Reply:
+def decode_tcp_reply(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply:
     """The answer to a command, out of its frame. Only the type of an error is looked at, as old clients do."""
     layout = shape.ERROR if frame.type == ERROR_TYPE else row.tcp_reply
-    return layout.parse(frame.payload, terms)
+    return layout.parse(frame.payload, wire_state)
 
 
-def line_request(call: Call, terms: Terms) -> bytes:
+def encode_serial_request(call: Call, wire_state: WireState) -> bytes:
     """The bytes of a call on the robot's own line. Raises WireError when this model's line does not have it."""
-    row = row_named(call.name)
-    if row.line_type is None or not on_line(row, terms.model):
-        raise WireError(f"{call.name} does not exist on the line of a {terms.model.name}")
-    beyond = beyond_line(call)
+    row = find_command(call.name)
+    if row.line_type is None or not exists_on_serial(row, wire_state.model):
+        raise WireError(f"{call.name} does not exist on the line of a {wire_state.model.name}")
+    beyond = describe_serial_overflow(call)
     if beyond:
         raise WireError(beyond)
     frame = serial_framing.build_frame(row.line_type, _build(row, row.line_request, call.args))
@@ -168,32 +168,32 @@ def line_request(call: Call, terms: Terms) -> bytes:
     return frame
 
 
-def line_call(frame: SerialFrame, terms: Terms) -> Call:
+def decode_serial_request(frame: SerialFrame, wire_state: WireState) -> Call:
     """The call that a frame from a host is. Raises WireError for a type or data that this model does not have."""
     row = BY_LINE_TYPE.get(frame.type)
-    if row is None or not on_line(row, terms.model):
-        raise WireError(f"type {frame.type} does not exist on the line of a {terms.model.name}")
+    if row is None or not exists_on_serial(row, wire_state.model):
+        raise WireError(f"type {frame.type} does not exist on the line of a {wire_state.model.name}")
     special = row.name == "special_request" and len(frame.data) > _SPECIAL_TYPE_BYTE
     return _call(row, frame.data[_SPECIAL_TYPE_BYTE] if special else None, frame.data, line=True)
 
 
-def line_reply(row: Command, reply: Reply, terms: Terms) -> bytes:
+def encode_serial_reply(row: Command, reply: Reply, wire_state: WireState) -> bytes:
     """The bytes of a robot's answer on its own line; a nak goes by its own type."""
     if reply.kind == "nak":
         return serial_framing.build_frame(NAK_TYPE)
     if row.line_type is None:
         raise WireError(f"{row.name} does not exist on a robot's own line")
-    return serial_framing.build_frame(row.line_type, row.line_reply.build(reply, terms))
+    return serial_framing.build_frame(row.line_type, row.line_reply.build(reply, wire_state))
 
 
-def read_line_reply(frame: SerialFrame, terms: Terms) -> Reply:
+def decode_serial_reply(frame: SerialFrame, wire_state: WireState) -> Reply:
     """A robot's answer out of its frame, which names the command. Raises WireError for one that fits none."""
     if frame.type == NAK_TYPE:
-        return shape.LINE_NAK.parse(frame.data, terms)
+        return shape.LINE_NAK.parse(frame.data, wire_state)
     row = BY_LINE_TYPE.get(frame.type)
-    if row is None or not on_line(row, terms.model):
-        raise WireError(f"no answer of type {frame.type} comes from a {terms.model.name}")
-    return row.line_reply.parse(frame.data, terms)
+    if row is None or not exists_on_serial(row, wire_state.model):
+        raise WireError(f"no answer of type {frame.type} comes from a {wire_state.model.name}")
+    return row.line_reply.parse(frame.data, wire_state)
 
 
 def _build(row: Command, layout: Any, args: tuple[Any, ...]) -> bytes:

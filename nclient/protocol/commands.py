@@ -87,7 +87,7 @@ class Command:
     """The models on whose own line the command exists."""
     line_timeout_s: float
     """How long a host waits for the answer there (ws adds its own timeout)."""
-    beside: tuple[str, slice] | None
+    extra_arguments: tuple[str, slice] | None
     """Name and place of the arguments that the C call does not have."""
     packet_type: int | None
     has_tcp_reply: bool
@@ -114,7 +114,7 @@ def _row(
         "line_request": Fields(*[a.name / a.line for a in arguments]),
         "line_models": ALL,
         "line_timeout_s": 1.0,
-        "beside": None,
+        "extra_arguments": None,
         "packet_type": None,
         "has_tcp_reply": True,
         "any_length": False,
@@ -173,11 +173,11 @@ def _drawing(name: str, tcp_type: int, what: str) -> Command:
 
 COMMANDS: tuple[Command, ...] = (
     _row("create_robot", "create_robot", (101, None), _signed("robot_id", "pid"), (shape.SIMPLE, shape.LINE_STATE),
-         "make a robot of that number and connect to it", beside=("pid", slice(1, 2))),
+         "make a robot of that number and connect to it", extra_arguments=("pid", slice(1, 2))),
     _row("connect_robot", "connect_robot", (102, None), _signed("robot_id", "pid"), (shape.SIMPLE, shape.LINE_STATE),
-         "connect to a robot; the answer is a port, 0 for no such robot", beside=("pid", slice(1, 2))),
+         "connect to a robot; the answer is a port, 0 for no such robot", extra_arguments=("pid", slice(1, 2))),
     _row("disconnect_robot", "disconnect", (103, None), _signed("robot_id", "pid"), (shape.SIMPLE, shape.LINE_STATE),
-         "end the connection; there is no answer", beside=("pid", slice(1, 2)), has_tcp_reply=False),
+         "end the connection; there is no answer", extra_arguments=("pid", slice(1, 2)), has_tcp_reply=False),
     # motion
     _row("ac", "set_accelerations", (10, 1), _unsigned("translation", "steering", "turret"), _STATE,
          "set the accelerations of the axes"),
@@ -199,7 +199,7 @@ COMMANDS: tuple[Command, ...] = (
     # configuration
     _row("ct", "select_sensors", (16, 6), _SMASK, _STATE, "say which sensors and numbers the replies carry",
          tcp_request=TcpMask(), tcp_words=(7, 7), line_request=LineMask(), line_models=N200,
-         beside=("mask", slice(0, 44))),
+         extra_arguments=("mask", slice(0, 44))),
     _row("conf_ir", "configure_infrareds", (22, 14), (Argument("history", line=HISTORY_BYTE), *_ORDER), _STATE,
          "set the infrareds' history and firing order", line_models=N200),
     _row("conf_sn", "configure_sonars", (23, 15), (*_bytes("rate"), *_ORDER), _STATE,
@@ -244,7 +244,7 @@ COMMANDS: tuple[Command, ...] = (
     _row("special_request", "send_packet", (300, 128), (Argument("packet_type"),), _SPECIAL,
          "send a user packet; the answer is one too", tcp_request=ByteWords(_PACKET),
          tcp_words=(4, 4 + MAX_PACKET_DATA), line_request=_PACKET, line_timeout_s=30.0,
-         beside=("packet_type", slice(0, 1)), any_length=True),
+         extra_arguments=("packet_type", slice(0, 1)), any_length=True),
     # the world and its windows (an Nserver only)
     _row("place_robot", "place", (41, None), _POSE, _SIMPLE, "put the robot, and what its encoders say, somewhere"),
     _row("add_obstacle", "add_obstacle", (50, None), _signed("n"), _SIMPLE, "add a polygon to the world",
@@ -312,6 +312,6 @@ MAX_REPLY_WORDS = {
 """The most words a reply of each type can carry; types 81 and 90 exist in old servers."""
 
 
-def on_line(row: Command, model: Model) -> bool:
+def exists_on_serial(row: Command, model: Model) -> bool:
     """Whether the command exists on that model's own line."""
     return row.line_type is not None and model.name in row.line_models

@@ -30,12 +30,12 @@ from nclient.protocol import (
     tcp_framing,
 )
 from nclient.protocol import replies as shape
-from nclient.protocol.client_state import STATE_SIZE, HeldState, zero_extended
+from nclient.protocol.client_state import STATE_SIZE, ClientState, zero_extend
 from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, ERROR_TYPE, REPLY_TYPES, Call, Command
 from nclient.protocol.replies import LINE_STATE, Reply, ReplyShape
 from nclient.protocol.tcp_framing import TcpFrame, reply_bounds, request_bounds
 from nclient.protocol.types import BUMPER_SLOT, CPU_RANGE_V, MODELS, MOTOR_RANGE_V, N150, N200, SCOUT, Model, volts
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 
 WIRES = ("tcp", "tcp64", "serial")
 """The languages a transcript can be in: Nserver's for 32-bit and 64-bit clients, and a robot's own line."""
@@ -55,7 +55,7 @@ _PREDICTED = range(1, 33)
 _FLOAT32 = struct.Struct("<f")
 
 
-class Transcript:
+class WireDecoder:
     """The two ends of one connection, followed from outside. `wire`: one of WIRES.
 
     Over TCP a reply goes to the first outstanding request whose type and layout it fits, and those before it are
@@ -68,16 +68,16 @@ class Transcript:
         wide = wire == "tcp64"
         self._ends: _Ends = _LineEnds(model) if wire == "serial" else _TcpEnds(model, wide)
         self._wide = wide
-        self.held = HeldState(wide)
+        self.client_state = ClientState(wide)
 
     @property
-    def terms(self) -> Terms:
+    def wire_state(self) -> WireState:
         """Mask and laser shape as they are now; a caller who knows better may set them."""
-        return self._ends.terms
+        return self._ends.wire_state
 
-    def agree(self, terms: Terms) -> None:
+    def agree(self, wire_state: WireState) -> None:
         """The two ends had come to these terms before anybody listened."""
-        self._ends.terms = terms.copy()
+        self._ends.wire_state = wire_state.copy()
 
     def read(self, line: str) -> dict[str, Any]:
         """The object for one line of text: `>` or `<`, then the bytes of one frame in hex, blanks as you like."""
@@ -92,7 +92,7 @@ class Transcript:
 
     def expect(self, name: str) -> None:
         """A reply to the call of that C name comes next, as though its request had been seen."""
-        self._ends.expect(codec.row_named(name))
+        self._ends.expect(codec.find_command(name))
 
     def request(self, data: bytes) -> dict[str, Any]:
         """The object for bytes that went to the robot."""
@@ -100,7 +100,7 @@ class Transcript:
             call = self._ends.call(data)
         except WireError as error:
             return {"error": str(error)}
-        codec.note(call, self.terms)
+        codec.update_from_request(call, self.wire_state)
         self._ends.expect(BY_NAME[call.name])
         return describe_call(call)
 
@@ -110,12 +110,13 @@ class Transcript:
             answer = self._ends.answer(data)
         except WireError as error:
             return {"error": str(error)}
-        if isinstance(answer, client_state.Hello):
+        if isinstance(answer, client_state.Handshake):
             mask = list(answer.mask.smask)
             return {"to": "host", "reply": "hello", "mask": mask, "laser_mode": answer.laser_mode}
-        self.held.absorb(answer.reply)
-        reply = zero_extended(answer.reply) if self._wide else answer.reply
-        return {"to": "host", "reply": reply.kind} | describe_held(self.held) | _said(reply, answer.name)
+        self.client_state.apply_reply(answer.reply)
+        reply = zero_extend(answer.reply) if self._wide else answer.reply
+        fields = describe_client_state(self.client_state) | _said(reply, answer.name)
+        return {"to": "host", "reply": reply.kind} | fields
 
 
 def describe_call(call: Call) -> dict[str, Any]:
@@ -123,24 +124,24 @@ def describe_call(call: Call) -> dict[str, Any]:
 
     connect_robot, disconnect_robot, create_robot: pid; ct: mask, 44 numbers; special_request: packet_type.
     """
-    args, beside = list(call.args), {}
+    args, extra_arguments = list(call.args), {}
     row = BY_NAME[call.name]
-    if row.beside:
-        name, place = row.beside
+    if row.extra_arguments:
+        name, place = row.extra_arguments
         taken = args[place]
         del args[place]
-        beside[name] = taken if len(taken) > 1 else taken[0]
-    return {"to": "robot", "call": call.name, "args": args} | beside
+        extra_arguments[name] = taken if len(taken) > 1 else taken[0]
+    return {"to": "robot", "call": call.name, "args": args} | extra_arguments
 
 
-def describe_held(held: HeldState) -> dict[str, Any]:
+def describe_client_state(client_state: ClientState) -> dict[str, Any]:
     """What the client holds, as an object; null for what it never had. Volts as the C client's float shows them."""
-    cpu, motors = held.volts or (None, None)
+    cpu, motors = client_state.volts or (None, None)
     return {
-        "State": list(held.slots),
-        "Laser": None if held.laser is None else list(held.laser),
-        "positions": {name: list(stamp) for name, stamp in held.stamps.items()},
-        "clock": held.clock,
+        "State": list(client_state.slots),
+        "Laser": None if client_state.laser is None else list(client_state.laser),
+        "positions": {name: list(stamp) for name, stamp in client_state.stamps.items()},
+        "clock": client_state.clock,
         "volt_cpu": _shown_volts(cpu, CPU_RANGE_V),
         "volt_motor": _shown_volts(motors, MOTOR_RANGE_V),
     }
@@ -200,32 +201,32 @@ class _Answer:
 class _Ends(Protocol):
     """What Transcript needs of a language. `call` and `answer` raise WireError for bytes that are no good frame."""
 
-    terms: Terms
+    wire_state: WireState
 
     def call(self, data: bytes) -> Call: ...
     def expect(self, row: Command) -> None: ...
-    def answer(self, data: bytes) -> _Answer | client_state.Hello: ...
+    def answer(self, data: bytes) -> _Answer | client_state.Handshake: ...
 
 
 class _TcpEnds:
     """A client and an Nserver."""
 
     def __init__(self, model: Model, wide: bool) -> None:
-        self.terms = tcp_terms(model)
-        self.terms.wide = wide
-        self._outstanding: deque[tuple[Command, Terms]] = deque(maxlen=MOST_OUTSTANDING)
+        self.wire_state = tcp_wire_state(model)
+        self.wire_state.wide = wide
+        self._outstanding: deque[tuple[Command, WireState]] = deque(maxlen=MOST_OUTSTANDING)
 
     def call(self, data: bytes) -> Call:
-        return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.terms.wide))
+        return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.wire_state.wide))
 
     def expect(self, row: Command) -> None:
         if row.has_tcp_reply and row.tcp_type is not None:
-            self._outstanding.append((row, self.terms.copy()))
+            self._outstanding.append((row, self.wire_state.copy()))
 
     def answer(self, data: bytes) -> _Answer:
-        frame = tcp_framing.only_frame(data, reply_bounds, self.terms.wide)
-        for place, (row, terms) in enumerate(self._outstanding):
-            reply = _fitting(row, frame, terms)
+        frame = tcp_framing.parse_single_frame(data, reply_bounds, self.wire_state.wide)
+        for place, (row, wire_state) in enumerate(self._outstanding):
+            reply = _fitting(row, frame, wire_state)
             if reply:
                 for _ in range(place + 1):
                     self._outstanding.popleft()
@@ -236,18 +237,18 @@ class _TcpEnds:
         *others, last = _BY_REPLY_TYPE[_SAME_SHAPE.get(frame.type, frame.type)]
         for layout in others:
             try:
-                return layout.parse(frame.payload, self.terms)
+                return layout.parse(frame.payload, self.wire_state)
             except WireError:
                 continue
-        return last.parse(frame.payload, self.terms)
+        return last.parse(frame.payload, self.wire_state)
 
 
-def _fitting(row: Command, frame: TcpFrame, terms: Terms) -> Reply | None:
+def _fitting(row: Command, frame: TcpFrame, wire_state: WireState) -> Reply | None:
     frame_type = _SAME_SHAPE.get(frame.type, frame.type)
     if frame_type not in (ERROR_TYPE, REPLY_TYPES[row.tcp_reply]):
         return None
     try:
-        return codec.read_tcp_reply(row, frame, terms)
+        return codec.decode_tcp_reply(row, frame, wire_state)
     except WireError:
         return None
 
@@ -256,27 +257,29 @@ class _LineEnds:
     """A host and a robot on its own line, where a reply names the command; only the arm's need the request."""
 
     def __init__(self, model: Model) -> None:
-        self.terms = line_terms(model)
+        self.wire_state = serial_wire_state(model)
         self._asked: Command | None = None
         self._may_greet = model.sends_mask
 
     def call(self, data: bytes) -> Call:
-        return codec.line_call(serial_framing.only_frame(data, serial_framing.HOST_LIMIT), self.terms)
+        return codec.decode_serial_request(
+            serial_framing.parse_single_frame(data, serial_framing.HOST_LIMIT), self.wire_state
+        )
 
     def expect(self, row: Command) -> None:
         self._asked = row
 
-    def answer(self, data: bytes) -> _Answer | client_state.Hello:
+    def answer(self, data: bytes) -> _Answer | client_state.Handshake:
         try:
-            frame = serial_framing.only_frame(data)
-            reply = codec.read_line_reply(frame, self.terms)
+            frame = serial_framing.parse_single_frame(data)
+            reply = codec.decode_serial_reply(frame, self.wire_state)
         except WireError:
             framed = data[:1] + data[-1:] == bytes((serial_framing.START, serial_framing.END))
-            if not self._may_greet or len(data) != client_state.HELLO_SIZE or framed:
+            if not self._may_greet or len(data) != client_state.HANDSHAKE_SIZE or framed:
                 raise
             self._may_greet = False
-            greeting = client_state.read_hello(data)
-            client_state.adopt(greeting, self.terms)
+            greeting = client_state.read_handshake(data)
+            client_state.apply_handshake(greeting, self.wire_state)
             return greeting
         self._may_greet = False
         row = BY_LINE_TYPE.get(frame.type)
@@ -288,7 +291,7 @@ class _LineEnds:
 _LINE_MODE = 1
 
 
-def model_like(data: bytes) -> Model | None:
+def guess_model(data: bytes) -> Model | None:
     """The model that sends such a state packet, None where it is nobody's."""
     fixed = _read(data, N150)
     if fixed is not None:
@@ -296,9 +299,9 @@ def model_like(data: bytes) -> Model | None:
     return N200 if _read(data, N200) or _read(data, N200, _LINE_MODE) else None
 
 
-def is_it_another(model: Model, data: bytes | None = None) -> str:
+def model_mismatch_hint(model: Model, data: bytes | None = None) -> str:
     """What to try instead of this model: the one that the packet looks like, else the others there are."""
-    like = model_like(data) if data is not None else None
+    like = guess_model(data) if data is not None else None
     if like is None:
         others = " or ".join(f"model={name}" for name in MODELS if name != model.name)
         return f"is it a {model.name}? Else say {others} in the address"
@@ -308,10 +311,10 @@ def is_it_another(model: Model, data: bytes | None = None) -> str:
 
 
 def _read(data: bytes, model: Model, laser_mode: int | None = None) -> Reply | None:
-    terms = line_terms(model)
+    wire_state = serial_wire_state(model)
     if laser_mode is not None:
-        terms.note_laser_mode(laser_mode)
+        wire_state.set_laser_mode(laser_mode)
     try:
-        return LINE_STATE.parse(data, terms)
+        return LINE_STATE.parse(data, wire_state)
     except WireError:
         return None

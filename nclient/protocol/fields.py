@@ -32,7 +32,7 @@ from typing import Any, Final, Literal
 from construct import Construct, FormatFieldError, Int8ub, Int16ul, Int32sb, Int32ub, Int32ul, StreamError
 
 from nclient.protocol.types import NO_STAMP, STAMP_KEYS, Mask, Position, Stamp
-from nclient.protocol.wire_state import Terms
+from nclient.protocol.wire_state import WireState
 
 WORD = Int32sb
 UNSIGNED_WORD = Int32ub
@@ -111,7 +111,7 @@ class WordStamps(Construct):
         self.wanted = wanted or tuple(Position)
 
     def _keys(self, context: Any) -> Iterable[str]:
-        position = terms_of(context).mask.position
+        position = wire_state_of(context).mask.position
         return [key for bit in self.wanted if position & bit for key in STAMP_KEYS[bit]] if position else ()
 
     def _parse(self, stream: Any, context: Any, path: str) -> dict[str, Stamp]:
@@ -127,7 +127,7 @@ class WordStamps(Construct):
 class WordLaser(Construct):
     """A laser block over TCP: n, then `width(terms)` words a reading. Nothing given is sent as n = 0."""
 
-    def __init__(self, width: Callable[[Terms], int]) -> None:
+    def __init__(self, width: Callable[[WireState], int]) -> None:
         super().__init__()
         self.width = width
 
@@ -135,20 +135,20 @@ class WordLaser(Construct):
         (count,) = struct.unpack(">i", take(stream, 4, path))
         if not count:
             return (0,)
-        words = checked_readings(count, path) * self.width(terms_of(context))
+        words = checked_readings(count, path) * self.width(wire_state_of(context))
         return (count, *struct.unpack(f">{words}i", take(stream, 4 * words, path)))
 
     def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
         laser = obj or (0,)
-        check_laser(laser, self.width(terms_of(context)), path)
+        check_laser(laser, self.width(wire_state_of(context)), path)
         stream.write(_pack(f">{len(laser)}i", laser, path))
         return obj
 
 
-def terms_of(context: Any) -> Terms:
+def wire_state_of(context: Any) -> WireState:
     """What the conversation has agreed."""
-    terms: Terms = context._params.terms
-    return terms
+    wire_state: WireState = context._params.wire_state
+    return wire_state
 
 
 def take(stream: Any, count: int, path: str) -> bytes:
@@ -265,7 +265,7 @@ class _MaskedSlots(Masked):
         """A mask seldom changes, so what the last one chose is kept."""
         if not self.masked:
             return self.slots
-        mask, slots = terms_of(context).mask, self.slots
+        mask, slots = wire_state_of(context).mask, self.slots
         chosen = self._chosen
         if chosen[0] is not mask:
             chosen = self._chosen = (mask, [slot for slot in slots if mask.has(slot)])
@@ -349,11 +349,11 @@ class LineStamps(Masked):
             key: Stamp._make(
                 SIGNED_LONGS.unpack(take(stream, 28, path)) + LONGS.unpack(take(stream, 8, path))
             )
-            for key in self._selected(terms_of(context).mask)
+            for key in self._selected(wire_state_of(context).mask)
         }
 
     def _build(self, obj: Mapping[str, Stamp], stream: Any, context: Any, path: str) -> Mapping[str, Stamp]:
-        for key in self._selected(terms_of(context).mask):
+        for key in self._selected(wire_state_of(context).mask):
             stamp = obj.get(key, NO_STAMP)
             stream.write(_packed(SIGNED_LONGS, stamp[:7], path) + _packed(LONGS, stamp[7:], path))
         return obj
@@ -365,7 +365,7 @@ class LineLaser(Masked):
     `masked_by`: the State slot whose mask bit decides whether the block is there at all; None: always.
     """
 
-    def __init__(self, width: Callable[[Terms], int], masked_by: int | None = None) -> None:
+    def __init__(self, width: Callable[[WireState], int], masked_by: int | None = None) -> None:
         super().__init__()
         self.width = width
         self.masked_by = masked_by
@@ -374,20 +374,20 @@ class LineLaser(Masked):
         return self.masked_by is not None and not mask.has(self.masked_by)
 
     def _parse(self, stream: Any, context: Any, path: str) -> tuple[int, ...] | None:
-        terms = terms_of(context)
-        if self.absent(terms.mask):
+        wire_state = wire_state_of(context)
+        if self.absent(wire_state.mask):
             return None
         count = checked_readings(SHORTS.unpack(take(stream, 2, path))[0], path)
-        width = self.width(terms)
+        width = self.width(wire_state)
         run = SHORTS if width == 1 else SIGNED_SHORTS
         return (count, *run.unpack(take(stream, 2 * count * width, path)))
 
     def _build(self, obj: Sequence[int] | None, stream: Any, context: Any, path: str) -> Any:
-        terms = terms_of(context)
-        if self.absent(terms.mask):
+        wire_state = wire_state_of(context)
+        if self.absent(wire_state.mask):
             return obj
         laser = obj or (0,)
-        width = self.width(terms)
+        width = self.width(wire_state)
         check_laser(laser, width, path)
         run = SHORTS if width == 1 else SIGNED_SHORTS
         stream.write(_packed(SHORTS, laser[:1], path) + _packed(run, laser[1:], path))
@@ -420,4 +420,4 @@ def _packed(run: Run, numbers: Sequence[int], path: str) -> bytes:
 
 
 def _bumper_order(context: Any) -> Literal["little", "big"]:
-    return "little" if terms_of(context).model.bumpers_low_first else "big"
+    return "little" if wire_state_of(context).model.bumpers_low_first else "big"

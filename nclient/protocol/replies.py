@@ -37,7 +37,7 @@ from nclient.protocol.fields import (
     WordStamps,
 )
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Mask, Position, Stamp
-from nclient.protocol.wire_state import LINES, PIXELS, Terms, line_laser_width
+from nclient.protocol.wire_state import LINES, PIXELS, WireState, line_laser_width
 
 MOTOR_SLOT = 41
 LAST_TCP_SLOT = 44
@@ -64,8 +64,8 @@ class Reply:
 class _Agreed:
     """What construct hands to each member as its context: the terms, where a Struct would have them."""
 
-    def __init__(self, terms: Terms) -> None:
-        self.terms = terms
+    def __init__(self, wire_state: WireState) -> None:
+        self.wire_state = wire_state
 
     @property
     def _params(self) -> _Agreed:
@@ -113,14 +113,14 @@ class ReplyShape:
             present = self._present = (mask, members)
         return present[1]
 
-    def parse(self, data: bytes, terms: Terms) -> Reply:
+    def parse(self, data: bytes, wire_state: WireState) -> Reply:
         """The reply that these bytes are. Raises WireError when they are none of this shape."""
         slots: dict[int, int] = {}
         stamps: dict[str, Stamp] = {}
         found: dict[str, Any] = {"slots": slots, "stamps": stamps}
-        stream, context = BytesIO(data), _Agreed(terms)
+        stream, context = BytesIO(data), _Agreed(wire_state)
         try:
-            for name, part, parse, _, _ in self._under(terms.mask):
+            for name, part, parse, _, _ in self._under(wire_state.mask):
                 value = parse(stream, context, name)
                 if part in ("slots", "stamps"):
                     found[part].update(value)
@@ -134,7 +134,7 @@ class ReplyShape:
         values = tuple(found.get("values", ()))
         return Reply(self.kind, slots, found.get("laser"), stamps, found.get("clock"), volts, values)
 
-    def build(self, reply: Reply, terms: Terms) -> bytes:
+    def build(self, reply: Reply, wire_state: WireState) -> bytes:
         """The bytes of a reply. Raises WireError when it holds what this shape cannot carry."""
         parts = {
             "slots": reply.slots,
@@ -144,9 +144,9 @@ class ReplyShape:
             "values": reply.values,
             "volts": reply.volts or (0, 0),
         }
-        stream, context = BytesIO(), _Agreed(terms)
+        stream, context = BytesIO(), _Agreed(wire_state)
         try:
-            for name, part, _, build, _ in self._under(terms.mask):
+            for name, part, _, build, _ in self._under(wire_state.mask):
                 build(parts[part], stream, context, name)
         except ConstructError as error:
             raise WireError(f"a {self.kind} reply cannot carry this: {one_line(error)}") from None
@@ -170,7 +170,7 @@ def _words(kind: str, count: int | None) -> ReplyShape:
 STATE = ReplyShape(
     "state",
     slots=WordSlots(0, LAST_TCP_SLOT),
-    laser=WordLaser(lambda terms: terms.laser_width),
+    laser=WordLaser(lambda wire_state: wire_state.laser_width),
     stamps=WordStamps(),
     clock=UNSIGNED_WORD,
     volts=Words(2),
@@ -193,7 +193,7 @@ COMPASS = ReplyShape(
 )
 LASER = ReplyShape(
     "laser",
-    laser=WordLaser(lambda terms: terms.get_laser_width),
+    laser=WordLaser(lambda wire_state: wire_state.get_laser_width),
     stamps=WordStamps(Position.LASER),
     clock=UNSIGNED_WORD,
 )
@@ -203,7 +203,7 @@ SEGMENTS = ReplyShape(
 CONFIGURATION = ReplyShape("configuration", slots=WordSlots(34, 37))
 CLICKED_CONFIGURATION = _words("configuration", 4)
 VELOCITY = ReplyShape("velocity", slots=WordSlots(38, 40))
-PREDICTION = ReplyShape("prediction", values=Words(44), laser=WordLaser(lambda terms: terms.laser_width))
+PREDICTION = ReplyShape("prediction", values=Words(44), laser=WordLaser(lambda wire_state: wire_state.laser_width))
 SIMPLE = _words("simple", 1)
 SIMPLE_LIST = _words("simple", None)
 COLLISION = _words("simple", 4)
@@ -224,7 +224,7 @@ LINE_STATE = ReplyShape(
     slots_pose=LineSlots(34, 40, SIGNED_SHORTS),
     slots_compass=LineSlots(COMPASS_SLOT, COMPASS_SLOT, SIGNED_SHORTS),
     stamps_compass=LineStamps(Position.COMPASS, (COMPASS_SLOT,)),
-    laser=LineLaser(lambda terms: line_laser_width(terms.laser_mode), masked_by=LASER_SLOT),
+    laser=LineLaser(lambda wire_state: line_laser_width(wire_state.laser_mode), masked_by=LASER_SLOT),
     stamps_laser=LineStamps(Position.LASER, (LASER_SLOT,)),
     slots_motors=LineSlots(MOTOR_SLOT, MOTOR_SLOT, BYTES, masked=False),
     clock=LINE_CLOCK,

@@ -41,7 +41,7 @@ def build_frame(frame_type: int, data: bytes = b"") -> bytes:
     return body + bytes((sum(body) & 255, END))
 
 
-def only_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
+def parse_single_frame(data: bytes, limit: int = ROBOT_LIMIT) -> SerialFrame:
     """The one frame that these bytes are, nothing before or behind it. Raises WireError, saying what is wrong."""
     if not data or data[0] != START:
         raise WireError(f"a frame starts with 01, not with {data[:1].hex() or 'nothing'}")

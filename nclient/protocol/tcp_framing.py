@@ -33,12 +33,12 @@ class TcpFrame(NamedTuple):
     payload: bytes
 
 
-class Refused(NamedTuple):
+class InvalidFrame(NamedTuple):
     """Bytes that are no message we can take: the ERROR code they deserve, and what was wrong."""
 
     code: int
     reason: str
-    hopeless: bool
+    fatal: bool
     """Whether the stream lost its frame, so that what follows cannot be trusted."""
 
 
@@ -54,7 +54,7 @@ def reply_bounds(message_type: int) -> tuple[int, int] | None:
     return None if most is None else (1, most)
 
 
-def shorter(bounds: Bounds, most_words: int) -> Bounds:
+def limit_words(bounds: Bounds, most_words: int) -> Bounds:
     """The same bounds, but no message longer than so many words."""
 
     def shortened(message_type: int) -> tuple[int, int] | None:
@@ -72,14 +72,14 @@ def build_frame(frame_type: int, payload: bytes, *, wide: bool = False, reply: b
     return _HEADER.pack(frame_type, words) + (_widen(payload, reply) if wide else payload)
 
 
-def only_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
+def parse_single_frame(data: bytes, bounds: Bounds, wide: bool) -> TcpFrame:
     """The one message that these bytes are, nothing behind it. Raises WireError, saying what is wrong."""
     framer = TcpFramer(bounds, wide)
     found = framer.receive(data)
     if not found:
         raise WireError(f"truncated: {len(data)} bytes are no whole message")
     first = found[0]
-    if isinstance(first, Refused):
+    if isinstance(first, InvalidFrame):
         raise WireError(first.reason)
     if len(found) > 1 or framer.pending or framer.skipped_bytes:
         size = _HEADER.size + len(first.payload) * (2 if wide else 1)
@@ -116,13 +116,13 @@ class TcpFramer:
         """Bytes still to come of a message that was refused and is passed over."""
         return self._to_skip
 
-    def receive(self, data: bytes) -> list[TcpFrame | Refused]:
+    def receive(self, data: bytes) -> list[TcpFrame | InvalidFrame]:
         """The frames and refusals that these bytes complete, in order."""
         if self._lost and self._gives_up:
             self.skipped_bytes += len(data)
             return []
         self._buffer += data
-        found: list[TcpFrame | Refused] = []
+        found: list[TcpFrame | InvalidFrame] = []
         while (not self._to_skip or self._skip()) and len(self._buffer) >= _HEADER.size:
             message_type, count = _HEADER.unpack_from(self._buffer)
             bounds = self._bounds(message_type)
@@ -148,18 +148,18 @@ class TcpFramer:
         return not self._to_skip
 
     def _refuse(
-        self, message_type: int, count: int, bounds: tuple[int, int] | None, found: list[TcpFrame | Refused]
+        self, message_type: int, count: int, bounds: tuple[int, int] | None, found: list[TcpFrame | InvalidFrame]
     ) -> None:
-        hopeless = self._lost or count > MAX_UNKNOWN_WORDS
+        fatal = self._lost or count > MAX_UNKNOWN_WORDS
         if not self._lost:
             if bounds is None:
-                found.append(Refused(UNKNOWN_TYPE, f"unknown message type {message_type}", hopeless))
+                found.append(InvalidFrame(UNKNOWN_TYPE, f"unknown message type {message_type}", fatal))
             else:
                 wanted = f"{bounds[0]}" if bounds[0] == bounds[1] else f"{bounds[0]} to {bounds[1]}"
                 reason = f"type {message_type} takes {wanted} words, not {count}"
-                found.append(Refused(WRONG_COUNT, reason, hopeless))
-        self._lost = hopeless
-        self._to_skip = 1 if hopeless else _HEADER.size + self._word_size * count
+                found.append(InvalidFrame(WRONG_COUNT, reason, fatal))
+        self._lost = fatal
+        self._to_skip = 1 if fatal else _HEADER.size + self._word_size * count
 
     @property
     def _word_size(self) -> int:

@@ -1,4 +1,4 @@
-"""What the wire knows of a robot's model: its number, its fixed mask, its bumper bytes. Geometry is worlds.bodies'.
+"""What the wire knows of a robot's model: its number, its fixed mask, its bumper bytes. Geometry is worlds.robots'.
 
     N150 and Scout never send a mask: their packets always hold the sonars, bumpers, pose, velocities and compass.
 
@@ -59,7 +59,7 @@ MODELS = {model.name: model for model in (N150, N200, SCOUT)}
 """Every model by its lower-case name."""
 
 
-def model_named(name: str) -> Model:
+def get_model(name: str) -> Model:
     """The model of that name. Raises AddressError, naming the models there are."""
     try:
         return MODELS[name.lower()]
@@ -184,17 +184,17 @@ def heading_tenths(angle_rad: float) -> int:
     return tenths_from_rad(angle_rad) % FULL_TURN_TENTHS
 
 
-def clamped_word(value: int) -> int:
+def clamp_word(value: int) -> int:
     """The nearest number that a 32-bit word of the wire can hold."""
     return max(-WORD_LIMIT, min(WORD_LIMIT - 1, value))
 
 
-def wrapped_word(value: int) -> int:
+def wrap_word(value: int) -> int:
     """A count that never ends, as a 32-bit word holds it: modulo 2^32, the upper half negative."""
     return (value + WORD_LIMIT) % (2 * WORD_LIMIT) - WORD_LIMIT
 
 
-def unwrapped_word(word: int) -> int:
+def unwrap_word(word: int) -> int:
     """A signed word read as a count: 0 to 2^32 - 1."""
     return word % (2 * WORD_LIMIT)
 

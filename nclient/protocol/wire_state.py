@@ -31,7 +31,7 @@ def line_laser_width(mode: int) -> int:
 
 
 @dataclass(slots=True)
-class Terms:
+class WireState:
     """The state of a conversation that shapes its replies.
 
     `wide`: a 64-bit client over TCP, eight bytes a word. `line`: it is the robot's own line, with shapes of its own.
@@ -44,15 +44,15 @@ class Terms:
     wide: bool = False
     line: bool = False
 
-    def copy(self) -> Terms:
+    def copy(self) -> WireState:
         """These terms as they are now."""
         return replace(self)
 
-    def note_mask(self, mask: Mask) -> None:
+    def set_mask(self, mask: Mask) -> None:
         """A ct request went over the wire."""
         self.mask = mask
 
-    def note_laser_mode(self, mode: int) -> None:
+    def set_laser_mode(self, mode: int) -> None:
         """A conf_ls request went over the wire: it sets mode and shape anew."""
         self.laser_mode = mode
         self.laser_width = line_laser_width(mode) if self.line else tcp_laser_width(mode)
@@ -66,11 +66,11 @@ class Terms:
         return POINTS if width == LINES else width
 
 
-def tcp_terms(model: Model) -> Terms:
+def tcp_wire_state(model: Model) -> WireState:
     """The terms of a fresh TCP connection: everything on until a ct says otherwise."""
-    return Terms(model, EVERYTHING)
+    return WireState(model, EVERYTHING)
 
 
-def line_terms(model: Model) -> Terms:
+def serial_wire_state(model: Model) -> WireState:
     """The terms of a fresh line to a robot: N150's and Scout's never change."""
-    return Terms(model, EVERYTHING if model.sends_mask else NO_MASK_MODELS, laser_width=PIXELS, line=True)
+    return WireState(model, EVERYTHING if model.sends_mask else NO_MASK_MODELS, laser_width=PIXELS, line=True)

@@ -30,17 +30,17 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from nclient.common.hints import version
 from nclient.protocol import serial_framing, tcp_framing
-from nclient.protocol.client_state import HELLO_SIZE
-from nclient.protocol.decode import Transcript
+from nclient.protocol.client_state import HANDSHAKE_SIZE
+from nclient.protocol.decode import WireDecoder
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
-from nclient.protocol.tcp_framing import Refused, TcpFrame, TcpFramer, reply_bounds, request_bounds
+from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import Model
-from nclient.protocol.wire_state import Terms
-from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, LogWriter
+from nclient.protocol.wire_state import WireState
+from nclient.recording.format import CLOSE, IN, OPEN, OUT, TIME, Entry, RecordingWriter
 from nclient.transports.stream import ByteStream, Deadline
 
-TCP, SERIAL, HELLO_FIRST = "tcp", "serial", "hello"
-LINES: Final = (TCP, SERIAL, HELLO_FIRST)
+TCP, SERIAL, HANDSHAKE_FIRST = "tcp", "serial", "hello"
+LINES: Final = (TCP, SERIAL, HANDSHAKE_FIRST)
 """The languages of a connection: an Nserver's, a robot's own, and that with eleven bare bytes from the robot first."""
 Decoded = dict[str, Any]
 
@@ -52,34 +52,34 @@ class Frame(NamedTuple):
     wrong: str = ""
 
 
-class Ears(Protocol):
+class FrameTap(Protocol):
     """The framers of a language, both ways."""
 
     wide: bool
     """Whether the client is known to be one of 64 bits."""
 
-    def take_up(self, wide: bool) -> None: ...
+    def resume(self, wide: bool) -> None: ...
     def to_robot(self, data: bytes) -> list[Frame]: ...
     def to_host(self, data: bytes) -> list[Frame]: ...
 
 
-def ears_for(line: str, model: Model) -> Ears:
+def frame_tap_for(line: str, model: Model) -> FrameTap:
     """What cuts the frames of one of LINES. Only a model that has a mask says hello with it."""
-    return _TcpEars() if line == TCP else _LineEars(line == HELLO_FIRST and model.sends_mask)
+    return TcpFrameTap() if line == TCP else SerialFrameTap(line == HANDSHAKE_FIRST and model.sends_mask)
 
 
-class Follower:
+class FrameDecoder:
     """One connection, heard from outside. `line`: one of LINES."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self._ears = ears_for(line, model)
+        self._ears = frame_tap_for(line, model)
         self._line, self._model = line, model
-        self._transcript: Transcript | None = None
+        self._transcript: WireDecoder | None = None
 
-    def take_up(self, terms: Terms) -> None:
+    def resume(self, wire_state: WireState) -> None:
         """Listen to a connection that went on unheard so far and has come to these terms; between two requests."""
-        self._ears.take_up(terms.wide)
-        self._whole().agree(terms)
+        self._ears.resume(wire_state.wide)
+        self._whole().agree(wire_state)
 
     def to_robot(self, data: bytes) -> list[Decoded]:
         """What these bytes to the robot made whole."""
@@ -92,22 +92,22 @@ class Follower:
     @property
     def clock_s(self) -> float:
         """The robot's clock as it was told last; 0 before."""
-        return (self._transcript.held.clock or 0) / 1000 if self._transcript else 0.0
+        return (self._transcript.client_state.clock or 0) / 1000 if self._transcript else 0.0
 
     def _said(self, frame: Frame, to_robot: bool) -> Decoded:
         if frame.wrong:
             return {"error": frame.wrong}
         return self._whole().request(frame.data) if to_robot else self._whole().reply(frame.data)
 
-    def _whole(self) -> Transcript:
+    def _whole(self) -> WireDecoder:
         """A transcript in the language that is spoken; whether words are of 64 bits shows in the first request."""
         if self._transcript is None:
             wire = SERIAL if self._line != TCP else "tcp64" if self._ears.wide else TCP
-            self._transcript = Transcript(wire, self._model)
+            self._transcript = WireDecoder(wire, self._model)
         return self._transcript
 
 
-class _TcpEars:
+class TcpFrameTap:
     """Messages of an Nserver's clients, of 32 bits or of 64."""
 
     def __init__(self) -> None:
@@ -115,7 +115,7 @@ class _TcpEars:
         self._replies = TcpFramer(reply_bounds, wide=False)
         self.wide = False
 
-    def take_up(self, wide: bool) -> None:
+    def resume(self, wide: bool) -> None:
         self._requests.wide = self._replies.wide = self.wide = wide
 
     def to_robot(self, data: bytes) -> list[Frame]:
@@ -126,7 +126,7 @@ class _TcpEars:
     def to_host(self, data: bytes) -> list[Frame]:
         return self._frames(self._replies.receive(data), reply=True)
 
-    def _frames(self, items: list[TcpFrame | Refused], reply: bool) -> list[Frame]:
+    def _frames(self, items: list[TcpFrame | InvalidFrame], reply: bool) -> list[Frame]:
         return [
             Frame(tcp_framing.build_frame(item.type, item.payload, wide=self.wide, reply=reply))
             if isinstance(item, TcpFrame)
@@ -135,17 +135,17 @@ class _TcpEars:
         ]
 
 
-class _LineEars:
+class SerialFrameTap:
     """Frames on a robot's own line, among whatever else comes there. `greets`: eleven bare bytes come first."""
 
     wide = False
 
-    def __init__(self, greets: bool) -> None:
+    def __init__(self, has_handshake: bool) -> None:
         self._requests = SerialFramer(HOST_LIMIT)
         self._answers = SerialFramer()
-        self._hello: bytes | None = b"" if greets else None
+        self._hello: bytes | None = b"" if has_handshake else None
 
-    def take_up(self, wide: bool) -> None:
+    def resume(self, wide: bool) -> None:
         del wide
         self._hello = None
 
@@ -159,9 +159,9 @@ class _LineEars:
         if self._hello is None:
             return _cut(self._answers, data)
         self._hello += data
-        if len(self._hello) < HELLO_SIZE:
+        if len(self._hello) < HANDSHAKE_SIZE:
             return []
-        hello, rest = self._hello[:HELLO_SIZE], self._hello[HELLO_SIZE:]
+        hello, rest = self._hello[:HANDSHAKE_SIZE], self._hello[HANDSHAKE_SIZE:]
         self._hello = None
         return [Frame(hello), *_cut(self._answers, rest)]
 
@@ -178,7 +178,7 @@ _MOST_PIECES: Final = 1000
 _DIGITS: Final = 6
 
 
-class Tape(Protocol):
+class ConnectionRecorder(Protocol):
     """What records one connection."""
 
     def to_robot(self, data: bytes) -> None:
@@ -202,21 +202,24 @@ class Recorder:
     """
 
     def __init__(
-        self, log: LogWriter, clock: Callable[[], float] | None = None, line_clock: Callable[[], float] | None = None
+        self,
+        log: RecordingWriter,
+        clock: Callable[[], float] | None = None,
+        line_clock: Callable[[], float] | None = None,
     ) -> None:
         self._log = log
         self._clock = clock
         self.line_clock = line_clock
         self._steps: list[tuple[float, int]] = []
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         """A tape for a connection of that name. `line`: one of follower.LINES; `robot_id`: whose own line it is."""
-        tape = _ConnectionTape(self, name, Follower(line, model), None if line == TCP else self.line_clock)
+        tape = _ConnectionTape(self, name, FrameDecoder(line, model), None if line == TCP else self.line_clock)
         whose: dict[str, object] = {} if robot_id is None else {"robot_id": robot_id}
         self.write(OPEN, name, 0.0, more={"wire": line, "model": model.name} | whose)
         return tape
 
-    def stepped(self, dt_s: float) -> None:
+    def record_step(self, dt_s: float) -> None:
         """So much simulated time passed in one piece, not by a request."""
         if self._steps and self._steps[-1][0] == dt_s:
             self._steps[-1] = (dt_s, self._steps[-1][1] + 1)
@@ -225,11 +228,11 @@ class Recorder:
             self.write(TIME, "", 0.0)
         self._steps.append((dt_s, 1))
 
-    def paced(self, factor: float | None, paused: bool) -> None:
+    def record_pace(self, factor: float | None, paused: bool) -> None:
         """Time goes otherwise from now on, by no request; State[0] shows it."""
         self.write(TIME, "", 0.0, more={"pace": [factor, paused]})
 
-    def changed(self, what: Mapping[str, Any]) -> None:
+    def record_change(self, what: Mapping[str, Any]) -> None:
         """The simulation was changed so from now on, by no request."""
         self.write(TIME, "", 0.0, more=dict(what))
 
@@ -258,7 +261,7 @@ class _ConnectionTape:
     """See Tape."""
 
     def __init__(
-        self, recorder: Recorder, name: str, follower: Follower, clock: Callable[[], float] | None
+        self, recorder: Recorder, name: str, follower: FrameDecoder, clock: Callable[[], float] | None
     ) -> None:
         self._recorder, self._name, self._follower = recorder, name, follower
         self._clock = clock
@@ -285,7 +288,7 @@ class _ConnectionTape:
 class _Off:
     """Records nothing."""
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape:
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder:
         del name, line, model, robot_id
         return self
 
@@ -293,33 +296,33 @@ class _Off:
 
     def to_host(self, data: bytes, by_time: bool = False) -> None: ...
 
-    def stepped(self, dt_s: float) -> None: ...
+    def record_step(self, dt_s: float) -> None: ...
 
-    def paced(self, factor: float | None, paused: bool) -> None: ...
+    def record_pace(self, factor: float | None, paused: bool) -> None: ...
 
-    def changed(self, what: Mapping[str, Any]) -> None: ...
+    def record_change(self, what: Mapping[str, Any]) -> None: ...
 
     def close(self) -> None: ...
 
 
-OFF: Final = _Off()
+NULL_RECORDER: Final = _Off()
 """What whoever is not recorded hands things to."""
 
 
-class AnyRecorder(Protocol):
+class TrafficRecorder(Protocol):
     """What a daemon hands things to, whether they are written down, looked at, or neither."""
 
-    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> Tape: ...
-    def stepped(self, dt_s: float) -> None: ...
-    def paced(self, factor: float | None, paused: bool) -> None: ...
-    def changed(self, what: Mapping[str, Any]) -> None: ...
+    def open(self, name: str, line: str, model: Model, robot_id: int | None = None) -> ConnectionRecorder: ...
+    def record_step(self, dt_s: float) -> None: ...
+    def record_pace(self, factor: float | None, paused: bool) -> None: ...
+    def record_change(self, what: Mapping[str, Any]) -> None: ...
     def close(self) -> None: ...
 
 
 class RecordingStream:
     """`stream`, with what passes noted on `tape`."""
 
-    def __init__(self, stream: ByteStream, tape: Tape) -> None:
+    def __init__(self, stream: ByteStream, tape: ConnectionRecorder) -> None:
         self._stream = stream
         self._tape = tape
         self._closed = False
@@ -344,7 +347,7 @@ class RecordingStream:
             self._tape.close()
 
 
-class Recorded(NamedTuple):
+class RecordingTarget(NamedTuple):
     """Whom a program records: the address, the language (one of follower.LINES) and the robot's model."""
 
     address: str
@@ -352,7 +355,7 @@ class Recorded(NamedTuple):
     model: Model
 
 
-class ProgramsRecording:
+class ClientRecording:
     """What one program records of one address, over however many connections.
 
     clock    seconds since the start; None: the robot's own clock, so that the same run is the same file
@@ -362,7 +365,11 @@ class ProgramsRecording:
     """
 
     def __init__(
-        self, path: Path, what: Recorded, clock: Callable[[], float] | None = None, started: datetime | None = None
+        self,
+        path: Path,
+        what: RecordingTarget,
+        clock: Callable[[], float] | None = None,
+        started: datetime | None = None,
     ) -> None:
         header = {
             "package": version(),
@@ -370,11 +377,11 @@ class ProgramsRecording:
             "time": "the robot's clock" if clock is None else "seconds since the start",
             "address": what.address, "wire": what.line, "model": what.model.name,
         }  # fmt: skip
-        self._recorder = Recorder(LogWriter(path, header), clock)
+        self._recorder = Recorder(RecordingWriter(path, header), clock)
         self._line, self._model = what.line, what.model
         self._count = 0
 
-    def around(self, stream: ByteStream) -> RecordingStream:
+    def wrap(self, stream: ByteStream) -> RecordingStream:
         """The stream, recorded."""
         self._count += 1
         tape = self._recorder.open(str(self._count), self._line, self._model)
@@ -384,7 +391,7 @@ class ProgramsRecording:
 class _Resting:
     """A tape after which the file rests."""
 
-    def __init__(self, tape: Tape, recorder: Recorder) -> None:
+    def __init__(self, tape: ConnectionRecorder, recorder: Recorder) -> None:
         self._tape, self._recorder = tape, recorder
         self.to_robot, self.to_host = tape.to_robot, tape.to_host
 

@@ -30,16 +30,16 @@ from nclient.protocol import (
 from nclient.protocol.commands import BY_NAME, REPLY_TYPES, Call
 from nclient.protocol.replies import LINE_STATE, STATE
 from nclient.protocol.tcp_framing import request_bounds
-from nclient.protocol.types import N150, Model, model_named
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.types import N150, Model, get_model
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.recording.format import IN, OPEN, OUT, Entry, Recording
-from nclient.recording.recorder import LINES, TCP, Ears, Frame, ears_for
+from nclient.recording.recorder import LINES, TCP, Frame, FrameTap, frame_tap_for
 
 _STATE_TYPE = REPLY_TYPES[STATE].to_bytes(2, "big")
 _TIMEOUT_TYPE = BY_NAME["conf_tm"].line_type or 0
 
 
-class Asked(NamedTuple):
+class RequestKey(NamedTuple):
     """What is asked, apart from the process id; `wrong`: the bytes or what is wrong with them where it is no call."""
 
     name: str
@@ -64,14 +64,14 @@ class Piece(NamedTuple):
 class Exchange:
     """A question and its answer. `line`: where the question stands."""
 
-    asked: Asked
+    asked: RequestKey
     time_s: float
     line: int
     answer: list[Piece] = field(default_factory=list)
 
 
 @dataclass(slots=True)
-class Script:
+class RecordedConnection:
     """See the head of this file. `name`: the file's."""
 
     name: str
@@ -87,41 +87,41 @@ class Script:
         return int(next(connects, 1))
 
 
-class Questions:
+class RequestReader:
     """What a program asks, out of its bytes."""
 
     def __init__(self, line: str, model: Model) -> None:
-        self.ears: Ears = ears_for(line, model)
+        self.ears: FrameTap = frame_tap_for(line, model)
         self._tcp = line == TCP
-        self._terms = line_terms(model)
+        self._wire_state = serial_wire_state(model)
 
-    def receive(self, data: bytes) -> list[Asked]:
+    def receive(self, data: bytes) -> list[RequestKey]:
         """What these bytes make whole; on a robot's own line stray bytes are passed over."""
         return [self._asked(frame) for frame in self.ears.to_robot(data) if self._tcp or not frame.wrong]
 
-    def _asked(self, frame: Frame) -> Asked:
+    def _asked(self, frame: Frame) -> RequestKey:
         if frame.wrong:
-            return Asked("", wrong=frame.wrong)
+            return RequestKey("", wrong=frame.wrong)
         try:
             return asked(self._call(frame.data))
         except WireError:
-            return Asked("", wrong=frame.data.hex())
+            return RequestKey("", wrong=frame.data.hex())
 
     def _call(self, data: bytes) -> Call:
         if self._tcp:
-            return codec.tcp_call(tcp_framing.only_frame(data, request_bounds, self.ears.wide))
-        return codec.line_call(serial_framing.only_frame(data), self._terms)
+            return codec.decode_tcp_request(tcp_framing.parse_single_frame(data, request_bounds, self.ears.wide))
+        return codec.decode_serial_request(serial_framing.parse_single_frame(data), self._wire_state)
 
 
-def asked(call: Call) -> Asked:
+def asked(call: Call) -> RequestKey:
     """A call, without the process id."""
     row, args = BY_NAME[call.name], list(call.args)
-    if row.beside and row.beside[0] == "pid":
-        del args[row.beside[1]]
-    return Asked(call.name, tuple(args))
+    if row.extra_arguments and row.extra_arguments[0] == "pid":
+        del args[row.extra_arguments[1]]
+    return RequestKey(call.name, tuple(args))
 
 
-def script_of(recording: Recording, connection: str = "") -> Script:
+def load_exchanges(recording: Recording, connection: str = "") -> RecordedConnection:
     """The script of a connection by its name, of the first where none is given. Raises RecordingError for no such."""
     names = recording.connections()
     if not names:
@@ -130,7 +130,7 @@ def script_of(recording: Recording, connection: str = "") -> Script:
         raise RecordingError(f"{recording.name}: no connection {connection!r}; there are {', '.join(names)}")
     entries = [entry for entry in recording.entries if entry.connection == (connection or names[0])]
     line, model = _spoken(recording, entries)
-    return _Writer(Script(recording.name, line, model)).write(entries)
+    return _Writer(RecordedConnection(recording.name, line, model)).write(entries)
 
 
 def _spoken(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
@@ -139,12 +139,12 @@ def _spoken(recording: Recording, entries: list[Entry]) -> tuple[str, Model]:
     if line not in LINES:
         raise RecordingError(f"{recording.name}: a connection's wire is one of {', '.join(LINES)}, not {line!r}")
     try:
-        return line, model_named(str(told.get("model", N150.name)))
+        return line, get_model(str(told.get("model", N150.name)))
     except AddressError as error:
         raise RecordingError(f"{recording.name}: {error}") from None
 
 
-def state_before(script: Script, at: int) -> bytes:
+def find_state_reply(script: RecordedConnection, at: int) -> bytes:
     """The state that was told last before an exchange, else first after it, as conf_tm is answered; empty for none."""
     for exchange in (*reversed(script.exchanges[:at]), *script.exchanges[at:]):
         row = BY_NAME.get(exchange.asked.name)
@@ -164,12 +164,12 @@ def state_before(script: Script, at: int) -> bytes:
 class _Writer:
     """Fills a script from the entries of one connection."""
 
-    def __init__(self, script: Script) -> None:
+    def __init__(self, script: RecordedConnection) -> None:
         self._script = script
-        self._questions = Questions(script.line, script.model)
+        self._questions = RequestReader(script.line, script.model)
         self._unanswered: deque[Exchange] = deque()
 
-    def write(self, entries: list[Entry]) -> Script:
+    def write(self, entries: list[Entry]) -> RecordedConnection:
         for entry in entries:
             if entry.kind == OUT:
                 self._ask(entry)
@@ -210,10 +210,10 @@ _TIMEOUT: Final = "conf_tm"
 class Player:
     """One connection, played once. `order`: one of ORDERS."""
 
-    def __init__(self, script: Script, order: str = STRICT) -> None:
+    def __init__(self, script: RecordedConnection, order: str = STRICT) -> None:
         self._script = script
         self._loose = order == LOOSE
-        self._questions = Questions(script.line, script.model)
+        self._questions = RequestReader(script.line, script.model)
         self._next = 0
 
     @property
@@ -230,19 +230,19 @@ class Player:
         """What was answered to what these bytes ask. Raises RecordingError where it was not asked (there and then)."""
         return [piece for question in self._questions.receive(data) for piece in self._answer(question)]
 
-    def _answer(self, question: Asked) -> list[Piece]:
+    def _answer(self, question: RequestKey) -> list[Piece]:
         at = self._found(question)
         if at is None:
             if question.name == _LEAVING:
                 return []
-            state = state_before(self._script, self._next) if question.name == _TIMEOUT else b""
+            state = find_state_reply(self._script, self._next) if question.name == _TIMEOUT else b""
             if state:
                 return [Piece(0.0, state)]
             raise self._missing(question)
         self._next = at + 1
         return self._script.exchanges[at].answer
 
-    def _found(self, question: Asked) -> int | None:
+    def _found(self, question: RequestKey) -> int | None:
         for at, exchange in enumerate(self._script.exchanges[self._next :], start=self._next):
             if exchange.asked == question:
                 return at
@@ -250,7 +250,7 @@ class Player:
                 return None
         return None
 
-    def _missing(self, question: Asked) -> RecordingError:
+    def _missing(self, question: RequestKey) -> RecordingError:
         name, expected = self._script.name, self._expected()
         if expected is None:
             return RecordingError(f"{name}: it ends here, and the program asks {question}; record a longer run")
@@ -269,7 +269,7 @@ class Player:
         return next((each for each in left if each.asked.name not in _FEEDING), left[0] if left else None)
 
 
-class PlayedPeer:
+class ReplayPeer:
     """A player as what answers in this process, at once: MemoryStream's other end."""
 
     def __init__(self, player: Player) -> None:

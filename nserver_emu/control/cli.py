@@ -32,14 +32,14 @@ from typing import Any, Final
 
 from nclient.common.arguments import Parser
 from nclient.common.exit_codes import ExitCode
-from nclient.common.hints import did_you_mean
+from nclient.common.hints import suggest
 from nclient.errors import ConnectionLost, ControlError, NomadError
 from nclient.faults.plan import read_plan
 from nserver_emu.control.commands import BY_NAME, COMMANDS, MAX_SPEED, ControlCommand
 from nserver_emu.control.options import socket_path
 from nserver_emu.control.socket import LONGEST_LINE, default_path
 from nserver_emu.simulation.noise import PARTS, SETUPS
-from worlds.files import world_text
+from worlds.io import read_world_text
 
 Said = dict[str, Any]
 NO_ANSWER: Final = "what answers there is no nserver of this version"
@@ -222,7 +222,7 @@ def _command(parser: argparse.ArgumentParser, words: list[str]) -> tuple[str, st
     length = 2 if words[0] in _GROUPS else 1
     name, arguments = " ".join(words[:length]), words[length:]
     if name not in BY_NAME:
-        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{did_you_mean(name, BY_NAME)}")
+        parser.error(f"no command {name!r}; there are {', '.join(BY_NAME)}{suggest(name, BY_NAME)}")
     wanted = BY_NAME[name].argument
     if wanted == WORDS and arguments:
         arguments = [" ".join(arguments)]
@@ -237,7 +237,7 @@ def _argument(name: str, given: str | None) -> object:
         case "faults set", str():
             return {"file": given, "text": read_plan(Path(given))}
         case "world set", str():
-            return {"file": given, "text": world_text(given)[0]}
+            return {"file": given, "text": read_world_text(given)[0]}
         case "save", str():
             return str(Path(given).absolute())
         case _:

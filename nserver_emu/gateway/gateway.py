@@ -1,29 +1,16 @@
-"""Who may move a real robot: one connection at a time, and the others watch. No wire, no clock, no thread.
+"""Gateway: Nserver's clients drive a real robot through the same calls.
 
-    questions, ct, ws, st    anybody, at any time
-    motions                  the owner; where there is none, whoever moves the robot first becomes it
-    all other changes        the owner; anybody while there is none
+    call ──> real_robot, simulated_robot: select which of the two a connection's robot is, for all its clients
+         ──> world, window, server; robots without a real counterpart: the simulation
+         ──> everything else: RealRobotProxy ──> translate.plan ──> ownership ──> RobotWorker ──> deferred reply
 
-Rules: the owner gives the robot up by leaving, or by letting it go with lp. A robot to be read only is moved by nobody;
-stopped by anybody all the same.
+Access to one real robot (`Ownership`):
 
-One robot's real side: who may move it, what goes to it, what comes back to each connection.
+    queries, ct, ws, st     every connection, at any time
+    motions                 the owner; where there is none, the connection that moves the robot first becomes it
+    all other changes       the owner; every connection while there is none
 
-    answer(call, visit) ──> plan ──> owner? ──> ticket ──> later: the reply, or ERROR 4, 5, 6
-    ws                      the state asked for again and again, so that nobody is kept from stopping the robot
-    conf_tm                 a client's own: the owner must speak in that time, for watchers do not feed a robot;
-                            where none has said one TIMEOUT_S, fed from here while somebody owns the robot
-
-Rules: no thread, no socket; time is an argument. Nothing here waits: an answer is there, or a Later looks for it.
-
-Nserver's clients on real robots: an emulator, with a real side for some of its robots.
-
-    call ──> real_robot, simulated_robot: which side of the connection's robot is driven, by all connected to it
-         ──> world, window, server, robots without a real side: the simulation, as ever
-         ──> everything else: the real side
-
-Rules: no thread, no socket, no clock but the one handed in with the sides. A switch is refused (ERROR 5) while another
-connection owns the robot; the side that is left stands still.
+Nothing here waits, starts a thread or reads a clock: the clock is passed in, and a reply that needs time is deferred.
 """
 
 from __future__ import annotations
@@ -38,15 +25,15 @@ from nclient.errors import AddressError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING
-from nserver_emu.gateway.robot_worker import SLOW, STOP, Outcome, RealRobot, Ticket
-from nserver_emu.gateway.shadow import Follower, Simulated
+from nserver_emu.gateway.robot_worker import SLOW, STOP, Job, JobResult, RobotWorker
+from nserver_emu.gateway.shadow import ShadowSimulation, SimulatedBackend
 from nserver_emu.gateway.translate import (
-    HIGHEST_TIMEOUT_S,
+    MAX_TIMEOUT_S,
     REAL_TIME,
     REFRESH,
     Link,
-    Plan,
-    Shaping,
+    ReplyBuilder,
+    TranslatedCall,
     moving_axes,
     plan,
     state_for,
@@ -55,66 +42,87 @@ from nserver_emu.gateway.translate import (
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.handlers.world import done
 from nserver_emu.server.ownership import MOTIONS, moves
-from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
+
+log = logging.getLogger(__name__)
 
 _CHANGES: Final = MOTIONS | {
     "lp", "sp", "ac", "dp", "da", "place_robot", "tk", "special_request", "arm_ws",
     "conf_ir", "conf_sn", "conf_cp", "conf_ls", "conf_tm", "conf_sg", "conf_ser",
 }  # fmt: skip
 
+TIMEOUT_S: Final = 5
+"""Watchdog time-out (conf_tm) of the real robot where no client sets one: it stops the robot if the gateway dies."""
+POLL_S: Final = 0.05
+"""Interval at which ws asks whether the axes still move."""
+_CLOCK_MODULUS_MS: Final = 2**32
+_SPEED_SLOT: Final = 0
+REAL, SIMULATED = "real_robot", "simulated_robot"
+
+WrapBackend = Callable[[Backend], Backend]
+"""Puts wrappers, such as a speed limit, around a backend."""
+
 
 def changes(call: Call) -> bool:
-    """Whether this call changes the robot. st does not count, nor does an mv that leaves all axes: programs ping so."""
+    """Return True if the call changes the robot.
+
+    st does not count, and neither does an mv that leaves all axes alone, which programs use to ping.
+    """
     if call.name == "mv":
         return any(call.args[::2])
     return call.name in _CHANGES
 
 
 class Ownership:
-    """Whose one robot is. `owner` is None while it is nobody's."""
+    """Access of connections to one real robot.
+
+    The owner gives the robot up by closing its connection or by lp. A read-only robot cannot be moved by any
+    connection; stopping it is always allowed.
+    """
 
     def __init__(self, *, read_only: bool = False) -> None:
         self.read_only = read_only
-        self.owner: Visit | None = None
+        self.owner: ConnectionContext | None = None
 
-    def allows(self, call: Call, visit: Visit) -> bool:
-        """Whether this connection may say that now; a motion that may makes it the owner, lp makes nobody it."""
+    def allows(self, call: Call, context: ConnectionContext) -> bool:
+        """Return True if this connection may make the call now.
+
+        An allowed motion makes the connection the owner; lp releases the robot.
+        """
         if not changes(call):
             return True
-        if self.read_only or not self.is_free_for(visit):
+        if self.read_only or not self.is_free_for(context):
             return False
         if call.name == "lp":
             self.owner = None
         elif moves(call):
-            self.owner = visit
+            self.owner = context
         return True
 
-    def is_free_for(self, visit: Visit) -> bool:
-        """Whether nobody else owns the robot."""
-        return self.owner is None or self.owner is visit
+    def is_free_for(self, context: ConnectionContext) -> bool:
+        """Return True if no other connection owns the robot."""
+        return self.owner is None or self.owner is context
 
 
-log = logging.getLogger(__name__)
+class RealRobotProxy:
+    """The real counterpart of one simulated robot: ownership, masks and watchdog of its connections.
 
-TIMEOUT_S: Final = 5
-"""A robot that nobody speaks to for so long stops; it is what a gateway that dies leaves behind."""
-POLL_S: Final = 0.05
-"""Between two questions of one ws whether the axes are still."""
-_CLOCK: Final = 2**32
-_SPEED_SLOT: Final = 0
+    The watchdog (conf_tm) belongs to the owner: it must send something within its time-out, since requests of other
+    connections do not count. Where no connection has set one, TIMEOUT_S applies, and the proxy refreshes the robot's
+    watchdog while the robot is owned.
 
-
-class RealSide:
-    """See the head of this file. `opens` reaches the robot, and raises where it cannot; `clock` tells seconds.
-
-    `feed_s`: how long nothing may be said to a robot that somebody owns; `active`: whether connections drive this or
-    the simulated robot.
+    Parameters
+    ----------
+    open_backend : opens the connection to the robot; raises where it cannot.
+    clock : returns seconds, monotonic.
+    read_only : refuse everything that changes the robot.
+    feed_s : longest time without a request to an owned robot, in seconds.
     """
 
     def __init__(
         self,
-        opens: Callable[[], Backend],
+        open_backend: Callable[[], Backend],
         clock: Callable[[], float],
         *,
         read_only: bool = False,
@@ -122,256 +130,282 @@ class RealSide:
     ) -> None:
         self.ownership = Ownership(read_only=read_only)
         self.active = True
+        """True while connections drive this robot, False while they drive the simulated one."""
         self.last: Reply | None = None
-        """The state that came last."""
-        self.follower: Follower | None = None
+        """The latest state."""
+        self.shadow: ShadowSimulation | None = None
         self._clock = clock
         self._feed_s = feed_s
-        self._said_s = self._heard_s = clock()
-        self._stopped_for_silence = False
-        self._wishes: dict[Visit, int] = {}
-        self._position = 0
-        self._timeout: tuple[Visit, int] | None = None
-        self.robot = RealRobot(opens, self.opening)
+        self._last_sent_s = self._owner_seen_s = clock()
+        self._is_stopped_by_timeout = False
+        self._stamp_masks: dict[ConnectionContext, int] = {}
+        self._stamp_mask = 0
+        self._timeout: tuple[ConnectionContext, int] | None = None
+        self.robot = RobotWorker(open_backend, self.opening_calls)
 
-    def answer(self, call: Call, visit: Visit) -> Reply | Later:
-        """What a connection gets for a call."""
-        self._hear(visit)
-        found = plan(call, visit, self.robot.link)
-        if isinstance(found, int):
-            return error_reply(found)
-        if not self.ownership.allows(call, visit):
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
+        """Return the reply to a connection's call, or a deferred reply."""
+        self._note_owner_alive(context)
+        # 1. Translate: the calls for the robot, and the reply that is made from its last answer.
+        translated = plan(call, context, self.robot.link)
+        if isinstance(translated, int):
+            return error_reply(translated)
+        # 2. Check that this connection may do that.
+        if not self.ownership.allows(call, context):
             return error_reply(REFUSED)
+        # 3. Calls that depend on what other connections have set.
         match call.name:
             case "ws":
-                return self._wait(call.args, visit)
+                return self._wait(call.args, context)
             case "ct":
-                found = Plan(self._agree(visit) or found.calls, found.shape)
+                translated = TranslatedCall(self._set_stamp_mask(context) or translated.calls, translated.build_reply)
             case "conf_tm":
-                self._timeout = (visit, found.calls[0].args[0]) if call.args[0] > 0 else None
-                found = Plan((self._timeout_call(),), found.shape)
+                self._timeout = (context, translated.calls[0].args[0]) if call.args[0] > 0 else None
+                translated = TranslatedCall((self._timeout_call(),), translated.build_reply)
             case _:
                 pass
-        if found.calls != (REFRESH,):
-            return self._promise(self._submit(found.calls, call), found.shape, visit)
-        if self.robot.saying in SLOW and self.last is not None:  # what there is: its clock tells how old it is
-            return found.shape(visit, self.last, self.robot.link)
-        return self._promise(self.refresh(), found.shape, visit)
+        # 4. Queue the calls. A request for the state shares the reply that others wait for.
+        if translated.calls != (REFRESH,):
+            return self._defer(self._submit(translated.calls, call), translated.build_reply, context)
+        if self.robot.current_command in SLOW and self.last is not None:  # the latest state; its clock shows its age
+            return translated.build_reply(context, self.last, self.robot.link)
+        return self._defer(self.refresh(), translated.build_reply, context)
 
-    def leave(self, visit: Visit) -> None:
-        """A connection is gone: a robot that it owned stops, a time-out that it set is not in force any more."""
-        self._wishes.pop(visit, None)
-        if self.ownership.owner is visit:
-            self.let_go()
-        if self._timeout is not None and self._timeout[0] is visit:
+    def on_disconnect(self, context: ConnectionContext) -> None:
+        """Handle a closed connection: stop a robot that it owned, cancel a time-out that it set."""
+        self._stamp_masks.pop(context, None)
+        if self.ownership.owner is context:
+            self.release()
+        if self._timeout is not None and self._timeout[0] is context:
             self._timeout = None
             self._submit((self._timeout_call(),))
 
     def stop(self) -> None:
-        """Whoever owns the robot: it stops."""
+        """Stop the robot, whichever connection owns it."""
         self._submit((STOP,))
 
-    def let_go(self) -> None:
-        """The robot is not driven from here any more: it stops, and is nobody's."""
+    def release(self) -> None:
+        """Stop the robot and remove its owner."""
         self.ownership.owner = None
         if not self.ownership.read_only:
             self._submit((STOP,))
 
     def tick(self) -> None:
-        """Time has passed: follow the robot; feed one that somebody owns, stop one whose owner has gone dumb."""
-        self.catch_up()
+        """Process results; refresh the watchdog of an owned robot, or stop it if its owner is silent for too long."""
+        self.process_results()
         if not self.active or self.ownership.owner is None:
             return
         if self._timeout is None:
-            if self._since_s(self._said_s) >= self._feed_s:
+            if self._elapsed_s(self._last_sent_s) >= self._feed_s:
                 self.refresh()
-        elif self._since_s(self._heard_s) > self._timeout[1] and not self._stopped_for_silence:
-            log.warning("the real robot's owner has said nothing for %d s, its time-out: stopped", self._timeout[1])
-            self._stopped_for_silence = True
+        elif self._elapsed_s(self._owner_seen_s) > self._timeout[1] and not self._is_stopped_by_timeout:
+            log.warning("the real robot's owner sent nothing for %d s, its time-out: stopped", self._timeout[1])
+            self._is_stopped_by_timeout = True
             self._submit((STOP,))
 
-    def refresh(self) -> Ticket:
-        """Have the state asked for."""
-        self._said_s = self._clock()
+    def refresh(self) -> Job:
+        """Request the state."""
+        self._last_sent_s = self._clock()
         return self.robot.refresh()
 
-    def catch_up(self) -> None:
-        """See what the robot has done since, and let the shadow do it."""
+    def process_results(self) -> None:
+        """Take over the results of finished jobs and pass them to the shadow simulation."""
         while self.robot.finished:
-            ticket = self.robot.finished.popleft()
-            assert ticket.outcome is not None
-            states = [reply for reply in ticket.outcome.replies if reply.kind == "state"]
+            job = self.robot.finished.popleft()
+            assert job.result is not None
+            states = [reply for reply in job.result.replies if reply.kind == "state"]
             self.last = states[-1] if states else self.last
-            slow = ticket.calls[0].name in SLOW
-            self._follow(() if slow else ticket.simulated, states[-1] if states else None)
+            is_slow = job.calls[0].name in SLOW  # the shadow began it when it was submitted
+            self._update_shadow(() if is_slow else job.simulated_calls, states[-1] if states else None)
 
-    def opening(self, link: Link, again: bool) -> Iterable[Call]:
-        """What a robot is told when it is reached: to stop where it was lost, its time-out, what to send."""
+    def opening_calls(self, link: Link, reconnected: bool) -> Iterable[Call]:
+        """Yield the first calls after a (re)connection: stop where the robot was lost, watchdog, mask."""
         if not self.ownership.read_only:
-            yield from (STOP,) if again else ()
+            yield from (STOP,) if reconnected else ()
             yield self._timeout_call()
         if link.masks:
-            yield Call("ct", EVERYTHING.with_position(self._position).smask)
+            yield Call("ct", EVERYTHING.with_position(self._stamp_mask).smask)
 
     @property
-    def last_words(self) -> tuple[Call, ...]:
-        """What a robot is told in the end: to stop, if it may be moved from here."""
+    def shutdown_calls(self) -> tuple[Call, ...]:
+        """The last calls at the end: a stop, unless the robot is read-only."""
         return () if self.ownership.read_only else (STOP,)
 
     def close(self) -> None:
-        """Stop the robot and let it go. Twice is fine."""
-        self.robot.close(*self.last_words)
-        self.catch_up()
+        """Stop the robot and close its connection. May be called twice."""
+        self.robot.close(*self.shutdown_calls)
+        self.process_results()
 
-    def _hear(self, visit: Visit) -> None:
-        """The owner lives; who is about to become it has spoken just now as well."""
-        if self.ownership.is_free_for(visit):
-            self._heard_s = self._clock()
-            self._stopped_for_silence = False
+    def _note_owner_alive(self, context: ConnectionContext) -> None:
+        """Restart the owner's time-out; a connection that is about to become the owner counts as well."""
+        if self.ownership.is_free_for(context):
+            self._owner_seen_s = self._clock()
+            self._is_stopped_by_timeout = False
 
-    def _since_s(self, then_s: float) -> float:
-        """Seconds since then, as the robot's time runs and its time-out with it: a simulation waits to be asked."""
+    def _elapsed_s(self, since_s: float) -> float:
+        """Return the seconds since then at the robot's pace: a simulation behind another Nserver may run faster."""
         pace = REAL_TIME if self.last is None else self.last.slots.get(_SPEED_SLOT, REAL_TIME)
-        return (self._clock() - then_s) * pace / REAL_TIME
+        return (self._clock() - since_s) * pace / REAL_TIME
 
-    def _submit(self, calls: tuple[Call, ...], meant: Call | None = None) -> Ticket:
-        self._said_s = self._clock()
-        if calls[0].name in SLOW and not self.robot.silent:
-            self._follow(calls)
-        return self.robot.submit(calls, moves=meant is not None and moves(meant), meant=meant)
+    def _submit(self, calls: tuple[Call, ...], request: Call | None = None) -> Job:
+        self._last_sent_s = self._clock()
+        if calls[0].name in SLOW and not self.robot.is_silent:
+            self._update_shadow(calls)
+        return self.robot.submit(calls, moves=request is not None and moves(request), request=request)
 
-    def _follow(self, calls: Iterable[Call], state: Reply | None = None) -> None:
-        """The shadow does what the robot has done, or what it begins now and is long about."""
-        if self.follower is not None and self.active:
-            self.follower.follow(calls, state)
+    def _update_shadow(self, calls: Iterable[Call], state: Reply | None = None) -> None:
+        """Let the shadow simulation make the calls that the robot made, or begins now and needs long for."""
+        if self.shadow is not None and self.active:
+            self.shadow.update(calls, state)
 
-    def _promise(self, ticket: Ticket, shape: Shaping, visit: Visit) -> Later:
-        def later() -> Reply | None:
-            self._hear(visit)
-            self.catch_up()
-            return None if ticket.outcome is None else self._shaped(ticket.outcome, shape, visit)
+    def _defer(self, job: Job, build_reply: ReplyBuilder, context: ConnectionContext) -> DeferredReply:
+        def poll() -> Reply | None:
+            self._note_owner_alive(context)
+            self.process_results()
+            return None if job.result is None else self._reply(job.result, build_reply, context)
 
-        return later
+        return poll
 
-    def _shaped(self, outcome: Outcome, shape: Shaping, visit: Visit) -> Reply:
-        if outcome.code is not None:
-            return error_reply(outcome.code)
-        return shape(visit, outcome.replies[-1], self.robot.link)
+    def _reply(self, result: JobResult, build_reply: ReplyBuilder, context: ConnectionContext) -> Reply:
+        if result.code is not None:
+            return error_reply(result.code)
+        return build_reply(context, result.replies[-1], self.robot.link)
 
-    def _wait(self, args: tuple[int, ...], visit: Visit) -> Later:
-        """ws: on the robot's own clock, which is the simulated one's where the robot is a simulation."""
+    def _wait(self, args: tuple[int, ...], context: ConnectionContext) -> DeferredReply:
+        """Return the deferred reply of ws: the state is polled, so that other connections can stop the robot meanwhile.
+
+        The time-out runs on the robot's own clock, which is simulated time where the robot is a simulation.
+        """
         axes = sum(bool(flag) << axis for axis, flag in enumerate(args[:3]))
-        longest_ms = 1000 * max(0, args[3])
-        begun_ms: int | None = None
-        ticket: Ticket | None = None
-        asked_s = 0.0
+        timeout_ms = 1000 * max(0, args[3])
+        start_ms: int | None = None
+        job: Job | None = None
+        last_poll_s = 0.0
 
-        def later() -> Reply | None:
-            nonlocal begun_ms, ticket, asked_s
-            self._hear(visit)
-            if ticket is None:
-                if begun_ms is None or self._clock() - asked_s >= POLL_S:
-                    ticket, asked_s = self.refresh(), self._clock()
+        def poll() -> Reply | None:
+            nonlocal start_ms, job, last_poll_s
+            self._note_owner_alive(context)
+            # 1. Request the state, at most once per POLL_S.
+            if job is None:
+                if start_ms is None or self._clock() - last_poll_s >= POLL_S:
+                    job, last_poll_s = self.refresh(), self._clock()
                 return None
-            self.catch_up()
-            if ticket.outcome is None:
+            # 2. Wait for it.
+            self.process_results()
+            if job.result is None:
                 return None
-            outcome, ticket = ticket.outcome, None
-            if outcome.code is None:
-                state = outcome.replies[-1]
+            result, job = job.result, None
+            # 3. Done if no selected axis moves, or the time-out has passed.
+            if result.code is None:
+                state = result.replies[-1]
                 now_ms = state.clock or 0
-                begun_ms = now_ms if begun_ms is None else begun_ms
-                if moving_axes(state) & axes and (now_ms - begun_ms) % _CLOCK < longest_ms:
+                start_ms = now_ms if start_ms is None else start_ms
+                if moving_axes(state) & axes and (now_ms - start_ms) % _CLOCK_MODULUS_MS < timeout_ms:
                     return None
-            return self._shaped(outcome, state_for, visit)
+            return self._reply(result, state_for, context)
 
-        return later
+        return poll
 
-    def _agree(self, visit: Visit) -> tuple[Call, ...]:
-        """A connection's mask: the robot sends everything, with the stamps that any connection wants."""
-        self._wishes[visit] = visit.terms.mask.position
-        position = 0
-        for wish in self._wishes.values():
-            position |= wish
-        if position == self._position:
+    def _set_stamp_mask(self, context: ConnectionContext) -> tuple[Call, ...]:
+        """Return the ct call that a connection's new mask requires; empty if it requires none.
+
+        The robot sends all slots, with the position stamps that any of the connections wants.
+        """
+        self._stamp_masks[context] = context.wire_state.mask.position
+        union = 0
+        for mask in self._stamp_masks.values():
+            union |= mask
+        if union == self._stamp_mask:
             return ()
-        self._position = position
-        return (Call("ct", EVERYTHING.with_position(position).smask),)
+        self._stamp_mask = union
+        return (Call("ct", EVERYTHING.with_position(union).smask),)
 
     def _timeout_call(self) -> Call:
         timeout_s = TIMEOUT_S if self._timeout is None else self._timeout[1]
-        return Call("conf_tm", (min(timeout_s, HIGHEST_TIMEOUT_S),))
-
-
-Around = Callable[[Backend], Backend]
-"""What is put around a backend."""
-REAL, SIMULATED = "real_robot", "simulated_robot"
+        return Call("conf_tm", (min(timeout_s, MAX_TIMEOUT_S),))
 
 
 class Gateway:
-    """`sides`: the real ones, by the numbers of their robots; `shadow`: whether the simulated ones follow them, with
-    `around` put around them as backends.
+    """An emulator in which some robots have a real counterpart.
 
-    Raises AddressError where the simulated robot of a number is of another model than the real one.
+    Switching between the real and the simulated robot is refused (ERROR 5) while another connection owns the robot;
+    the one that is left is stopped.
+
+    Parameters
+    ----------
+    emulator : answers everything that no real robot answers.
+    proxies : the real robots by number.
+    shadow : let the simulated robots repeat what the real ones do.
+    wrap : wrappers around the simulated robots as backends, the same as around the real ones.
+
+    Raises
+    ------
+    AddressError
+        If a simulated robot is of another model than its real counterpart.
     """
 
     def __init__(
-        self, emulator: Emulator, sides: Mapping[int, RealSide], *, shadow: bool = False, around: Around = lambda it: it
+        self,
+        emulator: Emulator,
+        proxies: Mapping[int, RealRobotProxy],
+        *,
+        shadow: bool = False,
+        wrap: WrapBackend = lambda backend: backend,
     ) -> None:
-        self.sides = sides
+        self.proxies = proxies
         self._emulator = emulator
-        for robot_id, side in sides.items():
-            simulated, link = partial(self._simulated, robot_id), side.robot.link
+        for robot_id, proxy in proxies.items():
+            simulated, link = partial(self._simulated, robot_id), proxy.robot.link
             if simulated().model.family != link.model.name:
                 raise AddressError(f"robot {robot_id} is a {simulated().model.family} in the simulation and really a "
                                    f"{link.model.name}; model= in the address and --robot must say the same")
             if shadow:
-                following = around(Simulated(emulator.answer, robot_id, link.model))
-                side.follower = Follower(following, simulated, link)
-                side.refresh()
+                backend = wrap(SimulatedBackend(emulator.answer, robot_id, link.model))
+                proxy.shadow = ShadowSimulation(backend, simulated, link)
+                proxy.refresh()
 
-    def answer(self, call: Call, visit: Visit) -> Reply | Later:
-        """The reply to a call, or a promise of it: from the real robot, where the connection's robot is one."""
-        side = None if visit.robot_id is None else self.sides.get(visit.robot_id)
-        if side is None:
-            return self._emulator.answer(call, visit)
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
+        """Return the reply to a call, or a deferred one: from the real robot where the connection's robot is one."""
+        proxy = None if context.robot_id is None else self.proxies.get(context.robot_id)
+        if proxy is None:
+            return self._emulator.answer(call, context)
         if call.name in (REAL, SIMULATED):
-            return self._switch(side, visit, to_real=call.name == REAL)
-        if not side.active or stays_here(call.name):
-            return self._emulator.answer(call, visit)
-        meant = self._emulator.holds.meant(call, visit.robot_id)
-        return error_reply(REFUSED) if meant is None else side.answer(meant, visit)
+            return self._switch(proxy, context, to_real=call.name == REAL)
+        if not proxy.active or stays_here(call.name):
+            return self._emulator.answer(call, context)
+        effective = self._emulator.estop.effective_call(call, context.robot_id)
+        return error_reply(REFUSED) if effective is None else proxy.answer(effective, context)
 
     def hold(self, robot_id: int, by: str) -> None:
-        """Stop a robot, the real one too where it is driven, and let nobody move it until it is released."""
+        """Stop a robot, the real one too where it is driven, and refuse motions until it is released."""
         self._emulator.hold(robot_id, by)
-        side = self.sides.get(robot_id)
-        if side is not None and side.active:
-            side.stop()
+        proxy = self.proxies.get(robot_id)
+        if proxy is not None and proxy.active:
+            proxy.stop()
 
-    def leave(self, visit: Visit) -> None:
-        """A connection is gone: what it drove stops, on either side."""
-        self._emulator.leave(visit)
-        for side in self.sides.values():
-            side.leave(visit)
+    def on_disconnect(self, context: ConnectionContext) -> None:
+        """Handle a closed connection: stop what it drove, real or simulated."""
+        self._emulator.on_disconnect(context)
+        for proxy in self.proxies.values():
+            proxy.on_disconnect(context)
 
     def tick(self) -> None:
-        """Time has passed."""
-        for side in self.sides.values():
-            side.tick()
+        """Let all real robots process results and time-outs."""
+        for proxy in self.proxies.values():
+            proxy.tick()
 
-    def _switch(self, side: RealSide, visit: Visit, *, to_real: bool) -> Reply:
-        assert visit.robot_id is not None
-        if not side.ownership.is_free_for(visit):
+    def _switch(self, proxy: RealRobotProxy, context: ConnectionContext, *, to_real: bool) -> Reply:
+        assert context.robot_id is not None
+        if not proxy.ownership.is_free_for(context):
             return error_reply(REFUSED)
-        if side.active != to_real:
-            log.warning("robot %d is the %s one from now on", visit.robot_id, "real" if to_real else "simulated")
+        if proxy.active != to_real:
+            log.warning("robot %d is the %s one from now on", context.robot_id, "real" if to_real else "simulated")
             if to_real:
-                self._simulated(visit.robot_id).stop()
-                self._emulator.look_anew()
+                self._simulated(context.robot_id).stop()
+                self._emulator.invalidate_state_cache()
             else:
-                side.let_go()
-            side.active = to_real
+                proxy.release()
+            proxy.active = to_real
         return done()
 
     def _simulated(self, robot_id: int) -> SimulatedRobot:

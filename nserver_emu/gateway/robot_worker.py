@@ -1,12 +1,12 @@
-"""The conversation with one real robot: what is to be said waits in a row, and a thread of its own says it.
+"""Request queue of one real robot: jobs wait in a queue, and one worker thread carries them out.
 
-    submit(calls) ──> row ──> work() ──> backend.execute ──> ticket.outcome ──> news()
-                                 └── silence ──> every ticket ERROR 6 ──> reconnect, with growing pauses ──> opening
+    submit(calls) ──> queue ──> run_next() ──> backend.execute ──> job.result ──> on_result()
+                                     └── no reply ──> pending jobs fail with ERROR 6 ──> reconnect with growing pauses
 
-Rules: only the thread that works waits for the robot. st goes before all others, voids the motions that have not begun,
-and breaks off what keeps the line for long; one that does not get through is said as soon as the robot answers again.
-Who asks for the state while such a question still waits shares its answer. `work` can be called without a thread; it
-knows no clock, and says how long to pause.
+Only the worker thread waits for the robot. A stop (st) goes to the head of the queue, cancels the motions that have not
+begun, and interrupts commands that occupy the line for long. A stop that fails is repeated as soon as the robot answers
+again. Requests for the state that wait at the same time share one reply.
+`run_next` can be called without a thread; it reads no clock, and returns the pause that it wants.
 """
 
 from __future__ import annotations
@@ -28,79 +28,96 @@ from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, REFUSED
 log = logging.getLogger(__name__)
 
 NO_ANSWER: Final = 6
-"""The code of the ERROR reply for a real robot that does not answer."""
-FIRST_PAUSE_S: Final = 0.5
-LONGEST_PAUSE_S: Final = 8.0
-"""Pauses between attempts to reach a silent robot grow from the first to the longest, twice as long each time."""
-LAST_WORDS_S: Final = 3.0
-"""How long the end may take: longer than an answer does, and than the host's time-out of 1 s for one."""
+"""Code of the ERROR reply for a real robot that does not answer."""
+MIN_RETRY_PAUSE_S: Final = 0.5
+MAX_RETRY_PAUSE_S: Final = 8.0
+"""Pause between attempts to reach a silent robot: doubled each time, from the minimum to the maximum."""
+SHUTDOWN_TIMEOUT_S: Final = 3.0
+"""Longest wait for the worker thread at the end; a reply takes at most 1 s, the host's reply time-out."""
 
 STOP: Final = Call("st")
 SLOW: Final = frozenset({"zr", "arm_zr", "arm_ws", "special_request"})
-"""Commands that keep the line for many seconds."""
+"""Commands that occupy the line for many seconds."""
 
-Opening = Callable[[Link, bool], Iterable[Call]]
-"""What is to be said to a robot that has just been reached, again or for the first time: what all else relies on."""
+OpeningCalls = Callable[[Link, bool], Iterable[Call]]
+"""Maps (link, reconnected) to the calls that a robot needs first: those that all later ones rely on."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of calls: the replies, or the code of an ERROR."""
+class JobResult:
+    """Result of a job: the replies, or the code of an ERROR reply."""
 
     replies: tuple[Reply, ...] = ()
     code: int | None = None
 
 
 @dataclass(slots=True, eq=False)
-class Ticket:
-    """Calls that are to be made one after another. `moves`: whether a stop that comes first makes them void; `meant`:
-    what a client said, where that was something else."""
+class Job:
+    """Calls to be made one after another.
+
+    Attributes
+    ----------
+    calls : the calls for the robot.
+    moves : True if a stop that arrives first cancels the job.
+    request : the client's own call, where `calls` is a translation of it.
+    result : None until the job is done.
+    """
 
     calls: tuple[Call, ...]
     moves: bool = False
-    meant: Call | None = None
-    outcome: Outcome | None = field(default=None)
+    request: Call | None = None
+    result: JobResult | None = field(default=None)
 
     @property
-    def stops(self) -> bool:
-        """Whether it is a stop."""
+    def is_stop(self) -> bool:
+        """True for a stop (st)."""
         return self.calls[0] == STOP
 
     @property
-    def simulated(self) -> tuple[Call, ...]:
-        """What a simulation does that is to do the same."""
-        return self.calls if self.meant is None else (self.meant,)
+    def simulated_calls(self) -> tuple[Call, ...]:
+        """The calls with which a simulation does the same."""
+        return self.calls if self.request is None else (self.request,)
 
 
-class RealRobot:
-    """One robot behind an address. `opens` reaches it, at once and whenever it was lost.
+class RobotWorker:
+    """Request queue and worker thread of one real robot.
 
-    Raises what `opens` raises when it cannot be reached at the start, ReplyTimeout when it does not answer.
+    Parameters
+    ----------
+    open_backend : opens a connection to the robot; called now, and again whenever the robot was lost.
+    opening_calls : the first calls after each (re)connection.
+
+    Raises
+    ------
+    ReplyTimeout
+        If the robot does not answer. Other errors are those of `open_backend`.
     """
 
-    def __init__(self, opens: Callable[[], Backend], opening: Opening = lambda _link, _again: ()) -> None:
-        self.opening = opening
-        self.news: Callable[[], None] = lambda: None
-        """Called after each outcome, by the thread that works."""
-        self.finished: deque[Ticket] = deque()
-        """Tickets that were carried out, in that order, for whoever follows the robot."""
-        self.silent = False
-        self.saying: str | None = None
-        """The call that is being made."""
-        self._row: deque[Ticket] = deque()
-        self._refreshing: Ticket | None = None
+    def __init__(
+        self, open_backend: Callable[[], Backend], opening_calls: OpeningCalls = lambda _link, _reconnected: ()
+    ) -> None:
+        self.opening_calls = opening_calls
+        self.on_result: Callable[[], None] = lambda: None
+        """Called by the worker thread after each result."""
+        self.finished: deque[Job] = deque()
+        """Successful jobs in the order in which they ran, for the shadow simulation to consume."""
+        self.is_silent = False
+        self.current_command: str | None = None
+        """Name of the command that is being executed."""
+        self._queue: deque[Job] = deque()
+        self._pending_refresh: Job | None = None
         self._pause_s = 0.0
-        self._lost = False
-        self._owes_a_stop = False
+        self._is_lost = False
+        self._owes_stop = False
         self._changed = threading.Condition()
-        self._breaking_off = threading.Lock()
-        self._ending = False
+        self._backend_lock = threading.Lock()
+        self._is_closing = False
         self._thread: threading.Thread | None = None
-        self._opens = opens
-        self._backend = opens()
+        self._open_backend = open_backend
+        self._backend = open_backend()
         try:
-            self.link = Link(self._backend.terms.model, self._backend.terms.line)
-            self._settle(again=False)
+            self.link = Link(self._backend.wire_state.model, self._backend.wire_state.line)
+            self._send_opening_calls(reconnected=False)
             self._backend.execute(REFRESH)
         except ReplyTimeout as error:
             self._backend.close()
@@ -110,173 +127,190 @@ class RealRobot:
             raise
 
     def start(self) -> None:
-        """Work on a thread of its own until `close`."""
+        """Start the worker thread; it runs until `close`."""
         self._thread = threading.Thread(target=self._run, name="real robot", daemon=True)
         self._thread.start()
 
-    def submit(self, calls: tuple[Call, ...], *, moves: bool = False, meant: Call | None = None) -> Ticket:
-        """Have calls made in turn; a stop at once. A robot that is silent has its outcome already."""
-        ticket = Ticket(calls, moves, meant)
+    def submit(self, calls: tuple[Call, ...], *, moves: bool = False, request: Call | None = None) -> Job:
+        """Queue calls; a stop goes first.
+
+        Returns
+        -------
+        Job
+            With a result already where the robot is silent.
+        """
+        job = Job(calls, moves, request)
         with self._changed:
-            hopeless = self.silent and (self._pause_s > 0.0 or not ticket.stops)
-            if hopeless or self._ending:
-                self._fail(ticket)
-                return ticket
-            if ticket.stops:
-                self._void_motions()
-                self._row.appendleft(ticket)
+            # While a lost robot is retried only a first stop is worth queueing: it may still get through.
+            cannot_succeed = self.is_silent and (self._pause_s > 0.0 or not job.is_stop)
+            if cannot_succeed or self._is_closing:
+                self._fail(job)
+                return job
+            if job.is_stop:
+                self._cancel_motions()
+                self._queue.appendleft(job)
             else:
-                self._row.append(ticket)
+                self._queue.append(job)
             self._changed.notify()
-        if ticket.stops:
-            self._break_off()
-        return ticket
+        if job.is_stop:
+            self._interrupt_slow_command()
+        return job
 
-    def refresh(self) -> Ticket:
-        """Have the state asked for, once for all who want it and have not begun to get it."""
+    def refresh(self) -> Job:
+        """Queue a request for the state, or return the one that is still waiting."""
         with self._changed:
-            if self._refreshing is None:
-                self._refreshing = self.submit((REFRESH,))
-                if self._refreshing.outcome is not None:
-                    ticket, self._refreshing = self._refreshing, None
-                    return ticket
-            return self._refreshing
+            if self._pending_refresh is None:
+                self._pending_refresh = self.submit((REFRESH,))
+                if self._pending_refresh.result is not None:
+                    job, self._pending_refresh = self._pending_refresh, None
+                    return job
+            return self._pending_refresh
 
-    def work(self) -> float | None:
-        """Do what is next; seconds to pause before there is more to do, None: until something is submitted."""
-        if self.silent and not self._recover():
+    def run_next(self) -> float | None:
+        """Carry out the next job.
+
+        Returns
+        -------
+        float or None
+            Seconds to pause before the next call; None: nothing to do until something is submitted.
+        """
+        if self.is_silent and not self._try_reconnect():
             return self._pause_s
         with self._changed:
-            if not self._row:
+            if not self._queue:
                 return None
-            ticket = self._row.popleft()
-            if ticket is self._refreshing:
-                self._refreshing = None
-        outcome = Outcome(code=NO_ANSWER)
+            job = self._queue.popleft()
+            if job is self._pending_refresh:
+                self._pending_refresh = None
+        result = JobResult(code=NO_ANSWER)
         try:
-            outcome = self._say(ticket.calls)
+            result = self._execute(job.calls)
         finally:
-            self.saying = None
-            ticket.outcome = outcome
-            self._owes_a_stop |= ticket.stops and outcome.code == NO_ANSWER
-            if outcome.code is None:
-                self.finished.append(ticket)
-            self.news()
+            self.current_command = None
+            job.result = result
+            self._owes_stop |= job.is_stop and result.code == NO_ANSWER
+            if result.code is None:
+                self.finished.append(job)
+            self.on_result()
         return 0.0
 
-    def close(self, *last_words: Call) -> None:
-        """Say the last words, if the robot still listens, and leave. Nothing else is said any more. Twice is fine."""
+    def close(self, *shutdown_calls: Call) -> None:
+        """Send the last calls if the robot still answers, and close the connection. May be called twice."""
         with self._changed:
-            if self._ending:
+            if self._is_closing:
                 return
-            self._fail_all()
-            if not self.silent:
-                self._row.extend(Ticket((call,)) for call in last_words)
-            self._ending = True
+            self._fail_pending()
+            if not self.is_silent:
+                self._queue.extend(Job((call,)) for call in shutdown_calls)
+            self._is_closing = True
             self._changed.notify()
-        if last_words:
-            self._break_off()
+        if shutdown_calls:
+            self._interrupt_slow_command()
         if self._thread is None:
-            while self._row and not self.silent:
-                self.work()
+            while self._queue and not self.is_silent:
+                self.run_next()
         else:
-            self._thread.join(LAST_WORDS_S)
+            self._thread.join(SHUTDOWN_TIMEOUT_S)
         self._backend.close()
         if self._thread is not None:
-            self._thread.join(LAST_WORDS_S)
+            self._thread.join(SHUTDOWN_TIMEOUT_S)
 
     def _run(self) -> None:
-        while not (self._ending and (self._pause_s > 0.0 or not self._row)):
+        while not (self._is_closing and (self._pause_s > 0.0 or not self._queue)):
             try:
-                pause_s = self.work()
+                pause_s = self.run_next()
             except Exception:
-                log.exception("the real robot's conversation broke off because of a fault of ours")
-                self._fell_silent("a fault of ours")
-                pause_s = FIRST_PAUSE_S
+                log.exception("internal error in the real robot's worker thread")
+                self._mark_silent("internal error")
+                pause_s = MIN_RETRY_PAUSE_S
             with self._changed:
-                if not self._ending and (self.silent or not self._row):
+                if not self._is_closing and (self.is_silent or not self._queue):
                     self._changed.wait(pause_s)
 
-    def _say(self, calls: Iterable[Call]) -> Outcome:
+    def _execute(self, calls: Iterable[Call]) -> JobResult:
         replies = []
         for call in calls:
-            self.saying = call.name
+            self.current_command = call.name
             try:
                 replies.append(self._backend.execute(call))
             except RobotRefused as error:
-                return Outcome(code=NOT_AVAILABLE if error.code is None else error.code)
+                return JobResult(code=NOT_AVAILABLE if error.code is None else error.code)
             except WireError as error:
-                log.info("%s cannot be said to the real robot: %s", call.name, error)
-                return Outcome(code=BAD_VALUES)
+                log.info("%s cannot be sent to the real robot: %s", call.name, error)
+                return JobResult(code=BAD_VALUES)
             except BumperHit as error:
                 log.warning("the real robot was stopped: %s", error)
-                return Outcome(code=REFUSED)
+                return JobResult(code=REFUSED)
             except NomadError as error:
-                self._fell_silent(str(error))
-                return Outcome(code=NO_ANSWER)
-        return Outcome(tuple(replies))
+                self._mark_silent(str(error))
+                return JobResult(code=NO_ANSWER)
+        return JobResult(tuple(replies))
 
-    def _fell_silent(self, why: str) -> None:
-        log.warning("the real robot does not answer: %s", why)
+    def _mark_silent(self, reason: str) -> None:
+        log.warning("the real robot does not answer: %s", reason)
         with self._changed:
-            self.silent = True
+            self.is_silent = True
             self._pause_s = 0.0
-            self._fail_all(but_stops=True)
+            self._fail_pending(but_stops=True)
 
-    def _recover(self) -> bool:
-        """Try to reach it; first at once, for a line that lost one answer and is there. Else it may have been off."""
+    def _try_reconnect(self) -> bool:
+        """Try to reach the robot; True if it answers.
+
+        The first attempt uses the open line, which may have lost a single reply. After that the robot may have been
+        switched off, and it gets the opening calls again.
+        """
         try:
             if self._backend.closed:
-                self._lost = True
-                with self._breaking_off:  # a port must be let go before it can be opened again
-                    self._backend = self._opens()
-            if self._lost:
-                self._settle(again=True)
-            self._backend.execute(STOP if self._owes_a_stop else REFRESH)
+                self._is_lost = True
+                with self._backend_lock:  # a port must be closed before it can be opened again
+                    self._backend = self._open_backend()
+            if self._is_lost:
+                self._send_opening_calls(reconnected=True)
+            self._backend.execute(STOP if self._owes_stop else REFRESH)
         except NomadError as error:
-            self._lost = True
-            self._fail_all()
-            self._pause_s = min(max(2 * self._pause_s, FIRST_PAUSE_S), LONGEST_PAUSE_S)
+            self._is_lost = True
+            self._fail_pending()
+            self._pause_s = min(max(2 * self._pause_s, MIN_RETRY_PAUSE_S), MAX_RETRY_PAUSE_S)
             log.info("the real robot is still silent, next attempt in %g s: %s", self._pause_s, error)
             return False
-        self.silent = self._lost = self._owes_a_stop = False
+        self.is_silent = self._is_lost = self._owes_stop = False
         self._pause_s = 0.0
         log.warning("the real robot answers again")
-        self.news()
+        self.on_result()
         return True
 
-    def _break_off(self) -> None:
-        """What keeps the line for long is not waited for: the line is let go, and opened again."""
-        slow = self.saying
-        if slow in SLOW:
-            log.warning("%s is broken off by a stop", slow)
-            with self._breaking_off:
+    def _interrupt_slow_command(self) -> None:
+        """Close the line under a command that occupies it for long; the next job opens it again."""
+        command = self.current_command
+        if command in SLOW:
+            log.warning("%s is interrupted by a stop", command)
+            with self._backend_lock:
                 self._backend.close()
 
-    def _settle(self, *, again: bool) -> None:
-        """What is to be said first; what it refuses it has not."""
-        for call in self.opening(self.link, again):
+    def _send_opening_calls(self, *, reconnected: bool) -> None:
+        """Send the opening calls; a call that the robot refuses is logged and skipped."""
+        for call in self.opening_calls(self.link, reconnected):
             try:
                 self._backend.execute(call)
             except RobotRefused as error:
                 log.warning("the real robot: %s", error)
 
-    def _void_motions(self) -> None:
-        kept = [ticket for ticket in self._row if not ticket.moves]
-        for ticket in self._row:
-            if ticket.moves:
-                ticket.outcome = Outcome(code=REFUSED)
-        self._row = deque(kept)
+    def _cancel_motions(self) -> None:
+        remaining = [job for job in self._queue if not job.moves]
+        for job in self._queue:
+            if job.moves:
+                job.result = JobResult(code=REFUSED)
+        self._queue = deque(remaining)
 
-    def _fail_all(self, *, but_stops: bool = False) -> None:
+    def _fail_pending(self, *, but_stops: bool = False) -> None:
         with self._changed:
-            kept = [ticket for ticket in self._row if but_stops and ticket.stops]
-            for ticket in self._row:
-                if ticket not in kept:
-                    self._fail(ticket)
-            self._row = deque(kept)
-            self._refreshing = None
+            remaining = [job for job in self._queue if but_stops and job.is_stop]
+            for job in self._queue:
+                if job not in remaining:
+                    self._fail(job)
+            self._queue = deque(remaining)
+            self._pending_refresh = None
 
-    def _fail(self, ticket: Ticket) -> None:
-        ticket.outcome = Outcome(code=NO_ANSWER)
-        self._owes_a_stop |= ticket.stops
+    def _fail(self, job: Job) -> None:
+        job.result = JobResult(code=NO_ANSWER)
+        self._owes_stop |= job.is_stop

@@ -1,31 +1,16 @@
-"""A laser vector in another shape than the robot sent: a connection reads one shape, the robot's laser gives another.
+"""Translation between Nserver's calls and a real robot's: calls to the robot, and replies from its answers.
 
-    words a reading     4 lines x1 y1 x2 y2 | 2 points x y | 1 the camera's row of each column
-    rows -> points -> lines       and no way back: what cannot be made is (0,), no reading
+    call ──> plan: calls for the robot, one after another ──> the last one's answer ──> reply for the connection
 
-Rules: pure. Rows become points by the geometry of simulation/laser.py, evenly spread over its angle.
+    place_robot         dp and da: the robot cannot be moved by hand, only its encoders can be set
+    ct                  each connection agrees on its mask with this server; the robot sends all slots
+    get_cp              the whole state where the model's line has no such query
+    conf_cp             followed by the state, which is an Nserver's reply
+    get_robot_conf      the pose of the robot's encoders
+    everything else     unchanged
 
-The real robot's State as an Nserver sends it: what came over its line, on the terms of each connection.
-
-    0 speed: 10, real time | 1-16 infrared: 15 where it has none | 33 bumpers: clean, at rest 0
-    41 motors as the robot says | 42 laser mode of the connection | 43 compass | 44 error: 0
-
-Rules: pure. A state packet of any mask or none makes all 45 slots; a slot that the connection's mask leaves out keeps
-the value last sent there. Stamps that a robot does not make read 0.
-
-What a call to an Nserver becomes on a real robot, and its reply from what the robot answers. One table.
-
-    call ──> plan: calls to the robot, one after another ──> the last one's reply ──> reply of the connection
-
-    place_robot         dp and da: a robot cannot be put anywhere, but told where it is
-    ct                  what the packets hold is agreed with each connection here; the robot sends all it can
-    get_cp              the state where the line of that model has no such question
-    conf_cp             the state after it, which is what an Nserver answers
-    get_robot_conf      where the robot's encoders are
-    everything else     itself
-
-Rules: pure. A command that has no row here stays with the simulation; what the robot lacks is ERROR 4: position stamps
-on a line that has none as well. Numbers that the robot's own line cannot carry are brought to the nearest it can.
+A command without a row here is answered by the simulation. What the robot lacks is ERROR 4, position stamps on a line
+without stamps included. Numbers beyond the range of the robot's line are clamped to it.
 """
 
 from __future__ import annotations
@@ -37,221 +22,256 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
-from nclient.protocol.codec import within_line
-from nclient.protocol.commands import BY_NAME, Call, on_line
+from nclient.protocol.codec import clamp_to_serial
+from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
 from nserver_emu.server.handlers.world import done
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
 from nserver_emu.server.state_encoder import INFRARED_NOTHING, as_sent
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
-from worlds.bodies import BODIES, Body
 from worlds.geometry import FloatArray
+from worlds.robots import BODIES, Body
 
-NOTHING = (0,)
-
-
-def in_shape(vector: tuple[int, ...], width: int, body: Body, fit: LineFit) -> tuple[int, ...]:
-    """The laser vector (n, numbers of n readings), 1/10 inch or rows, with `width` words a reading."""
-    count = vector[0]
-    given = (len(vector) - 1) // count if count else width
-    if given == width:
-        return vector
-    if given == LINES or width == PIXELS:
-        return NOTHING
-    found = _points_of_rows(vector[1:], body) if given == PIXELS else np.reshape(vector[1:], (-1, POINTS)) / 10.0
-    if width == LINES:
-        found = lines(found, fit)
-    return (len(found), *[tenths(number) for number in found.ravel().tolist()])
-
-
-def _points_of_rows(rows: tuple[int, ...], body: Body) -> FloatArray:
-    """Points (k, 2) in the robot's frame, of the columns that see something: range is PIXEL_IN / row."""
-    at = np.linspace(0, COLUMNS - 1, len(rows)).round().astype(int)
-    seen = np.full(COLUMNS, np.inf)
-    lit = np.array(rows) > 0
-    seen[at[lit]] = PIXEL_IN / np.array(rows)[lit]
-    return points(seen, body)
-
-
+NO_READINGS: Final = (0,)
+"""A laser vector without readings."""
 REAL_TIME: Final = 10
+"""State[0] of a robot whose time runs at normal speed, in tenths."""
+REFRESH: Final = Call("gs")
+MAX_TIMEOUT_S: Final = 255
+"""The watchdog time-out has one byte on the robot's line."""
 _SPEED_SLOT: Final = 0
-_INFRAREDS: Final = range(1, 17)
+_INFRARED_SLOTS: Final = range(1, 17)
+_POSE_SLOTS: Final = range(34, 38)
 _AXES: Final = 7
-"""The bits of State[41] that say whether an axis moves; those above are a Scout's battery."""
+"""Bits of State[41] that show moving axes; the bits above are a Scout's battery."""
+_MAX_MV_MODE: Final = 5
+"""Clients refuse modes of mv beyond this one, and so does the gateway."""
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """How a real robot is reached: its model, and whether that is its own line or another Nserver."""
+    """Link to a real robot: its model, and whether it is the robot's own line or another Nserver."""
 
     model: Model
     own_line: bool
 
     @property
     def masks(self) -> bool:
-        """Whether what its packets hold can be chosen: sensors, and stamps."""
+        """True if the slots and stamps of its state packets can be selected."""
         return self.model.sends_mask or not self.own_line
 
     def clean(self, slots: Mapping[int, int]) -> dict[int, int]:
-        """State slots without the bits that bumpers at rest show on the robot's own line."""
+        """Return State slots without the bumper bits that a robot at rest sets on its own line."""
         clean = dict(slots)
         if BUMPER_SLOT in clean:
             clean[BUMPER_SLOT] &= ~self.model.bumper_rest
         return clean
 
 
+ReplyBuilder = Callable[[ConnectionContext, Reply, Link], Reply]
+"""Makes a connection's reply from the robot's answer."""
+
+
+class TranslatedCall(NamedTuple):
+    """The calls to make, and the function that turns the last answer into the connection's reply."""
+
+    calls: tuple[Call, ...]
+    build_reply: ReplyBuilder
+
+
+def stays_here(name: str) -> bool:
+    """Return True if the simulation answers this command whichever robot is driven: world, window and server."""
+    return name not in _ROWS and name not in LACKING
+
+
+def plan(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall | int:
+    """Translate a connection's call.
+
+    Returns
+    -------
+    TranslatedCall or int
+        The code of an ERROR reply where the robot has no such command or the values are wrong.
+    """
+    if call.name not in _ROWS:
+        return NOT_AVAILABLE
+    if call.name == "mv" and any(not 0 <= mode <= _MAX_MV_MODE for mode in call.args[::2]):
+        return BAD_VALUES
+    if call.name == "ct" and context.wire_state.mask.position and not link.masks:
+        return NOT_AVAILABLE
+    calls, build_reply = _ROWS[call.name](call, context, link)
+    if link.own_line and not all(exists_on_serial(BY_NAME[sent.name], link.model) for sent in calls):
+        return NOT_AVAILABLE
+    return TranslatedCall(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, build_reply)
+
+
+# --- Replies ---------------------------------------------------------------------------------------------------------
+
+
 def whole_state(reply: Reply, link: Link) -> list[int]:
-    """State[0..44] of a state reply, clean."""
-    slots = dict.fromkeys(range(STATE_SIZE), 0) | dict.fromkeys(_INFRAREDS, INFRARED_NOTHING)
+    """Return State[0..44] of a state reply in wire units, as an Nserver sends it.
+
+    Slot 0 is real time, 1-16 are 15 where the robot has no infrareds, 33 has no bits of bumpers at rest, 42 and 44
+    are 0 until a connection's own values are filled in.
+    """
+    slots = dict.fromkeys(range(STATE_SIZE), 0) | dict.fromkeys(_INFRARED_SLOTS, INFRARED_NOTHING)
     slots[_SPEED_SLOT] = REAL_TIME
     slots |= link.clean(reply.slots)
     slots[LASER_SLOT] = slots[ERROR_SLOT] = 0
     return list(slots.values())
 
 
-def state_for(visit: Visit, reply: Reply, link: Link) -> Reply:
-    """The state reply that this connection gets; it counts as sent."""
+def state_for(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+    """Return the state reply for this connection, by its mask and laser mode.
+
+    A slot that the connection's mask leaves out repeats the value last sent there.
+    """
     slots, laser = whole_state(reply, link), None
     if link.model.has_laser:
-        slots[LASER_SLOT] = visit.terms.laser_mode
-        laser = shaped(reply.laser, visit.terms.laser_width, link) if visit.terms.mask.has(LASER_SLOT) else None
-    return replace(reply, slots=dict(enumerate(as_sent(visit, slots))), laser=laser)
+        slots[LASER_SLOT] = context.wire_state.laser_mode
+        wire_state = context.wire_state
+        laser = shaped(reply.laser, wire_state.laser_width, link) if wire_state.mask.has(LASER_SLOT) else None
+    return replace(reply, slots=dict(enumerate(as_sent(context, slots))), laser=laser)
 
 
-def laser_for(visit: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:
-    """The answer to get_ls or, where `segments`, to get_sg."""
-    return replace(reply, laser=shaped(reply.laser, LINES if segments else visit.terms.get_laser_width, link))
-
-
-def shaped(laser: tuple[int, ...] | None, width: int, link: Link) -> tuple[int, ...] | None:
-    """A laser vector with so many words a reading; None where there is none."""
-    return None if laser is None else in_shape(laser, width, BODIES[link.model.name], LineFit())
+def laser_for(context: ConnectionContext, reply: Reply, link: Link, *, segments: bool) -> Reply:
+    """Return the reply to get_ls or, with `segments`, to get_sg."""
+    width = LINES if segments else context.wire_state.get_laser_width
+    return replace(reply, laser=shaped(reply.laser, width, link))
 
 
 def moving_axes(reply: Reply) -> int:
-    """Bits 0 1 2: which axes move, as a state reply says."""
+    """Return the moving axes of a state reply: bits 0 translation, 1 steering, 2 turret."""
     return reply.slots.get(MOTOR_SLOT, 0) & _AXES
 
 
-Shaping = Callable[[Visit, Reply, Link], Reply]
-REFRESH: Final = Call("gs")
-HIGHEST_TIMEOUT_S: Final = 255
-_POSE: Final = range(34, 38)
-_MV_HIGHEST: Final = 5
-"""Modes of mv beyond it are refused by clients, and here."""
+def shaped(laser: tuple[int, ...] | None, width: int, link: Link) -> tuple[int, ...] | None:
+    """Return a laser vector with `width` words per reading; None where there is none."""
+    return None if laser is None else convert_laser(laser, width, BODIES[link.model.name], LineFit())
 
 
-class Plan(NamedTuple):
-    """The calls to make, and what the last one's reply becomes."""
+def convert_laser(vector: tuple[int, ...], width: int, body: Body, fit: LineFit) -> tuple[int, ...]:
+    """Convert a laser vector to another number of words per reading.
 
-    calls: tuple[Call, ...]
-    shape: Shaping
+    Words per reading: 4 lines (x1 y1 x2 y2), 2 points (x y), 1 the camera's row of each column. Rows become points
+    and points become lines; the other directions are not possible and give no readings.
 
-
-def stays_here(name: str) -> bool:
-    """Whether the command is about the world, the window or the server: the simulation's, whatever robot is driven."""
-    return name not in _ROWS and name not in LACKING
-
-
-def plan(call: Call, visit: Visit, link: Link) -> Plan | int:
-    """What to say to the robot for a call of this connection; the code of an ERROR where it has no such thing."""
-    if call.name not in _ROWS:
-        return NOT_AVAILABLE
-    if call.name == "mv" and any(not 0 <= mode <= _MV_HIGHEST for mode in call.args[::2]):
-        return BAD_VALUES
-    if call.name == "ct" and visit.terms.mask.position and not link.masks:
-        return NOT_AVAILABLE
-    calls, shape = _ROWS[call.name](call, visit, link)
-    if link.own_line and not all(on_line(BY_NAME[said.name], link.model) for said in calls):
-        return NOT_AVAILABLE
-    return Plan(tuple(map(within_line, calls)) if link.own_line else calls, shape)
-
-
-Row = Callable[[Call, Visit, Link], Plan]
-
-
-def _state(visit: Visit, reply: Reply, link: Link) -> Reply:
-    return state_for(visit, reply, link)
+    Parameters
+    ----------
+    vector : the count n, then the numbers of n readings, in tenths of an inch or rows.
+    width : words per reading of the result.
+    body, fit : geometry of the laser, and settings of the line fit.
+    """
+    count = vector[0]
+    source_width = (len(vector) - 1) // count if count else width
+    if source_width == width:
+        return vector
+    if source_width == LINES or width == PIXELS:
+        return NO_READINGS
+    # 1. To points (k, 2) in inches, robot frame.
+    if source_width == PIXELS:
+        converted = _points_of_rows(vector[1:], body)
+    else:
+        converted = np.reshape(vector[1:], (-1, POINTS)) / 10.0
+    # 2. To lines (k, 4).
+    if width == LINES:
+        converted = lines(converted, fit)
+    return (len(converted), *[tenths(number) for number in converted.ravel().tolist()])
 
 
-def _as_it_is(_visit: Visit, reply: Reply, _link: Link) -> Reply:
+def _points_of_rows(rows: tuple[int, ...], body: Body) -> FloatArray:
+    """Return points (k, 2) in inches in the robot's frame, of the columns with a reading: range is PIXEL_IN / row."""
+    columns = np.linspace(0, COLUMNS - 1, len(rows)).round().astype(int)  # readings are spread evenly over the angle
+    ranges = np.full(COLUMNS, np.inf)
+    has_reading = np.array(rows) > 0
+    ranges[columns[has_reading]] = PIXEL_IN / np.array(rows)[has_reading]
+    return points(ranges, body)
+
+
+def _unchanged(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     return reply
 
 
-def _done(_visit: Visit, _reply: Reply, _link: Link) -> Reply:
+def _done(_context: ConnectionContext, _reply: Reply, _link: Link) -> Reply:
     return done()
 
 
-def _numbers(visit: Visit, reply: Reply, link: Link) -> Reply:
-    """A question that puts State's own numbers."""
+def _numbers(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+    """Reply to a query that sets slots of State; later state replies repeat them."""
     clean = replace(reply, slots=link.clean(reply.slots))
-    visit.keep(clean.slots)
+    context.keep(clean.slots)
     return clean
 
 
-def _accelerations(_visit: Visit, reply: Reply, _link: Link) -> Reply:
-    """They stand in the places of the velocities, and are none."""
+def _accelerations(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
+    """Reply to get_ra, which arrives in the slots of the velocities; without any the robot has no such query."""
     return reply if reply.slots else error_reply(NOT_AVAILABLE)
 
 
-def _compass(visit: Visit, reply: Reply, link: Link) -> Reply:
-    """The compass out of a whole state."""
+def _compass(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+    """Reply to get_cp made from a whole state."""
     compass = {COMPASS_SLOT: reply.slots[COMPASS_SLOT]}
-    return _numbers(visit, Reply("compass", compass, clock=reply.clock), link)
+    return _numbers(context, Reply("compass", compass, clock=reply.clock), link)
 
 
-def _pose(_visit: Visit, reply: Reply, _link: Link) -> Reply:
-    return Reply("configuration", values=tuple(reply.slots[slot] for slot in _POSE))
+def _pose(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
+    return Reply("configuration", values=tuple(reply.slots[slot] for slot in _POSE_SLOTS))
 
 
-def _itself(shape: Shaping) -> Row:
-    return lambda call, _visit, _link: Plan((call,), shape)
+# --- Calls -----------------------------------------------------------------------------------------------------------
+
+Row = Callable[[Call, ConnectionContext, Link], TranslatedCall]
 
 
-def _refresh(_call: Call, _visit: Visit, _link: Link) -> Plan:
-    return Plan((REFRESH,), _state)
+def _same_call(build_reply: ReplyBuilder) -> Row:
+    return lambda call, _context, _link: TranslatedCall((call,), build_reply)
 
 
-def _get_cp(call: Call, _visit: Visit, link: Link) -> Plan:
-    return Plan((call,), _numbers) if link.masks else Plan((REFRESH,), _compass)
+def _refresh(_call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
+    return TranslatedCall((REFRESH,), state_for)
 
 
-def _conf_cp(call: Call, visit: Visit, _link: Link) -> Plan:
-    return Plan((call,), _as_it_is) if visit.terms.line else Plan((call, REFRESH), _state)
+def _get_cp(call: Call, _context: ConnectionContext, link: Link) -> TranslatedCall:
+    return TranslatedCall((call,), _numbers) if link.masks else TranslatedCall((REFRESH,), _compass)
 
 
-def _tk(call: Call, visit: Visit, _link: Link) -> Plan:
-    return Plan((call, REFRESH), _state) if visit.terms.line else Plan((call,), _done)
+def _conf_cp(call: Call, context: ConnectionContext, _link: Link) -> TranslatedCall:
+    on_its_line = context.wire_state.line
+    return TranslatedCall((call,), _unchanged) if on_its_line else TranslatedCall((call, REFRESH), state_for)
 
 
-def _place(call: Call, _visit: Visit, _link: Link) -> Plan:
+def _tk(call: Call, context: ConnectionContext, _link: Link) -> TranslatedCall:
+    on_its_line = context.wire_state.line
+    return TranslatedCall((call, REFRESH), state_for) if on_its_line else TranslatedCall((call,), _done)
+
+
+def _place(call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
     x, y, steering, turret = call.args
-    return Plan((Call("dp", (x, y)), Call("da", (steering, turret))), _done)
+    return TranslatedCall((Call("dp", (x, y)), Call("da", (steering, turret))), _done)
 
 
-def _get_robot_conf(_call: Call, _visit: Visit, _link: Link) -> Plan:
-    return Plan((Call("get_rc"),), _pose)
+def _get_robot_conf(_call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
+    return TranslatedCall((Call("get_rc"),), _pose)
 
 
-def _conf_tm(call: Call, _visit: Visit, _link: Link) -> Plan:
-    return Plan((Call("conf_tm", (min(max(call.args[0], 0), HIGHEST_TIMEOUT_S),)),), _state)
+def _conf_tm(call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
+    return TranslatedCall((Call("conf_tm", (min(max(call.args[0], 0), MAX_TIMEOUT_S),)),), state_for)
 
 
 def _laser(*, segments: bool) -> Row:
-    def shape(visit: Visit, reply: Reply, link: Link) -> Reply:
-        return laser_for(visit, reply, link, segments=segments)
+    def build_reply(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
+        return laser_for(context, reply, link, segments=segments)
 
-    return _itself(shape)
+    return _same_call(build_reply)
 
 
 _ROWS: dict[str, Row] = {
     **dict.fromkeys(("gs", "ct", "ws"), _refresh),
-    **dict.fromkeys(("vm", "sp", "ac", "pr", "pa", "mv", "st", "lp", "zr", "dp", "da"), _itself(_state)),
-    **dict.fromkeys(("conf_ir", "conf_sn", "conf_ls", "conf_sg", "conf_ser"), _itself(_state)),
-    **dict.fromkeys(("get_ir", "get_sn", "get_rc", "get_rv", "get_bp"), _itself(_numbers)),
-    "get_ra": _itself(_accelerations),
+    **dict.fromkeys(("vm", "sp", "ac", "pr", "pa", "mv", "st", "lp", "zr", "dp", "da"), _same_call(state_for)),
+    **dict.fromkeys(("conf_ir", "conf_sn", "conf_ls", "conf_sg", "conf_ser"), _same_call(state_for)),
+    **dict.fromkeys(("get_ir", "get_sn", "get_rc", "get_rv", "get_bp"), _same_call(_numbers)),
+    "get_ra": _same_call(_accelerations),
     "get_cp": _get_cp,
     "get_ls": _laser(segments=False),
     "get_sg": _laser(segments=True),
@@ -260,9 +280,9 @@ _ROWS: dict[str, Row] = {
     "tk": _tk,
     "place_robot": _place,
     "get_robot_conf": _get_robot_conf,
-    **dict.fromkeys(("special_request", "arm_zr", "arm_ws", "arm_mv"), _itself(_as_it_is)),
+    **dict.fromkeys(("special_request", "arm_zr", "arm_ws", "arm_mv"), _same_call(_unchanged)),
 }
-"""Every command that goes to the robot."""
+"""All commands that are sent to the robot."""
 
 LACKING: Final = frozenset({"sim_truth", "sim_control"})
-"""What no real robot has: nobody knows where it is but itself, and nobody stops its time."""
+"""Commands that no real robot can answer: its true pose, and control of time."""

@@ -20,7 +20,7 @@ from typing import Final
 
 from nclient.errors import NomadError
 from nserver_emu.legacy_setup import read_setups
-from worlds.files import DEFAULT_WORLD
+from worlds.io import DEFAULT_WORLD
 
 log = logging.getLogger(__name__)
 

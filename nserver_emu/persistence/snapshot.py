@@ -36,7 +36,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from nclient.common.files import read_text, write_whole
+from nclient.common.files import read_text, write_atomic
 from nclient.common.hints import version
 from nclient.errors import SnapshotError
 from nserver_emu.server.handlers.table import Emulator
@@ -323,7 +323,7 @@ def _bounded(act: Callable[[], None], most_calls: int) -> None:
 
 
 FORMAT: Final = "nserver snapshot"
-KEPT: Final = ("simulation", "pace", "graphics", "traces", "transcript", "arms")
+KEPT: Final = ("simulation", "clock", "graphics", "traces", "transcript", "arms")
 """What of an emulator is kept: all but connections, port and permissions, which belong to a daemon's start."""
 
 _NONE: Final = "is no snapshot of an nserver"
@@ -348,7 +348,7 @@ def write(text: str, path: Path, ending: str = "") -> None:
     if len(text) > SNAPSHOT_BYTES:  # all of it ASCII
         raise SnapshotError(f"{path}: cannot be written: {len(text)} bytes, and no more than {SNAPSHOT_BYTES} are read "
                             "again; lower --limit-graphics or --limit-obstacles")
-    write_whole(path, text, SnapshotError, ending)
+    write_atomic(path, text, SnapshotError, ending)
 
 
 def restore(emulator: Emulator, path: Path) -> None:
@@ -383,7 +383,7 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         for part in KEPT:
             if type(parts[part]) is not type(getattr(emulator, part)):
                 raise SnapshotError(f"its {part} is none")
-        parts["pace"].check()
+        parts["clock"].check()
         try_out(tried["simulation"])
     except SnapshotError as error:
         raise SnapshotError(f"{name}: {error}") from None
@@ -391,5 +391,5 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         raise SnapshotError(f"{name}: is damaged: {type(error).__name__}: {error}") from error
     for part in KEPT:
         setattr(emulator, part, parts[part])
-    emulator.look_anew()
-    emulator.drivers.orphan(emulator.simulation.robots)
+    emulator.invalidate_state_cache()
+    emulator.axis_ownership.release_all(emulator.simulation.robots)

@@ -1,13 +1,7 @@
-"""What a client may take of the daemon: THE table of limits. Options, docs/limits.md and the tests are made from it.
+"""Limits per client: one table from which the options, docs/limits.md and the tests are derived.
 
-    python -m nserver_emu.server.limits      the page, in Markdown
-
-Rules: a new limit is a new field, with what happens to the one over it; whoever enforces it is named in `where`. Nobody
-else notices when one client reaches a limit. Pure: no socket, no clock.
-
-How many files and sockets the process may have open: as many as the limits on connections let in, and some.
-
-Rules: said at the start, not when the last one is gone; where there is no such limit (Windows), nothing is done.
+A new limit is a new field of `Limits`, with its effect and the module that enforces it. `make_room` raises the
+process's limit of open files to what the limits on connections need.
 """
 
 from __future__ import annotations
@@ -15,14 +9,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Final, NamedTuple
 
-from nclient.common.idle import SILENT_S
 from nclient.protocol.tcp_framing import MAX_UNKNOWN_WORDS
-from nclient.recording.format import LONGEST_LINE
-from worlds.texts import MOST_BYTES
 
 _LIMIT: Final = "limit"
 FOR_A_PAGE: Final = 7
@@ -126,44 +117,6 @@ def limits_of(options: argparse.Namespace) -> Limits:
     return Limits(**{row.name: getattr(options, f"{_LIMIT}_{row.name}") for row in TABLE})
 
 
-def page() -> Iterator[str]:
-    """docs/limits.md, line by line."""
-    yield from (
-        "# Limits", "", "Made from `nserver_emu/server/limits.py` by `scripts/limits-page`.", "",
-        "Each is an option of `nserver`. Whoever reaches one is told, slowed or closed as the table says; the others "
-        "notice", "nothing. 0 lets go of a limit where the table says so.", "",
-        "| option | default | unit | of | what happens beyond |", "|---|---|---|---|---|",
-    )  # fmt: skip
-    for row in TABLE:
-        none = " (0: none)" if row.may_be_none else ""
-        yield f"| `{row.option}` | {row.default}{none} | {row.unit} | {row.guards} | {row.reached} |"
-    yield from (
-        "", "A log on stderr is as long as whoever keeps it allows: journald's `SystemMaxUse=`, or logrotate. "
-        "Refusals of one", "connection, and of newcomers, are logged once and then counted "
-        "(`/metrics`, [service.md](service.md)).", "",
-        "Obstacles, graphics and frame decide answers: a recording keeps them, and `--replay` takes them from it.", "",
-        f"Of a world, a setup, models, a calibration no more than {MOST_BYTES >> 20} MiB are read: a longer file is "
-        "refused by name. Of a", f"snapshot {SNAPSHOT_BYTES >> 20} MiB, and `--save` writes none that is longer. A "
-        "recording is read line by line, however long it", f"is, and a line up to {LONGEST_LINE >> 20} Mi characters.",
-        "",
-        "## Of `nomad bridge` and `nomad play`", "",
-        "One visitor at a time has the line, and a few may wait their turn: of one too many the first who says nothing "
-        "is closed,", "or the newcomer where all have said something.", "",
-        f"`--limit-silent` (default {SILENT_S:g} seconds, 0: none) is for the one who has the line. As long as he "
-        "talks, or waits for", "an answer that takes its time (`ws`, `zr`), nobody takes it from him. When he has said "
-        "nothing for so long, and another", "has something to say, `nomad stop` perhaps, he is closed for that "
-        "one; until then he stays.", "",
-        "## Who may connect", "",
-        "The original protocol has no authentication and no encryption: whoever connects may drive the robots. So the "
-        "daemon", "listens on loopback unless `--bind` says otherwise, and warns when it does. "
-        "`--allow ADDRESS[/BITS]`, as often as needed,", "lets in these addresses and this machine alone, at every "
-        "port over TCP, the page's too; anybody else is closed at", "once (the page: HTTP 403). `nomad bridge` and "
-        "`nomad play` have the same `--bind`, `--allow` and warning. An address can be", "forged by who shares the "
-        "network, so over one that others use take a tunnel:", "",
-        "```", "ssh -N -L 7019:127.0.0.1:7019 robot-host      # then: nserver://localhost:7019/1", "```",
-    )  # fmt: skip
-
-
 def _reader(row: Limit) -> Callable[[str], int]:
     def read(text: str) -> int:
         number = int(text) if text.isdecimal() else -1
@@ -173,10 +126,6 @@ def _reader(row: Limit) -> Callable[[str], int]:
         return number
 
     return read
-
-
-if __name__ == "__main__":
-    print("\n".join(page()))
 
 
 log = logging.getLogger(__name__)

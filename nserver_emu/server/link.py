@@ -51,7 +51,7 @@ class Arrival(NamedTuple):
     hang_up: bool = False
 
 
-class Cable(Protocol):
+class SerialChannel(Protocol):
     """See the head of this file."""
 
     @property
@@ -77,7 +77,7 @@ class Cable(Protocol):
         ...
 
 
-class Wire:
+class WiredChannel:
     """One direction of a serial cable."""
 
     def __init__(self, baud: int) -> None:
@@ -107,11 +107,11 @@ class Wire:
         return at_s, piece
 
 
-class PacedCable:
+class RateLimitedChannel:
     """A serial cable at so many bits a second. `lost`: bytes to a host that asks more than the wire can carry."""
 
     def __init__(self, baud: int) -> None:
-        self._in, self._out = Wire(baud), Wire(baud)
+        self._in, self._out = WiredChannel(baud), WiredChannel(baud)
         self._late_s = 0.0
         self._answered_s = -math.inf
         self.lost = 0
@@ -147,12 +147,14 @@ class PacedCable:
         return Arrival(at_s, data, inward)
 
 
-class FaultyCable:
+class FaultyChannel:
     """See the head of this file. `injector`: what acts on this line at present; `cable`: what lies behind."""
 
-    def __init__(self, language: Language, injector: Callable[[], Injector], cable: Cable | None = None) -> None:
+    def __init__(
+        self, language: Language, injector: Callable[[], Injector], cable: SerialChannel | None = None
+    ) -> None:
         self._line = FaultyLine(language, injector)
-        self._cable = Wireless() if cable is None else cable
+        self._cable = ImmediateChannel() if cable is None else cable
         self._asked, self._answered = InTransit(), InTransit()
         self._patient_until_s: float | None = None
         self._ending = False
@@ -202,7 +204,7 @@ class FaultyCable:
                 self._ending = delivery.hang_up
 
 
-class Wireless:
+class ImmediateChannel:
     """A cable that takes no time. What comes through together comes out together, as it does from a socket."""
 
     full = False
@@ -239,7 +241,7 @@ class Wireless:
 NOTHING = Plan()
 
 
-class FaultDesk:
+class FaultController:
     """See the head of this file. `clock`: seconds that only grow."""
 
     def __init__(self, clock: Callable[[], float]) -> None:

@@ -43,9 +43,9 @@ import numpy.typing as npt
 
 from nserver_emu.simulation.segments import to_s, wrap_to_pi
 from nserver_emu.simulation.settings import SONAR_NUMBERS, setting
-from worlds.bodies import SONARS, Body
 from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import SONARS, Body
 
 ComplexArray = npt.NDArray[np.complex128]
 
@@ -76,25 +76,33 @@ class ReflectorMap:
     def __init__(self, walls: FloatArray) -> None:
         self.walls = walls
 
-    @cached_property
+    @property
     def mirrors(self) -> ComplexArray:
         """The walls that have a length (k, 3): first end, vector to the second, and its unit direction squared."""
+        return self._mirrors.view(np.complex128)
+
+    @property
+    def edges(self) -> ComplexArray:
+        """Ends and vertices of the walls (k,), except where a wall continues straight."""
+        return self._edges.view(np.complex128)[:, 0]
+
+    @cached_property
+    def _mirrors(self) -> FloatArray:
         first, along = self.walls[:, :2], self.walls[:, 2:] - self.walls[:, :2]
         long = (along != 0.0).any(axis=1)
         first, along = first[long], along[long]
         direction = (along[:, 0] + 1j * along[:, 1]) / np.hypot(along[:, 0], along[:, 1])
         twist = direction * direction
-        return np.column_stack((first, along, twist.real, twist.imag)).view(np.complex128)
+        return np.column_stack((first, along, twist.real, twist.imag))
 
     @cached_property
-    def edges(self) -> ComplexArray:
-        """Ends and vertices of the walls (k,), except where a wall continues straight."""
+    def _edges(self) -> FloatArray:
         directions: dict[tuple[float, float], list[float]] = {}
         for x1, y1, x2, y2 in self.walls.tolist():
             directions.setdefault((x1, y1), []).append(atan2(y2 - y1, x2 - x1))
             directions.setdefault((x2, y2), []).append(atan2(y1 - y2, x1 - x2))
         points = [point for point, out in directions.items() if not _is_straight(out)]
-        return np.array(points).reshape(-1, 2).view(np.complex128)[:, 0]
+        return np.array(points).reshape(-1, 2)
 
 
 def _is_straight(directions_rad: list[float]) -> bool:
@@ -361,8 +369,7 @@ def mirror_points(points: ComplexArray | complex, mirrors: ComplexArray) -> Comp
 def crossings(
     origins: ComplexArray, ends: ComplexArray | complex, mirrors: ComplexArray
 ) -> tuple[ComplexArray, BoolArray]:
-    """Return where the lines from origins to ends (...) cross the mirrors (..., 3), and True where both are long enough.
-    """
+    """Return where the lines from origins to ends (...) cross the mirrors (..., 3), and where they really do."""
     line, along, offset = ends - origins, mirrors[..., 1], np.conj(mirrors[..., 0] - origins)
     turned = (np.conj(line) * along).imag
     divisor = np.where(turned == 0.0, 1.0, turned)  # parallel lines do not cross

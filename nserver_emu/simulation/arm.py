@@ -1,7 +1,7 @@
 """The arm of a Nomad 200: a lift and a gripper that move independently. No wire format, no clock, no robot.
 
-Each is an axis of the robot's kind (axis.py) between two ends. The limits are assumptions, for no source gives them: the
-lift moves 0..48 in at up to 5 in/s, the gripper opens 0..5 in at up to 2 in/s, both ramped; they start at 0.
+Each is an axis of the robot's kind (axis.py) between two ends. The limits are assumptions, for no source gives them:
+the lift moves 0..48 in at up to 5 in/s, the gripper opens 0..5 in at up to 2 in/s, both ramped; they start at 0.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class AxisState(NamedTuple):
     mode: Mode
     speed: float
     acceleration: float
-    count: float
+    travelled: float
     phases: tuple[tuple[float | None, float, float], ...]
     elapsed_s: float
 
@@ -127,7 +127,10 @@ class Axis:
 
     def to_state(self) -> AxisState:
         """Return all that changes."""
-        phases = tuple((None if p.duration_s == inf else p.duration_s, p.velocity, p.acceleration) for p in self._phases)
+        phases = tuple(
+            (None if duration_s == inf else duration_s, velocity, acceleration)
+            for duration_s, velocity, acceleration in self._phases
+        )
         return AxisState(self.mode, self.speed, self.acceleration, self.count, phases, self._elapsed_s)
 
     def set_state(self, state: AxisState) -> None:
@@ -146,7 +149,7 @@ class Axis:
         if not 0.0 < state.acceleration <= max(self.limits.top_acceleration, self.limits.acceleration):
             raise ValueError("an axis without acceleration")
         self.mode, self.speed, self.acceleration = state.mode, state.speed, state.acceleration
-        self.count, self._phases, self._elapsed_s = state.count, phases, state.elapsed_s
+        self.count, self._phases, self._elapsed_s = state.travelled, phases, state.elapsed_s
 
     @property
     def moving(self) -> bool:

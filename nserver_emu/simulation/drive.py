@@ -26,7 +26,7 @@ from nserver_emu.simulation.collision import (
     pressed_bumpers,
 )
 from nserver_emu.simulation.segments import ConstantAccelerationSegment, Pose, wrap_to_2pi, wrap_to_pi
-from worlds.bodies import Body
+from worlds.robots import Body
 
 NO_AXIS: Final = AxisLimits(
     top_speed=0.0,

@@ -1,4 +1,4 @@
-"""The infrared ring of the N200: proximity in sixteen steps. Rays are cast by worlds.raycast; poses and time are passed in.
+"""The infrared ring of the N200: proximity in sixteen steps. Poses and time are passed in.
 
     reading = whole inches from the body, 0..15; 15 means nothing, and nothing is detected beyond 24 in in any case
     history h = 0..9: a reading is h tenths of the previous one and the rest the new one; more counts as 9
@@ -21,9 +21,9 @@ from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, Stamp
 from nserver_emu.simulation.settings import setting
 from nserver_emu.simulation.sonar import NO_STAMP
 from nserver_emu.simulation.visibility import SensorPose
-from worlds.bodies import Body
 from worlds.geometry import FloatArray, normals
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import Body
 
 INFRAREDS: Final = 16
 NOTHING: Final = 15
@@ -42,7 +42,7 @@ MAX_PENDING: Final = 64
 class InfraredNoise:
     """Errors of the infrared sensors.
 
-    A dull surface reflects cos(incidence) / range^2, from which the sensor infers the range: range / sqrt(cos(incidence)).
+    A dull surface reflects cos(incidence) / range^2, from which the sensor infers range / sqrt(cos(incidence)).
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 """The laser of the N200: a plane sheet of light, and the points and lines measured in it.
 
-    482 columns over 60 degrees, column 0 the rightmost, from the front of the turret; walls 6 to 180 in away are measured
+    482 columns over 60 degrees, column 0 the rightmost, from the front of the turret; ranges of 6 to 180 in
     points      in the robot's frame: x to the front of the turret, y to its left, from its axis, inches
     lines       neighbouring points split at gaps, then where they leave their chord; each piece fitted by least squares
     pixels      the row of the camera image, larger when nearer; 0 for nothing
@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 
 from nserver_emu.simulation.visibility import SensorPose
-from worlds.bodies import Body
 from worlds.geometry import BoolArray, FloatArray
 from worlds.raycast import cast_discs, cast_rays
+from worlds.robots import Body
 
 COLUMNS: Final = 482
 FIELD_OF_VIEW_RAD: Final = radians(60.0)
@@ -101,7 +101,7 @@ def lines(scan: FloatArray, fit: LineFit) -> FloatArray:
 
 
 def _split(run: FloatArray, fit: LineFit) -> Iterator[FloatArray]:
-    """Yield the run, split repeatedly where it is farthest from the chord of its ends; too short pieces are left out."""
+    """Yield the run, split repeatedly where it is farthest from the chord of its ends; omit too short pieces."""
     remaining = [run]
     while remaining:
         piece = remaining.pop()

@@ -8,7 +8,7 @@ does.
 A model file (TOML) derives models from existing ones:
 
     [[model]]
-    name, like                    its name, and the model it is derived from; without `like` the existing one of that name
+    name, like                    its name, and the model it derives from (omitted: the existing one of that name)
     radius, sonar_ring_radius     of the body; track: between the wheels of a differential drive
     bumpers                       number of bumpers around the body
     compass                       true or false

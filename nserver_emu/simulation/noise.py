@@ -42,7 +42,7 @@ from nserver_emu.simulation.models import RobotModel
 from nserver_emu.simulation.odometry import EXACT, Odometry
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
 from nserver_emu.simulation.settings import SONAR_NUMBERS, Key, keys_of, setting
-from nserver_emu.simulation.sonar import SonarModel, SonarNoise
+from nserver_emu.simulation.sonar import IDEAL_SONAR, SonarModel, SonarNoise
 from worlds.robots import SONARS, Calibration
 from worlds.schema import Table, parse_toml, read_text
 
@@ -151,7 +151,7 @@ class RobotSetup:
     name: str
     ramps: bool = setting(False, 0, 1, "", "axes ramp as trapezoids; otherwise they jump to their speed")
     motion: MotionNoise = NO_NOISE
-    sonar: SonarModel = SonarNoise()
+    sonar: SonarModel = IDEAL_SONAR
     odometry: Odometry = EXACT
     infrared: InfraredNoise = NO_INFRARED_NOISE
     compass: CompassNoise = NO_COMPASS_NOISE

@@ -1,7 +1,7 @@
-"""A simulated robot: drive, chassis, encoders and sensors, and how they advance in time. No socket, no clock, no wire units.
+"""A simulated robot: drive, chassis, encoders and sensors, and how they advance in time.
 
-There are two poses: the encoder pose follows the commanded motion and is reported in State; the actual pose moves in the
-map and determines what sensors measure. Time is divided at the time-out, at infrared flashes and at changes of
+There are two poses: the encoder pose follows the commanded motion and is reported in State; the actual pose moves in
+the map and determines what sensors measure. Time is divided at the time-out, at infrared flashes and at changes of
 acceleration, so that no result depends on the caller's steps (with noise, only which numbers are drawn, not their
 distribution). In each piece come motion, contact, sensors. Sonars fire inside a piece, at poses from the closed form;
 only where the motion draws noise or a search for zero may end is time divided at firings too.
@@ -104,9 +104,9 @@ class SimulatedRobot:
     """A robot in a world.
 
     The three numbers of a command are for the axes in their order: translation, steering, turret (Scout: right wheel,
-    left wheel, none), in inches where `model.in_inches`, otherwise in radians. Values out of range are clamped silently.
-    Every command restarts the time-out; servers call `feed` for queries. A blocked motion has ended: the wheels wait for
-    the next command.
+    left wheel, none), in inches where `model.in_inches`, otherwise in radians. Values out of range are clamped
+    silently. Every command restarts the time-out; servers call `feed` for queries. A blocked motion has ended: the
+    wheels wait for the next command.
 
     Attributes
     ----------

@@ -6,7 +6,7 @@ range, the unit and the meaning stand here once. Angles are radians in the field
 
 from __future__ import annotations
 
-from dataclasses import Field, field, fields
+from dataclasses import field, fields
 from math import degrees, isfinite
 from typing import Any, Final, NamedTuple
 
@@ -72,12 +72,12 @@ def _is_within(value: object, key: Key) -> bool:
 
 def setting(default: Any, low: float, high: float, unit: str, meaning: str, former: str = "") -> Any:
     """Return a dataclass field that is a setting; arguments as in `Key`."""
-    return field(default=default, metadata={_SETTING: (low, high, unit, meaning, former)})
+    return field(default=default, metadata={_SETTING: Key("", "", low, high, unit, meaning, former)})
 
 
 def keys_of(table: str, kind: type, sonar_model: str = "") -> tuple[Key, ...]:
     """Return the keys of a dataclass, in the order of its fields."""
-    rows: tuple[Field[Any], ...] = fields(kind)
     return tuple(
-        Key(table, row.name, *row.metadata[_SETTING], sonar_model) for row in rows if _SETTING in row.metadata
-    )
+        row.metadata[_SETTING]._replace(table=table, field=row.name, sonar_model=sonar_model)
+        for row in fields(kind) if _SETTING in row.metadata
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The sonar ring: the sequence of firing, and the readings. Rays are cast by worlds.raycast; poses and time are passed in.
+"""The sonar ring: the sequence of firing, and the readings. Poses and time are passed in.
 
     order 0 2 15 1 ..., rate 15:    0 fires at 0 ms, 2 at 60 ms, 15 at 120 ms, 1 at 180 ms ... and again
 
@@ -19,9 +19,9 @@ import numpy as np
 from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap, SonarErrors
 from nserver_emu.simulation.segments import PS_PER_S, TIME_MAX_PS, Pose, SegmentTime, Stamp
 from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, NO_NEAR_ROBOTS, SensorPose, robots_on_rays
-from worlds.bodies import SONARS, Body
 from worlds.geometry import FloatArray
 from worlds.raycast import NEAREST_OBSTACLE, cast_each, ray_to_disc
+from worlds.robots import SONARS, Body
 
 MIN_READING_IN: Final = 6
 """Nearer walls read this: the transducer still rings from its own ping."""
@@ -113,6 +113,9 @@ def _cast_compiled(
     )  # fmt: skip
 
 
+IDEAL_SONAR: Final = SonarNoise()
+"""Exact ranges."""
+
 SonarModel = SonarNoise | Polaroid
 """The sonar model of a setup: `draw` the noise of a ping, measure the range; `audible_ps`, `dead` and `offsets_in`."""
 
@@ -134,7 +137,7 @@ class SonarState(NamedTuple):
     earlier: tuple[Ping, ...]
     order: tuple[int, ...]
     interval_ps: int
-    count: int
+    fired: int
     due_ps: int
 
 
@@ -179,7 +182,7 @@ class SonarRing:
             raise ValueError("a sonar ring without an interval or an order")
         if not all(len(values) == SONARS for values in (state.readings, state.stamps, state.pings)):
             raise ValueError("a sonar ring without 16 readings")
-        if not all(0 <= sonar < SONARS for sonar in state.order) or state.count < 0:
+        if not all(0 <= sonar < SONARS for sonar in state.order) or state.fired < 0:
             raise ValueError("a sonar ring with unknown sonars")
         if not all(DEAD_IN <= reading <= NO_ECHO_IN for reading in state.readings):
             raise ValueError("a sonar reading out of range")
@@ -188,8 +191,13 @@ class SonarRing:
             raise ValueError("a ping of another time")
         self._readings, self._stamps, self._pings = list(state.readings), list(state.stamps), list(state.pings)
         self._earlier, self._order, self._interval_ps = state.earlier, state.order, state.interval_ps
-        self._count, self.due_ps = state.count, state.due_ps
+        self._count, self.due_ps = state.fired, state.due_ps
         self._pending.clear()
+
+    def check(self) -> None:
+        """Raise ValueError if the ring would fire without end."""
+        if not TICK_PS <= self._interval_ps <= MAX_RATE * TICK_PS or not (self._order or self.due_ps == TIME_MAX_PS):
+            raise ValueError("a ring of sonars without an interval or an order")
 
     @property
     def readings_in(self) -> tuple[int, ...]:

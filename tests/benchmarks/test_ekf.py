@@ -1,4 +1,4 @@
-"""The benchmark runs, compares like with like, and prints what it says. Its times are not judged here."""
+"""The benchmark runs, its variants compute the same, and it prints its results. Times are not checked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def run(*arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def test_json_holds_each_number_beside_its_bound() -> None:
+def test_json_has_numbers_and_bounds() -> None:
     result = json.loads(run("--json", "--rounds", "2", "--seeds", "2", "--jobs", "1"))
     assert result["filterpy_ratio"] == result["filterpy_us"] / result["given_h_us"]
     assert result["stonesoup_ratio"] == result["stonesoup_us"] / result["given_h_us"]
@@ -27,7 +27,7 @@ def test_json_holds_each_number_beside_its_bound() -> None:
     assert (result["batch_seeds"], result["particles"]) == (2, 1000)
 
 
-def test_the_table_says_what_is_missed_and_what_there_is_no_numba_for() -> None:
+def test_table_marks_missed_targets_and_missing_numba() -> None:
     numbers: dict[str, float] = dict.fromkeys(ekf.Result.__annotations__, 10.0)
     result = ekf.Result(**{**numbers, "compiled_us": None, "compiled_p99_us": None, "full_us": 151.0})
     lines = ekf.table(result).splitlines()

@@ -1,4 +1,4 @@
-"""The endurance run: what its verdict takes for broken, and a slice with a real daemon and every kind of visitor."""
+"""The endurance run: its verdict, and a short run with a server and every kind of client."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def broken(found: list[Finding]) -> list[str]:
     return [finding.what.split(",")[0] for finding in found if not finding.kept]
 
 
-def test_a_good_run() -> None:
+def test_good_run() -> None:
     assert broken(verdict(GOOD, 3)) == []
     assert verdict(GOOD, 3)[1].value == pytest.approx(4.9)
 
@@ -34,39 +34,39 @@ def test_a_good_run() -> None:
     (3, {"descriptors": 10}, "descriptors left over"),
     (3, {"threads": 3 + POOL}, "threads at the end"),
 ])  # fmt: skip
-def test_what_is_broken(where: int, change: dict[str, Any], what: str) -> None:
+def test_broken_bounds_are_reported(where: int, change: dict[str, Any], what: str) -> None:
     samples = [*GOOD]
     samples[where] = replace(samples[where], **change)
     assert broken(verdict(samples, 3)) == [what]
 
 
-def test_a_run_that_ended_early() -> None:
+def test_incomplete_run() -> None:
     assert broken(verdict(GOOD, 4)) == ["simulated hours"]
 
 
-def test_a_run_without_life_proves_nothing() -> None:
+def test_run_without_activity_fails() -> None:
     assert broken(visited({"a": 3, "b": 1}, 1, ["a", "b"])) == []
     assert broken(visited({"a": 3}, 0, ["a", "b"])) == ["visits", "faults that struck"]
 
 
-def test_how_it_ends() -> None:
+def test_exit_codes() -> None:
     assert broken(ended(0, 0)) == []
     assert broken(ended(-9, 1)) == ["exit code", "faults of its own"]
 
 
-def test_a_broken_number_is_told_and_is_the_exit_code(
+def test_wrong_number_is_reported_and_sets_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     house = House(0, 0, "", "", "")
-    for kept in (True, False):
-        found = [Finding("tasks left over", 0 if kept else 2, "0", kept)]
-        monkeypatch.setattr(soak, "run", lambda *_, told=found: (GOOD, house, told))
-        assert soak.main([]) == (0 if kept else 1)
-        assert capsys.readouterr().out.startswith("kept   tasks" if kept else "BROKEN tasks left over: 2 (asked: 0)")
+    for is_kept in (True, False):
+        found = [Finding("tasks left over", 0 if is_kept else 2, "0", is_kept)]
+        monkeypatch.setattr(soak, "run", lambda *_, findings=found: (GOOD, house, findings))
+        assert soak.main([]) == (0 if is_kept else 1)
+        assert capsys.readouterr().out.startswith("kept   tasks" if is_kept else "BROKEN tasks left over: 2 (asked: 0)")
 
 
-def test_a_slice_of_some_minutes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything but memory, of which the first minutes say nothing."""
+def test_short_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is not checked: the first minutes do not show its growth."""
     monkeypatch.setattr(soak, "SETTLE_S", 0.2)
     samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=30.0), seed=2)
     assert samples[0].steps < samples[-1].steps

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from nclient.errors import ConnectionLost
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
@@ -166,7 +166,7 @@ def test_unavailable_commands_are_not_sent(direct: str, model: Model, call: str,
 
 def test_n200_handshake_over_tcp(direct: str) -> None:
     mask = EVERYTHING.with_position(2)
-    hello = build_hello(Hello(mask, 33))
+    hello = build_handshake(Handshake(mask, 33))
 
     def talk(connection: socket.socket) -> None:
         connection.sendall(hello)

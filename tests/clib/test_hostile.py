@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from nclient.protocol import codec
 from nclient.protocol.commands import NAK_TYPE
 from nclient.protocol.types import N150, Model
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, BuildKind, run_calls
 from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, TCP, TCP_SESSIONS, Exchange, exchanges, model_of
 
@@ -23,23 +23,23 @@ ROUNDS = 120
 def corpus() -> Iterator[str]:
     """Yield a line for every recorded reply, with the wire state under which it was received."""
     for session in TCP_SESSIONS:
-        yield from corpus_lines(exchanges(TCP[session], None), tcp_terms(N150), None)
+        yield from corpus_lines(exchanges(TCP[session], None), tcp_wire_state(N150), None)
     for session in LINE_SESSIONS:
         model = model_of(session)
-        yield from corpus_lines(exchanges(SERIAL[session], model), line_terms(model), model)
+        yield from corpus_lines(exchanges(SERIAL[session], model), serial_wire_state(model), model)
 
 
-def corpus_lines(session: Iterator[Exchange], terms: Terms, model: Model | None) -> Iterator[str]:
+def corpus_lines(session: Iterator[Exchange], wire_state: WireState, model: Model | None) -> Iterator[str]:
     for exchange in session:
         reply = exchange.reply
-        codec.note(exchange.call, terms)
+        codec.update_from_request(exchange.call, wire_state)
         if not reply or (reply[:2] == b"\0\x5b" if model is None else reply[3] == NAK_TYPE):
             continue
         data = reply[4:] if model is None else reply[4:-2]
-        mask = terms.mask.smask
+        mask = wire_state.mask.smask
         yield (
-            f"{'T' if model is None else 'L'} {exchange.call.name} {terms.model.number} {terms.laser_mode} "
-            f"{terms.laser_width} {mask[0]} {''.join(map(str, mask[1:]))} .{data.hex()}\n"
+            f"{'T' if model is None else 'L'} {exchange.call.name} {wire_state.model.number} {wire_state.laser_mode} "
+            f"{wire_state.laser_width} {mask[0]} {''.join(map(str, mask[1:]))} .{data.hex()}\n"
         )
 
 

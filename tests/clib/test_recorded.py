@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import COMMANDS
 from nclient.protocol.types import EVERYTHING
 from tests.clib.clib_build import PROGRAMS, BuildCache, BuildKind, run_calls
@@ -184,7 +184,7 @@ def test_recorded_serial_session(session: str, kind: BuildKind, builds: BuildCac
     program = str(builds.program(PROGRAMS / "replay.c", kind, "ndirect"))
     steps = [(x.call.name, x.request, x.reply) for x in exchanges(cases, model)]
     if session.endswith("_tcp"):
-        hello = build_hello(Hello(EVERYTHING, 51)) if model.name == "n200" else b""
+        hello = build_handshake(Handshake(EVERYTHING, 51)) if model.name == "n200" else b""
         with on_socket(steps, hello) as (port, server):
             *found, last = run_calls([program, str(model.number), "127.0.0.1", port], script_of(cases))
     else:

@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -21,15 +20,9 @@ from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, ru
 from tests.clib.scripted_pty import serve_pty
 from tests.nclient.answering import ScriptedServer, by_script, on_socket
 from tests.nclient.robot_line import ScriptedLine
+from tests.waiting import wait_until
 
 TIMEOUT_S = 30.0
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + TIMEOUT_S
-    while not true():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 def is_moving(observer: Robot) -> bool:

@@ -1,4 +1,4 @@
-"""Every reader of outer input: a value or its documented error, whatever comes. The same table as `scripts/fuzz`."""
+"""Every reader of outer input returns a value or raises a documented error. The table is that of `scripts/fuzz`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzz.reader import Reader, Wordless
-from fuzz.table import READERS
+from fuzz.reader import SEEDS, EmptyMessage, Reader
+from fuzz.readers import READERS
 from nclient.errors import ReplyTimeout, WireError
 
 every_reader = pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
@@ -18,42 +18,46 @@ every_reader = pytest.mark.parametrize("reader", READERS.values(), ids=READERS)
 
 @st.composite
 def inputs(draw: st.DrawFn, reader: Reader, seeds: list[bytes]) -> bytes:
-    """Bytes of any kind, or an input as it should be, changed once to three times."""
+    """Draw arbitrary bytes, or a valid input mutated one to three times."""
     if draw(st.integers(0, 4)) == 0:
-        return draw(st.binary(max_size=min(reader.longest, 300)))
-    data, chance = draw(st.sampled_from(seeds)), Random(draw(st.integers(0, 2**32)))
+        return draw(st.binary(max_size=min(reader.max_size, 300)))
+    data, rng = draw(st.sampled_from(seeds)), Random(draw(st.integers(0, 2**32)))
     for _ in range(draw(st.integers(1, 3))):
-        data = reader.mutate(data, chance)
-    return data[: reader.longest]
+        data = reader.mutate(data, rng)
+    return data[: reader.max_size]
 
 
 @every_reader
-def test_what_is_as_it_should_be_is_taken(reader: Reader) -> None:
-    seeds = list(reader.seeds())
-    taken = [reader.take(seed) for seed in seeds]
+def test_valid_inputs_are_accepted(reader: Reader) -> None:
+    seeds = list(reader.valid_inputs())
+    accepted = [reader.accepts(seed) for seed in seeds]
     if ReplyTimeout in reader.errors:
-        assert not any(taken)  # all ask on until nothing comes any more
+        assert not any(accepted)  # they read until the data ends
     else:
-        assert any(taken)
-    assert max(map(len, seeds)) <= reader.longest
+        assert any(accepted)
+    assert max(map(len, seeds)) <= reader.max_size
 
 
 @every_reader
-def test_whatever_comes_is_a_value_or_the_documented_error(reader: Reader) -> None:
+def test_any_input_gives_value_or_documented_error(reader: Reader) -> None:
     @settings(max_examples=40, derandomize=True, database=None)
-    @given(inputs(reader, list(reader.seeds())))
-    def whatever_comes(data: bytes) -> None:
-        reader.take(data)
+    @given(inputs(reader, list(reader.valid_inputs())))
+    def read_any_input(data: bytes) -> None:
+        reader.accepts(data)
 
-    whatever_comes()
+    read_any_input()
 
 
 @every_reader
-def test_what_was_found_before_is_read_as_documented(reader: Reader) -> None:
-    kept = reader.kept()
-    assert kept, f"fuzz/corpus/{reader.name} is empty: scripts/fuzz --keep {reader.name}"
-    for data in kept:
-        reader.take(data)
+def test_seeds_give_value_or_documented_error(reader: Reader) -> None:
+    for data in reader.seeds().values():
+        reader.accepts(data)
+
+
+def test_there_are_at_most_five_named_seeds_per_reader() -> None:
+    assert {path.name for path in SEEDS.iterdir()} <= set(READERS)
+    assert all(len(reader.seeds()) <= 5 for reader in READERS.values())
+    assert all(len(data) <= reader.max_size for reader in READERS.values() for data in reader.seeds().values())
 
 
 def reader_that_raises(error: Exception) -> Reader:
@@ -63,16 +67,16 @@ def reader_that_raises(error: Exception) -> Reader:
     return Reader("raising", "raises", read, (WireError,), list, lambda data, _: data)
 
 
-def test_another_error_and_one_without_words_are_not_let_through() -> None:
-    assert reader_that_raises(WireError("no frame")).take(b"") is False
+def test_undocumented_and_empty_errors_are_raised() -> None:
+    assert reader_that_raises(WireError("no frame")).accepts(b"") is False
     with pytest.raises(KeyError):
-        reader_that_raises(KeyError("x")).take(b"")
-    with pytest.raises(Wordless, match="WireError without a word"):
-        reader_that_raises(WireError(" ")).take(b"")
+        reader_that_raises(KeyError("x")).accepts(b"")
+    with pytest.raises(EmptyMessage, match="WireError"):
+        reader_that_raises(WireError(" ")).accepts(b"")
 
 
-def test_the_page_names_every_reader_and_what_it_may_raise() -> None:
+def test_documentation_lists_every_reader() -> None:
     page = (Path(__file__).parents[2] / "docs" / "fuzzing.md").read_text(encoding="utf-8")
     for reader in READERS.values():
         raised = ", ".join(error.__name__ for error in reader.errors) or "nothing"
-        assert f"| `{reader.name}` | {reader.about} | {raised} |" in page
+        assert f"| `{reader.name}` | {reader.description} | {raised} |" in page

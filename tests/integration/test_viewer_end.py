@@ -1,4 +1,4 @@
-"""nserver with pages open, as a process: SIGTERM ends it at once, and its address is the same when it comes again."""
+"""nserver with open pages: SIGTERM ends it at once, and a restarted one has the same address."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import aiohttp
 from tests.programs.forked import Forked
 
 AT_ONCE_S = 2.0
-"""The best of three, for busy machines: it takes hundredths; with a page open it was 2.9 s more each time."""
+"""Limit for the best of three, for busy machines; it takes some hundredths of a second."""
 
 
 @contextlib.contextmanager
 def nserver(*words: str) -> Iterator[tuple[Forked, str]]:
-    """The process, and the address of its page."""
+    """Run a server and yield it with the address of its page."""
     with Forked("nserver", "--port", "0", *words) as process:
         try:
             process.stdout.readline()
@@ -28,7 +28,7 @@ def nserver(*words: str) -> Iterator[tuple[Forked, str]]:
             process.kill()
 
 
-def test_an_open_page_keeps_no_daemon_from_ending(tmp_path: Path) -> None:
+def test_open_page_does_not_delay_shutdown(tmp_path: Path) -> None:
     words = ("--viewer", "0", "--viewer-token-file", str(tmp_path / "tokens"))
 
     async def look(url: str, process: Forked) -> float:

@@ -20,7 +20,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, request_bounds
 from nclient.protocol.types import N150, Model
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nclient.robot import Robot
 from nclient.transports.memory import MemoryStream
 
@@ -49,16 +49,16 @@ class ScriptedServer:
         self.volts = (255, 255)
         self.calls: list[Call] = []
         self.closed = 0
-        self.terms = tcp_terms(model)
+        self.wire_state = tcp_wire_state(model)
         self._framer = TcpFramer(request_bounds)
         self._out = bytearray()
 
     def send(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
             assert isinstance(frame, TcpFrame), frame
-            call = codec.tcp_call(frame)
+            call = codec.decode_tcp_request(frame)
             self.calls.append(call)
-            codec.note(call, self.terms)
+            codec.update_from_request(call, self.wire_state)
             if BY_NAME[call.name].has_tcp_reply:
                 self._out += self._bytes_for(call)
 
@@ -86,7 +86,7 @@ class ScriptedServer:
         answer = self.answers[call.name] if call.name in self.answers else self._dull(row.name, row.tcp_reply)
         if answer is None or isinstance(answer, bytes):
             return answer or b""
-        return codec.tcp_reply(row, answer, self.terms)
+        return codec.encode_tcp_reply(row, answer, self.wire_state)
 
     def _dull(self, name: str, layout: shape.ReplyShape) -> Reply:
         if name in ("connect_robot", "create_robot"):
@@ -102,7 +102,7 @@ class ScriptedServer:
 
 def robot_on(server: ScriptedServer, timeout_s: float = 5.0) -> Robot:
     """A robot in this process that the script answers for."""
-    return Robot(NserverBackend(MemoryStream(server), model=server.terms.model, timeout_s=timeout_s))
+    return Robot(NserverBackend(MemoryStream(server), model=server.wire_state.model, timeout_s=timeout_s))
 
 
 @contextlib.contextmanager

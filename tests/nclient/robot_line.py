@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 from nclient.backends.direct import DirectBackend
 from nclient.protocol import codec
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
 from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.transports.memory import MemoryStream
 from tests.nclient.protocol.recorded import SERIAL, exchanges, model_of
 
@@ -51,7 +51,7 @@ class ScriptedLine:
         self.calls: list[Call] = []
         self.requests = bytearray()
         self.closed = 0
-        self.terms = line_terms(model)
+        self.wire_state = serial_wire_state(model)
         self.out = bytearray()
         self._late = b""
         self._framer = SerialFramer()
@@ -59,7 +59,7 @@ class ScriptedLine:
     def send(self, data: bytes) -> None:
         self.requests += data
         for frame in self._framer.receive(data):
-            call = codec.line_call(frame, self.terms)
+            call = codec.decode_serial_request(frame, self.wire_state)
             self.calls.append(call)
             self.clock += 16
             self.out += self._late
@@ -83,14 +83,14 @@ class ScriptedLine:
 
     def frame(self, name: str, reply: Reply | None = None) -> bytes:
         """The bytes of an answer to a command, the dull one by itself."""
-        return codec.line_reply(BY_NAME[name], reply or self._dull(name), self.terms)
+        return codec.encode_serial_reply(BY_NAME[name], reply or self._dull(name), self.wire_state)
 
     def _answer(self, call: Call) -> None:
         told = self.answers.get(call.name, self._dull(call.name))
         if isinstance(told, list):
             told = told.pop(0) if told else self._dull(call.name)
         if told is not None and told != NAK:
-            codec.note(call, self.terms)
+            codec.update_from_request(call, self.wire_state)
         if isinstance(told, Late):
             self._late += self.frame(call.name, told.reply)
         elif isinstance(told, Reply):
@@ -124,7 +124,7 @@ class RecordedRobot:
 
     def __init__(self, session: str) -> None:
         self.exchanges = list(exchanges(SERIAL[session], model_of(session)))
-        self.out = build_hello(Hello(EVERYTHING, 51)) if session == "n200_tcp" else b""
+        self.out = build_handshake(Handshake(EVERYTHING, 51)) if session == "n200_tcp" else b""
         self._position = 0
 
     def send(self, data: bytes) -> None:

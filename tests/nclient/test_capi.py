@@ -14,7 +14,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, SCOUT
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from tests.nclient.answering import ScriptedServer, by_script, error, on_socket, simple
 from tests.nclient.protocol.recorded import TCP, TCP_SESSIONS
 
@@ -254,7 +254,7 @@ def test_a_refusal_is_false_and_its_code_stands_in_state_44(server: ScriptedServ
 class Mute:
     """A backend that greets with nothing, as a robot's own line may, and refuses whatever is asked."""
 
-    terms, greeting, port, closed = line_terms(SCOUT), None, 1, False
+    wire_state, greeting, port, closed = serial_wire_state(SCOUT), None, 1, False
 
     def execute(self, call: Call) -> Reply:
         raise RobotRefused(call.name, 4)

@@ -42,8 +42,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         calls.append(where)
         return MemoryStream(peers.pop(0))
 
-    monkeypatch.setattr("nclient.openers.SerialStream", opens)
-    monkeypatch.setattr("nclient.openers.TcpStream", opens)
+    monkeypatch.setattr("nclient.transports.serial.SerialStream", opens)
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", opens)
     return calls
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import importlib
 import socket
 
 import pytest
@@ -18,15 +17,12 @@ from nclient import (
     connect,
     connect_async,
 )
-from nclient.connect import Wanted, is_listening, known_schemes, open_machine
+from nclient.connect import ConnectOptions, is_listening, open_machine
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports import memory
 from nclient.transports.memory import MemoryStream
+from nclient.url import known_schemes
 from tests.nclient.answering import ScriptedServer, by_script, on_socket
-
-connecting = importlib.import_module("nclient.connect")
-"""The module; the package's own name `connect` is the function."""
-schemes = importlib.import_module("nclient.schemes")
 
 
 @pytest.fixture
@@ -41,7 +37,7 @@ def dialled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
         servers.append(ScriptedServer())
         return MemoryStream(servers[-1])
 
-    monkeypatch.setattr("nclient.openers.TcpStream", dial)
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", dial)
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     return calls
 
@@ -182,7 +178,7 @@ def test_a_whole_conversation_over_tcp() -> None:
 
 
 def test_a_bare_host(dialled: list[tuple[str, int]]) -> None:
-    open_machine("lab", 7654, Wanted(robot_id=2))
+    open_machine("lab", 7654, ConnectOptions(robot_id=2))
     assert dialled == [("lab", 7654)]
     assert servers[0].calls[0].args[0] == 2
 
@@ -197,13 +193,13 @@ def test_no_host_is_this_machine_by_whichever_name_answers(monkeypatch: pytest.M
         return MemoryStream(ScriptedServer())
 
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
-    monkeypatch.setattr("nclient.openers.TcpStream", dial)
-    monkeypatch.setattr(connecting, "names_of_this_machine", lambda: ("localhost", "own_name"))
-    assert open_machine("", 7019, Wanted()).port == 7019
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", dial)
+    monkeypatch.setattr("nclient.transports.tcp.names_of_this_machine", lambda: ("localhost", "own_name"))
+    assert open_machine("", 7019, ConnectOptions()).port == 7019
     assert is_listening("", 7019)
     assert tried == ["localhost", "own_name"] * 2
     with pytest.raises(ConnectionLost, match="lab"):
-        open_machine("lab", 7019, Wanted())
+        open_machine("lab", 7019, ConnectOptions())
     assert not is_listening("lab", 7019)
 
 
@@ -211,23 +207,23 @@ def test_where_no_machine_is_named_the_environment_names_it(
     dialled: list[tuple[str, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "nserver://lab:1234")
-    open_machine("", 7654, Wanted(robot_id=2))
+    open_machine("", 7654, ConnectOptions(robot_id=2))
     assert is_listening("", 7654)
-    open_machine("other", 7654, Wanted(robot_id=2))
+    open_machine("other", 7654, ConnectOptions(robot_id=2))
     monkeypatch.setenv("NOMAD_ROBOT", "lab:1234")
     assert not is_listening("", 7654)
     with pytest.raises(AddressError, match="NOMAD_ROBOT: 'lab:1234' is no address"):
-        open_machine("", 7654, Wanted(robot_id=2))
+        open_machine("", 7654, ConnectOptions(robot_id=2))
     monkeypatch.setenv("NOMAD_ROBOT", "")
-    open_machine("", 7654, Wanted(robot_id=2))
+    open_machine("", 7654, ConnectOptions(robot_id=2))
     assert dialled == [("lab", 1234)] * 2 + [("other", 7654), ("localhost", 7654)]
 
 
 def test_an_address_in_this_process_is_a_machine_too() -> None:
     assert is_listening("sim:thesis_room", 7019)
-    assert open_machine("sim:thesis_room", 7019, Wanted(robot_id=1)).port > 0
+    assert open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=1)).port > 0
     with pytest.raises(RobotRefused, match="no robot number 2"):
-        open_machine("sim:thesis_room", 7019, Wanted(robot_id=2))
+        open_machine("sim:thesis_room", 7019, ConnectOptions(robot_id=2))
 
 
 @pytest.mark.parametrize(
@@ -245,7 +241,7 @@ def test_an_address_in_this_process_is_a_machine_too() -> None:
 def test_a_machines_name_may_bring_its_port_or_be_an_address(
     dialled: list[tuple[str, int]], name: str, host: str, port: int
 ) -> None:
-    open_machine(name, 7019, Wanted(robot_id=2))
+    open_machine(name, 7019, ConnectOptions(robot_id=2))
     assert is_listening(name, 7019)
     assert dialled == [(host, port)] * 2
     assert servers[0].calls[0].args[0] == 2
@@ -253,9 +249,9 @@ def test_a_machines_name_may_bring_its_port_or_be_an_address(
 
 def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(dialled: list[tuple[str, int]]) -> None:
     with pytest.raises(AddressError, match=r"'nserver://lab/2' names robot 2, the program asks for robot 1: .*leave"):
-        open_machine("nserver://lab/2", 7019, Wanted(robot_id=1))
+        open_machine("nserver://lab/2", 7019, ConnectOptions(robot_id=1))
     with pytest.raises(AddressError, match="the robot's number, 1 or more, not '/one'"):
-        open_machine("nserver://lab/one", 7019, Wanted(robot_id=1))
+        open_machine("nserver://lab/one", 7019, ConnectOptions(robot_id=1))
     assert dialled == []
     assert is_listening("nserver://lab/2", 7019)
 
@@ -263,7 +259,7 @@ def test_the_robot_that_an_address_names_is_the_programs_or_none_is_moved(dialle
 def test_a_machines_address_that_is_none_is_refused_and_nobody_listens_there() -> None:
     assert not is_listening("nserver:lab", 7019)
     with pytest.raises(AddressError, match="nserver://host"):
-        open_machine("nserver:lab", 7019, Wanted())
+        open_machine("nserver:lab", 7019, ConnectOptions())
 
 
 # for asyncio

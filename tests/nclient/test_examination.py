@@ -8,22 +8,23 @@ import pytest
 
 from nclient.backends.base import Backend
 from nclient.backends.nserver import NserverBackend
-from nclient.diagnostics import Chart, Examination, percentile_s, report
+from nclient.connect import Connector
+from nclient.diagnostics import DiagnosticData, Diagnostics, percentile_s, report
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, N200, SCOUT, Model
-from nclient.schemes import Wanted, opening_of
 from nclient.transports.memory import MemoryStream
+from nclient.url import parse_address
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import InProcess
 from nserver_emu.simulation.noise import NOISY
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from tests.nclient.answering import ScriptedServer
-from worlds.files import load_world
+from worlds.io import load_world
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 
 
 class Time:
@@ -69,12 +70,12 @@ class Patient:
     def close(self) -> None: ...
 
 
-def examined(patient: Patient, exchanges: int = 40, time: Time | None = None) -> Chart:
+def examined(patient: Patient, exchanges: int = 40, time: Time | None = None) -> DiagnosticData:
     time = time or Time()
-    return Examination(patient.opens, time.clock, time.sleep).run(exchanges)
+    return Diagnostics(patient.opens, time.clock, time.sleep).run(exchanges)
 
 
-def told(chart: Chart) -> dict[str, tuple[str, str]]:
+def told(chart: DiagnosticData) -> dict[str, tuple[str, str]]:
     return {finding.what: (finding.grade.name, finding.seen) for finding in report(chart)}
 
 
@@ -159,18 +160,19 @@ def test_percentiles_by_nearest_rank() -> None:
 @pytest.mark.parametrize("what", ["sim:thesis_room", "sim:thesis_room?noisy=1", "sim:centre_vertex?robot=scout"])
 def test_simulated_robots_are_well(what: str) -> None:
     time = Time()
-    chart = Examination(opening_of(what, Wanted()).talk, time.clock, time.sleep).run()
+    chart = Diagnostics(Connector(parse_address(what)).open_session, time.clock, time.sleep).run()
     assert {finding.grade.name for finding in report(chart)} == {"OK"}
     assert len({state.pose for state in chart.states}) == 1
 
 
 def test_a_dead_sonar_of_a_simulated_robot() -> None:
     simulation = Simulation(load_world("thesis_room"))
-    simulation.add_robot(1, setup=replace(NOISY, sonar=SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05, dead=(5,))))
+    sonar = SonarNoise(range_std_relative=0.01, range_std_floor_in=0.05, dead=(5,))
+    simulation.add_robot(1, setup=replace(NOISY, sonar=sonar))
     time = Time()
 
     def opens() -> Backend:
         return NserverBackend(MemoryStream(InProcess(Emulator(simulation))))
 
-    found = told(Examination(opens, time.clock, time.sleep).run())
+    found = told(Diagnostics(opens, time.clock, time.sleep).run())
     assert {what: grade for what, (grade, _) in found.items() if grade != "OK"} == {"sonar 5": "FAIL"}

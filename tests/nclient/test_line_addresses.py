@@ -11,7 +11,7 @@ import pytest
 
 from nclient import AddressError, BumperHit, ConnectionLost, ReplyTimeout, Robot, RobotRefused, connect, connect_async
 from nclient.connect import is_listening
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT
 from nclient.transports.memory import MemoryStream
@@ -41,8 +41,8 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     made = Bench()
-    monkeypatch.setattr("nclient.openers.SerialStream", made.open)
-    monkeypatch.setattr("nclient.openers.TcpStream", made.open)
+    monkeypatch.setattr("nclient.transports.serial.SerialStream", made.open)
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", made.open)
     yield made
     for robot in made.robots:
         robot.disconnect()
@@ -64,8 +64,8 @@ def test_a_serial_port(bench: Bench) -> None:
 def test_a_robot_on_its_own_line_over_tcp(bench: Bench) -> None:
     bench.connect("robotd://lab?model=n150")
     bench.robot = ScriptedLine(model=N200)
-    bench.robot.terms.note_mask(EVERYTHING.with_position(2))
-    bench.robot.out += build_hello(Hello(EVERYTHING.with_position(2), 51))
+    bench.robot.wire_state.set_mask(EVERYTHING.with_position(2))
+    bench.robot.out += build_handshake(Handshake(EVERYTHING.with_position(2), 51))
     robot = bench.connect("robotd://[::1]:7000?model=n200")
     assert [where[:2] for where in bench.opened] == [("lab", 65001), ("::1", 7000)]
     assert bench.robot.names() == ["conf_tm"]
@@ -195,7 +195,7 @@ def test_who_listens(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def nobody(*_: Any) -> MemoryStream:
         raise ConnectionLost("nobody")
 
-    monkeypatch.setattr("nclient.openers.SerialStream", nobody)
+    monkeypatch.setattr("nclient.transports.serial.SerialStream", nobody)
     assert not is_listening("serial:///dev/ttyUSB0", 0)
 
 
@@ -223,7 +223,7 @@ def test_a_long_wait_is_not_cut_off_by_the_time_out() -> None:
 def test_a_simulation_as_fast_as_it_can_is_not_fed_unless_asked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     server = ScriptedServer()
     server.slots = {0: 9999}
-    monkeypatch.setattr("nclient.openers.TcpStream", lambda *_: MemoryStream(server))
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_: MemoryStream(server))
     bench.connect("nserver://lab/1")
     assert server.names() == []
     bench.connect("nserver://lab/1?tm_s=9&feed=0")
@@ -247,7 +247,7 @@ def test_an_nserver_is_counted_where_it_may_be_opened_anew(bench: Bench, monkeyp
         streams.append(MemoryStream(ScriptedServer()))
         return streams[-1]
 
-    monkeypatch.setattr("nclient.openers.TcpStream", dial)
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", dial)
     assert bench.connect("nserver://lab/1?tm_s=0").link is None
     robot = bench.connect("nserver://lab/1?reconnect=0.01&feed=0")
     streams[-1].close()

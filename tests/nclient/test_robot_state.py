@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nclient.protocol.client_state import HeldState
+from nclient.protocol.client_state import ClientState
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150, N200, SCOUT, Model, Stamp
 from nclient.state import Pose, RobotState, snapshot
@@ -124,7 +124,7 @@ def test_laser_readings_come_in_their_width() -> None:
 
 
 def test_before_anything_came_all_is_zero_and_clock_and_battery_unknown() -> None:
-    seen = snapshot(HeldState(), N150)
+    seen = snapshot(ClientState(), N150)
     assert seen.raw == (0,) * 45
     assert seen.laser == (0,)
     assert (seen.clock_s, seen.battery) == (None, None)
@@ -132,11 +132,11 @@ def test_before_anything_came_all_is_zero_and_clock_and_battery_unknown() -> Non
 
 
 def test_what_is_held_is_shown_and_stays() -> None:
-    held = HeldState()
+    held = ClientState()
     stamp = Stamp(10, 20, 1800, 900, 50, -450, 450, 16400, 16464)
-    held.absorb(Reply("state", {17: 8}, (1, 5, 6), {"sonar_0": stamp}, 16480, (255, 0)))
+    held.apply_reply(Reply("state", {17: 8}, (1, 5, 6), {"sonar_0": stamp}, 16480, (255, 0)))
     seen = snapshot(held, N150)
-    held.absorb(Reply("state", {17: 9}, (1, 7, 8), {"sonar_0": stamp._replace(x=0), "bumper": stamp}, 99, (0, 0)))
+    held.apply_reply(Reply("state", {17: 9}, (1, 7, 8), {"sonar_0": stamp._replace(x=0), "bumper": stamp}, 99, (0, 0)))
     assert seen.sonars_in[0] == 8
     assert seen.laser == (1, 5, 6)
     assert seen.clock_s == 16.48

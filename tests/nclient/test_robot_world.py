@@ -12,7 +12,7 @@ from nclient.errors import RobotRefused, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import SCOUT
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.robot import Robot
 from nclient.robot_world import Arc
 from nclient.state import Pose, Truth
@@ -184,7 +184,7 @@ def test_another_verb_of_time_is_refused() -> None:
 class Mute:
     """A backend that greets with nothing, as a robot's own line may."""
 
-    terms, greeting, port, closed, link = line_terms(SCOUT), None, 1, False, None
+    wire_state, greeting, port, closed, link = serial_wire_state(SCOUT), None, 1, False, None
 
     def execute(self, call: Call) -> Reply:
         raise RobotRefused(call.name, None)

@@ -114,7 +114,7 @@ def test_the_program_tells_where_it_listens_serves_and_stops_cleanly(ending: sig
         line = re.fullmatch(r"listening nserver 127\.0\.0\.1:(\d+)\n", program.stdout.readline())
         assert line
         with socket.create_connection(("127.0.0.1", int(line[1])), timeout=10) as client:
-            client.sendall(codec.tcp_request(Call("connect_robot", (1, 1))))
+            client.sendall(codec.encode_tcp_request(Call("connect_robot", (1, 1))))
             assert client.recv(8) == bytes((0, 0x52, 0, 1)) + int(line[1]).to_bytes(4, "big")
         program.send_signal(ending)
         out, err = program.communicate(timeout=20)
@@ -200,7 +200,7 @@ def test_a_recorded_daemon_can_be_asked_again(tmp_path: Path, capsys: pytest.Cap
         port = int(daemon.stdout.readline().rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), timeout=10) as client:
             for call in (Call("connect_robot", (1, 1)), Call("vm", (100, 0, 0)), Call("gs"), Call("quit_server")):
-                client.sendall(codec.tcp_request(call))
+                client.sendall(codec.encode_tcp_request(call))
                 client.recv(4096)
     assert cli.main(["--replay", str(path)]) == 0
     assert re.fullmatch(r"4 answers, \d+ bytes as recorded\n", capsys.readouterr().out)

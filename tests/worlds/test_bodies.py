@@ -6,7 +6,7 @@ from math import degrees
 
 import pytest
 
-from worlds.bodies import BODIES, N150, N200, SCOUT, Body
+from worlds.robots import BODIES, N150, N200, SCOUT, Body
 
 
 def test_the_bodies_are_found_by_their_names() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import WorldFileError
-from worlds.calibration import FAULTLESS, Calibration, Spread, calibration_text, load_calibration
+from worlds.robots import IDEAL_CALIBRATION, Calibration, Spread, format_calibration, load_calibration
 
 OFFSETS = tuple(0.125 * number - 1.0 for number in range(16))
 FOUND = Calibration(
@@ -23,7 +23,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    path = written(tmp_path, calibration_text("n150", FOUND, "of mine\nin May"))
+    path = written(tmp_path, format_calibration("n150", FOUND, "of mine\nin May"))
     found = load_calibration(path, "n150")
     assert found.offsets_in == OFFSETS
     assert found.spread.offsets_in == FOUND.spread.offsets_in
@@ -38,7 +38,7 @@ def test_what_a_file_leaves_out_is_faultless(tmp_path: Path) -> None:
     text = '[[model]]\nname = "n200"\n[[model]]\nname = "n150"\nradius_in = 9\n[model.odometry]\nway_scale = 1.1\n'
     path = written(tmp_path, text)
     assert load_calibration(path, "n150") == Calibration(way_scale=1.1)
-    assert load_calibration(path, "n200") == FAULTLESS
+    assert load_calibration(path, "n200") == IDEAL_CALIBRATION
 
 
 @pytest.mark.parametrize(

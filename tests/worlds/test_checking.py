@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from worlds.checking import Limits, findings, space
-from worlds.files import load_world, parse_world, world_names
+from worlds.io import load_world, parse_world, world_names
+from worlds.validate import Limits, findings, space
 from worlds.world import Polygon, StartPose, World
 
 pytestmark = pytest.mark.long

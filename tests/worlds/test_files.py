@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nclient.errors import WorldFileError
-from worlds.bodies import N150
-from worlds.files import load_world, parse_world, world_names
 from worlds.geometry import lengths, nearest_points
+from worlds.io import load_world, parse_world, world_names
 from worlds.raycast import cast_rays
+from worlds.robots import N150
 from worlds.world import Polygon, StartPose
 
 ROOM = "[[room]]\ncorners_in = [[0, 0], [10, 0], [10, 10], [0, 10]]\n"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nclient.errors import WorldFileError
-from worlds.outlines import require_outline
-from worlds.tables import Point, Table
+from worlds.schema import Point, Table, require_outline
 
 TABLE = Table("f", "", {})
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worlds.files import load_world, world_names
-from worlds.simplifying import apart_in, simplified
+from worlds.io import load_world, world_names
+from worlds.simplify import apart_in, simplified
 from worlds.world import Polygon, World
 
 OUTLINE = Polygon(((0.0, 0.0), (200.0, 0.0), (200.0, 100.0), (0.0, 100.0)), "hall")

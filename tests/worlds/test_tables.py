@@ -7,7 +7,7 @@ import datetime
 import pytest
 
 from nclient.errors import WorldFileError
-from worlds.tables import Table, found
+from worlds.schema import Table, found
 
 
 @pytest.mark.parametrize(

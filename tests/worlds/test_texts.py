@@ -10,9 +10,9 @@ import pytest
 from nclient.errors import WorldFileError
 from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import load_setup
-from worlds.calibration import load_calibration
-from worlds.files import load_world
-from worlds.texts import MOST_BYTES, read_text
+from worlds.io import load_world
+from worlds.robots import load_calibration
+from worlds.schema import MOST_BYTES, read_text
 
 READERS: dict[str, Callable[[Path], object]] = {
     "world": load_world, "setup": load_setup, "models": load_models,

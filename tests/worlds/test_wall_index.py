@@ -7,8 +7,8 @@ from math import atan2, cos, hypot, inf, sin
 import numpy as np
 import pytest
 
-from worlds.files import load_world
 from worlds.geometry import FloatArray
+from worlds.io import load_world
 from worlds.raycast import MAX_LOOP_WALLS, NO_WALL, WallIndex, cast_rays
 
 ROOM = np.array(load_world("several_walls").walls)

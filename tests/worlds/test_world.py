@@ -12,8 +12,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from nclient.errors import StartError
-from worlds.bodies import N150
 from worlds.raycast import cast_rays
+from worlds.robots import N150
 from worlds.world import MARGIN_IN, Path, Polygon, StartPose, World
 
 ROOM = Polygon(((0.0, 0.0), (100.0, 0.0), (100.0, 80.0), (0.0, 80.0)), "hall")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from worlds.files import load_world, parse_world, world_names
+from worlds.io import format_world, load_world, parse_world, world_names
 from worlds.world import Path, Polygon, StartPose, World
-from worlds.writing import world_text
 
 
 def same(one: World, other: World) -> None:
@@ -28,21 +27,21 @@ def same(one: World, other: World) -> None:
 @pytest.mark.parametrize("name", world_names())
 def test_every_world_that_is_shipped_comes_back(name: str) -> None:
     world = load_world(name)
-    same(parse_world(world_text(world), "again.toml", "again"), world)
+    same(parse_world(format_world(world), "again.toml", "again"), world)
 
 
 def test_names_of_any_letters_and_numbers_of_all_digits_come_back() -> None:
     name = 'a "room" \\ of\n\ttwo \x7f lines ü 🤖'
     room = Polygon(((0.1, -7.0), (1 / 3 + 90, -7.0), (90.0, 1e2), (0.0, 100.0)), name)
     world = World("w", "Über 🤖", (room,), np.array([[10.0, 10.0, 20.0, 1 / 7]]), starts=(StartPose(0.0, 0.0),))
-    again = parse_world(world_text(world), "again.toml", "again")
+    again = parse_world(format_world(world), "again.toml", "again")
     same(again, world)
-    assert "[[start]]" not in world_text(world)
+    assert "[[start]]" not in format_world(world)
 
 
 def test_a_world_without_a_title_is_called_by_its_name() -> None:
     world = World("w", "", (Polygon(((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))),))
-    assert parse_world(world_text(world), "", "").title == "w"
+    assert parse_world(format_world(world), "", "").title == "w"
 
 
 def test_a_start_and_a_path_that_an_obstacle_stands_on_are_left_out_and_the_file_can_be_read() -> None:
@@ -53,7 +52,7 @@ def test_a_start_and_a_path_that_an_obstacle_stands_on_are_left_out_and_the_file
         "5.1": Path("long", "5.1", starts[1], ((50.0, 50.0), (60.0, 60.0))),
     }
     thing = Polygon(((9.0, 9.0), (11.0, 9.0), (11.0, 11.0)))
-    text = world_text(World("w", "", (room,), obstacles=(thing,), starts=starts, paths=paths))
+    text = format_world(World("w", "", (room,), obstacles=(thing,), starts=starts, paths=paths))
     again = parse_world(text, "again.toml", "again")
     (start,) = again.starts
     assert start.x_in == 50.0
@@ -68,8 +67,8 @@ def test_walls_that_go_on_in_one_another_are_one_line_and_a_comment_stands_above
     walls = np.array([[1, 50, 5, 50], [5, 50, 5, 60], [7, 70, 9, 70]], dtype=np.float64)
     world = World("w", "", (Polygon(((0.0, 0.0), (90.0, 0.0), (90.0, 90.0), (0.0, 90.0))),), walls,
                   starts=(StartPose(30.0, 30.0),))  # fmt: skip
-    text = world_text(world, "of mine\ntwice")
+    text = format_world(world, "of mine\ntwice")
     assert text.startswith("# of mine\n# twice\nname = ")
     assert "points_in = [[1.0, 50.0], [5.0, 50.0], [5.0, 60.0]]" in text
     assert "points_in = [[7.0, 70.0], [9.0, 70.0]]" in text
-    same(parse_world(text, "again.toml", "again"), parse_world(world_text(world), "", ""))
+    same(parse_world(text, "again.toml", "again"), parse_world(format_world(world), "", ""))

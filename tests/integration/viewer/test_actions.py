@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from tests.integration.viewer.browsing import OpenPage, nserver, open_page
-from worlds.files import load_world
+from worlds.io import load_world
 
 
 def drag(page: OpenPage, start: tuple[float, float], end: tuple[float, float]) -> None:

@@ -9,8 +9,7 @@ from pathlib import Path
 from playwright.sync_api import Browser
 
 from tests.integration.viewer.browsing import OpenPage, nserver, open_page
-from worlds.files import load_world
-from worlds.writing import world_text
+from worlds.io import format_world, load_world
 
 OBSTACLES = "nserver.scene.world.obstacles"
 CORNERS = 12
@@ -21,7 +20,7 @@ def test_obstacle_with_twelve_corners_is_restored(browser: Browser, tmp_path: Pa
     corners = [[170.123 + 30 * math.cos(angle), 170 + 30 * math.sin(angle)] for angle in angles]
     file = tmp_path / "pillar.toml"
     pillar = f'\n[[obstacle]]\nname = "pillar"\ncorners_cm = {corners}\n'
-    file.write_text(world_text(load_world("thesis_room")) + pillar)
+    file.write_text(format_world(load_world("thesis_room")) + pillar)
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         page.page.set_input_files("#load-world", file)
         page.wait(f"{OBSTACLES}.length === 1")

@@ -11,8 +11,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from tests.integration.viewer.browsing import nserver, open_page
-from worlds.files import load_world
-from worlds.writing import world_text
+from worlds.io import format_world, load_world
 
 NOTICE = "document.querySelector('#notice')"
 OBSTACLES = "nserver.scene.world.obstacles"
@@ -111,7 +110,7 @@ BUTTONS = [f"JSON.stringify((({{x, width}}) => [x, width])(document.querySelecto
 
 def test_loading_world_can_be_undone_and_redone(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "other.toml"
-    file.write_text(world_text(load_world("several_walls")) + '\n[[obstacle]]\nname = "far"\n'
+    file.write_text(format_world(load_world("several_walls")) + '\n[[obstacle]]\nname = "far"\n'
                     "corners_cm = [[1_00.0, +150], [110, 150.], [110, 160]]\n".replace("150.]", "150.0]"))
     with nserver("thesis_room") as program, open_page(browser, program.url) as page:
         assert page.page.is_disabled("#undo")

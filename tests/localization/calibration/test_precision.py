@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import radians
 
 from localization.calibration.result import missing, noise_in, numbers
-from worlds.calibration import Calibration, Spread
+from worlds.robots import Calibration, Spread
 
 KNOWN = Spread(0.001, 0.001, 0.000025, (0.033,) * 16, radians(0.1))
 

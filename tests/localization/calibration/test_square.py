@@ -22,9 +22,9 @@ from localization.calibration.procedure import (
 )
 from localization.filters.belief import HEADING
 from localization.filters.odometry import move
-from localization.navigation.roadmap import NoWayError, clearances
+from localization.navigation.roadmap import NoPathError, clearances
 from localization.navigation.waypoints import PERIOD_S
-from worlds.files import load_world, world_names
+from worlds.io import load_world, world_names
 from worlds.world import Polygon, World
 
 RADIUS_IN = 9.72
@@ -73,7 +73,7 @@ def test_a_way_through_a_gap_leaves_what_there_is_and_one_through_none_is_refuse
         return World("door", rooms=(Polygon(sides),), inner_walls=posts)
 
     assert way_to((160.0, 50.0), (40.0, 50.0), door(24.0), 9.0)[-1] == (160.0, 50.0)
-    with pytest.raises(NoWayError, match=r"10\.0 in radius"):
+    with pytest.raises(NoPathError, match=r"10\.0 in radius"):
         way_to((160.0, 50.0), (40.0, 50.0), door(19.0), 9.0)
 
 

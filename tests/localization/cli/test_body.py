@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.cli.assumptions import body_of
+from localization.live.assumptions import resolve_robot_model
 from nclient.cli.main import main
 from nclient.errors import AddressError
 
@@ -19,19 +19,19 @@ from nclient.errors import AddressError
     ("scout", "scout", "serial:///dev/ttyUSB0?model=scout", "scout"),
 ])  # fmt: skip
 def test_the_address_comes_first_then_the_option(option: str | None, model: str, address: str, body: str) -> None:
-    assert body_of(option, model, address) == body
+    assert resolve_robot_model(option, model, address) == body
 
 
 @pytest.mark.parametrize("address", ["sim:thesis_room", "nserver://host/1?model=n150"])
 def test_they_may_not_contradict(address: str) -> None:
     with pytest.raises(AddressError, match=r"--body scout: the robot at .* is of model n150; leave --body out"):
-        body_of("scout", "n150", address)
+        resolve_robot_model("scout", "n150", address)
 
 
 def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "sim:?robot=scout")
     with pytest.raises(AddressError):
-        body_of("n150", "scout", None)
+        resolve_robot_model("n150", "scout", None)
 
 
 @pytest.mark.parametrize("words", [

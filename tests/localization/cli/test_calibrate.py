@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import main
-from worlds.calibration import Calibration, calibration_text, load_calibration
+from worlds.robots import Calibration, format_calibration, load_calibration
 
 pytestmark = pytest.mark.long
 
@@ -32,7 +32,7 @@ def erring(sign: float) -> Calibration:
 def files(folder: Path, errs: Calibration, base: str) -> tuple[Path, Path]:
     """A robot that errs so, and a setup."""
     model, setup = folder / "erring.toml", folder / "setup.toml"
-    model.write_text(calibration_text("n150", errs))
+    model.write_text(format_calibration("n150", errs))
     setup.write_text(SETUP.format(base=base))
     return model, setup
 
@@ -76,7 +76,7 @@ def test_a_real_rings_offsets_and_the_wheels_are_found(tmp_path: Path, capsys: p
 
 def test_a_scout_has_no_turret_and_is_calibrated_as_well(tmp_path: Path) -> None:
     model = tmp_path / "scout.toml"
-    model.write_text(calibration_text("scout", Calibration(1.04, 0.95, 0.001)))
+    model.write_text(format_calibration("scout", Calibration(1.04, 0.95, 0.001)))
     out = tmp_path / "found.toml"
     address = f"sim:thesis_room?robot=scout&seed=1&model_file={model}"
     words = ["--world", "thesis_room", "--body", "scout", "--laps", "1", "--odometry-noise", "0.005,0.005,0.0001"]

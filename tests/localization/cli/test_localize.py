@@ -12,8 +12,8 @@ from localization.cli import localize as localization_cli
 from localization.live.run import Run
 from nclient import ReplyTimeout, Robot
 from nclient.cli import main
-from nclient.common.process import Left
-from worlds.calibration import Calibration, Spread, calibration_text
+from nclient.common.process import TerminatedBySignal
+from worlds.robots import Calibration, Spread, format_calibration
 
 NOISY = "sim:thesis_room?noisy=1&seed=1"
 TO_GOAL = ["--map", "thesis_room", "--waypoints", "0,0", "60,40"]
@@ -154,7 +154,7 @@ def test_a_server_that_leaves_the_question_for_the_truth_unanswered_is_driven_wi
 def test_a_calibrated_robot_errs_no_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mine = tmp_path / "mine.toml"
     errs = Calibration(1.05, 0.95, 0.002, (1.5,) * 16, 0.05, Spread(0.001, 0.001, 1e-5))
-    mine.write_text(calibration_text("n150", errs))
+    mine.write_text(format_calibration("n150", errs))
     words = [*TO_GOAL, "--odometry-noise", "0.01,0.01,0.0003", "--json"]
     ends = []
     for calibration in ([], ["--calibration", str(mine)]):
@@ -167,7 +167,7 @@ def test_sonars_that_read_too_much_are_found_out_while_driving(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine, kept = tmp_path / "mine.toml", tmp_path / "kept.json"
-    mine.write_text(calibration_text("n150", Calibration(offsets_in=(2.0,) * 16)))
+    mine.write_text(format_calibration("n150", Calibration(offsets_in=(2.0,) * 16)))
     ends = []
     for method in ("ekf", "offsets"):
         words = [*TO_GOAL, "--method", method, "--save", str(kept), "--json"]
@@ -233,7 +233,7 @@ def test_it_says_that_its_time_is_over(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_picture_that_is_no_png_is_told_before_the_drive(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     assert localize(NOISY, *TO_GOAL, "--picture", name) == 1
     assert "pictures are written as PNG: name a file that ends in .png" in capsys.readouterr().err
 
@@ -252,7 +252,7 @@ def test_options_that_cannot_be_read_say_what_is_wanted(
     assert told in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: Left("SIGTERM")])
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, lambda: TerminatedBySignal("SIGTERM")])
 def test_an_interrupted_run_is_saved_and_told(
     ending: Callable[[], BaseException], tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -278,7 +278,7 @@ def test_an_interrupted_run_is_saved_and_told(
 def test_a_file_that_cannot_be_written_is_told_before_the_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(localization_cli, "opened", lambda _: pytest.fail("it drives"))
+    monkeypatch.setattr(localization_cli, "open_robot", lambda _: pytest.fail("it drives"))
     (tmp_path / "file").touch()
     in_the_way = tmp_path / "file"
     for file, told in ((tmp_path, f"{str(tmp_path)!r}: cannot be written there"),
@@ -313,7 +313,7 @@ def test_the_guess_of_rays_is_told_first_and_doubted_where_readings_do_not_fit(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not tell its setup."""
-    monkeypatch.setattr("localization.cli.assumptions.rays_told_by", lambda _: None)
+    monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     assert localize(NOISY, *TO_GOAL) == 0
     told = capsys.readouterr().out
     assert told.startswith("sonars are taken for exact rays, this being a simulation (of setup measured: --sonars c")

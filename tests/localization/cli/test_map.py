@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nclient.cli import main
-from worlds.files import load_world
+from worlds.io import load_world
 
 ROOM = """
 [[room]]

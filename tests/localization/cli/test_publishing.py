@@ -20,7 +20,7 @@ from localization.filters.health import FilterHealth, HealthStatus
 from localization.filters.odometry import with_parameters
 from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.live.publish import AGAIN_S, MOST_PLACES, Publisher, message, waypoints_in
+from localization.live.publish import AGAIN_S, MOST_PLACES, Publisher, message, parse_answer
 from localization.live.run import RunMoment
 from localization.navigation.waypoints import COMMAND_TIMEOUT_S, Navigator
 from nclient.errors import AddressError, ConnectionLost
@@ -132,8 +132,8 @@ def test_a_page_that_answers_nothing_holds_up_the_robot_for_a_fraction_of_a_seco
 
 
 def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
-    assert waypoints_in(b'{"waypoints": [[1, 2.5]], "set": 3}') == ([(1.0, 2.5)], 3)
-    assert waypoints_in(b'{"waypoints": null, "set": 0}') == ([], 0)
+    assert parse_answer(b'{"waypoints": [[1, 2.5]], "set": 3}') == ([(1.0, 2.5)], 3)
+    assert parse_answer(b'{"waypoints": null, "set": 0}') == ([], 0)
 
 
 @pytest.mark.parametrize("answer", [
@@ -143,7 +143,7 @@ def test_an_answer_is_waypoints_and_how_often_they_were_set() -> None:
 ])  # fmt: skip
 def test_what_is_no_answer_of_a_page_is_one_kind_of_error(answer: bytes) -> None:
     with pytest.raises(ValueError, match="no answer of a page: "):
-        waypoints_in(answer)
+        parse_answer(answer)
 
 
 @pytest.mark.parametrize("url", ["", "127.0.0.1:7080", "http://127.0.0.1/?token=x", "http://h:7080/", "http://h:x/?token=y"])

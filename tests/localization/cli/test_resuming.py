@@ -19,7 +19,7 @@ from localization.live.run import Run, RunMoment
 from nclient import Robot, connect
 from nclient.cli import main
 from nclient.errors import EstimateFileError
-from worlds.files import load_world
+from worlds.io import load_world
 
 ADDRESS = "sim:several_walls?seed=2&start=5,5,0,0&setup=noisy"
 Localize = Callable[..., tuple[int, str]]

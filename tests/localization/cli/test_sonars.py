@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.cli.assumptions import Taken, rays_told_by, taken
+from localization.live.assumptions import Taken, sonar_model_of_address, taken
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.simulation.acoustics import Polaroid
 from nserver_emu.simulation.noise import SETUPS
@@ -30,7 +30,7 @@ def simulated_rays(address: str) -> bool:
 def test_a_simulation_in_this_process_says_what_it_is(query: str) -> None:
     address = f"sim:thesis_room{query}"
     rays = simulated_rays(address)
-    assert rays_told_by(address) is rays
+    assert sonar_model_of_address(address) is rays
     assert taken(None, True, address) == Taken(rays, guessed=False)
     assert taken(None, True, address).line() == ""
 
@@ -40,17 +40,17 @@ def test_so_does_one_of_a_setup_of_ones_own(name: str, tmp_path: Path) -> None:
     file = tmp_path / f"{name}.toml"
     file.write_text(FILES[name])
     address = f"sim:?setup={file}"
-    assert rays_told_by(address) is simulated_rays(address)
+    assert sonar_model_of_address(address) is simulated_rays(address)
 
 
 @pytest.mark.parametrize("text", ["base = ", "sonar = 3"])
 def test_a_file_that_is_none_says_nothing_wrong(text: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text)
-    assert rays_told_by(f"sim:?setup={file}") is (None if text.endswith("= ") else True)
-    assert rays_told_by(f"sim:?setup={tmp_path}/none.toml") is None
+    assert sonar_model_of_address(f"sim:?setup={file}") is (None if text.endswith("= ") else True)
+    assert sonar_model_of_address(f"sim:?setup={tmp_path}/none.toml") is None
     file.write_text("x = " + 5000 * "[")
-    assert rays_told_by(f"sim:?setup={file}") is None
+    assert sonar_model_of_address(f"sim:?setup={file}") is None
 
 
 def test_a_server_does_not_tell_and_a_robot_has_cones(monkeypatch: pytest.MonkeyPatch) -> None:

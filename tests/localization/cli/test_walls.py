@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from localization.cli.assumptions import add_map, world_of
+from localization.live.assumptions import add_map_option, resolve_world
 from nclient.cli.main import main
 from nclient.errors import AddressError
-from worlds.files import DEFAULT_WORLD
+from worlds.io import DEFAULT_WORLD
 
 
 def said(option: str | None, address: str | None) -> argparse.Namespace:
     """Options as a command has them."""
     parser = argparse.ArgumentParser()
-    add_map(parser)
+    add_map_option(parser)
     parser.add_argument("address", nargs="?")
     return parser.parse_args([*(("--map", option) if option else ()), *((address,) if address else ())])
 
@@ -32,12 +32,12 @@ def said(option: str | None, address: str | None) -> argparse.Namespace:
 def test_the_option_comes_first_then_the_command_then_the_address(
     option: str | None, address: str, known: str, world: str
 ) -> None:
-    assert world_of(said(option, address), known).name == world
+    assert resolve_world(said(option, address), known).name == world
 
 
 def test_the_default_address_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOMAD_ROBOT", "sim:several_walls?seed=1")
-    assert world_of(said(None, None)).name == "several_walls"
+    assert resolve_world(said(None, None)).name == "several_walls"
 
 
 @pytest.mark.parametrize("address", ["nserver://host/1", "serial:///dev/ttyUSB0?model=n150", None])
@@ -46,14 +46,14 @@ def test_where_nobody_tells_the_remedy_is_told(
 ) -> None:
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     with pytest.raises(SystemExit, match="2"):
-        world_of(said(None, address))
+        resolve_world(said(None, address))
     assert "which walls are there? --map WORLD" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("address", ["thesis_room", "sin:thesis_room"])
 def test_an_address_that_is_none_is_told_of_before_the_walls_are_asked_for(address: str) -> None:
     with pytest.raises(AddressError, match="is no address"):
-        world_of(said(None, address))
+        resolve_world(said(None, address))
 
 
 @pytest.mark.parametrize("words", [

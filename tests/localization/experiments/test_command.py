@@ -10,14 +10,14 @@ import pytest
 
 from localization.experiments import __main__ as experiments
 from localization.experiments import live_trial
-from localization.experiments.live_command import Store, collect
+from localization.experiments.live import Store, collect
 from localization.experiments.live_trial import Done, Job, trials
 
 SHORT = ["--scenario", "exact", "--figures", "5.4", "--methods", "ekf", "ukf", "--seeds", "2", "--periods", "8"]
 WANTED = trials(["exact"], ["5.4"], ["ekf"], 3, 8)
 
 
-class Crew:
+class Executor:
     """Works here, and remembers how much."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ def test_two_processes_make_the_same_numbers(tmp_path: Path) -> None:
 
 
 def test_what_is_on_disk_is_not_driven_again(tmp_path: Path) -> None:
-    store, crew, tallies = Store(tmp_path, "code"), Crew(), list[int]()
+    store, crew, tallies = Store(tmp_path, "code"), Executor(), list[int]()
     collect(WANTED[:2], store, None, crew, tallies.append)
     whole = collect(WANTED, store, None, crew, tallies.append)
     assert [job.trial.seed for job in crew.jobs] == [0, 1, 2]
@@ -79,7 +79,7 @@ def test_an_interrupted_run_keeps_what_was_done(tmp_path: Path) -> None:
 
 
 def test_paths_that_are_missing_or_older_are_driven_for(tmp_path: Path) -> None:
-    store, crew = Store(tmp_path / "trials", "code"), Crew()
+    store, crew = Store(tmp_path / "trials", "code"), Executor()
     collect(WANTED[:1], store, None, crew, lambda _: None)
     collect(WANTED[:1], store, tmp_path / "tum", crew, lambda _: None)
     assert [job.whole for job in crew.jobs] == [False, True]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from localization.experiments.trial import bound_step, information, mean_band, nees
+from localization.experiments.figure_trial import bound_step, information, mean_band, nees
 from localization.filters.belief import Floats
 
 

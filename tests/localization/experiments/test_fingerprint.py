@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from localization.experiments import execution as room
-from localization.experiments.execution import fingerprint
+from localization.experiments.execution import code_hash
 
 
 def test_it_is_the_same_until_code_or_numpy_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = fingerprint()
-    assert fingerprint() == before
+    before = code_hash()
+    assert code_hash() == before
     sources = room._sources()
     changed = {**sources, "localization/filters/ekf.py": sources["localization/filters/ekf.py"] + b"#"}
     monkeypatch.setattr(room, "_sources", lambda: changed)
-    other_code = fingerprint()
+    other_code = code_hash()
     monkeypatch.setattr(np, "__version__", "0.0")
-    assert len({before, other_code, fingerprint()}) == 3
+    assert len({before, other_code, code_hash()}) == 3
 
 
 def test_it_reads_code_and_worlds_of_all_packages() -> None:

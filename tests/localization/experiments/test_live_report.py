@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments.live_command import COLUMNS, rows, table, write
+from localization.experiments.live import COLUMNS, rows, table, write
 from localization.experiments.live_trial import Cell, LiveSummary
 
 GOOD = LiveSummary(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import lost_command
+from localization.experiments import lost as lost_command
 from localization.experiments.__main__ import main
 from localization.experiments.lost_trial import Case, Kind, Outcome
 
@@ -31,7 +31,7 @@ def test_runs_that_are_kept_are_not_made_again(
     asked = ["lost", "calm", "kidnapped", "--runs", "2", "--minutes", "1", "--jobs", "1", "--out", str(tmp_path)]
     assert main(asked) == 0
     assert [(case.kind, case.seed, case.seconds) for case in made] == [
-        (Kind.CALM, 0, 60.0), (Kind.CALM, 1, 60.0), (Kind.KIDNAPPED, 0, 60.0), (Kind.KIDNAPPED, 1, 60.0)
+        (Kind.TRACKING, 0, 60.0), (Kind.TRACKING, 1, 60.0), (Kind.KIDNAPPED, 0, 60.0), (Kind.KIDNAPPED, 1, 60.0)
     ]
     assert "LOST said of 2, of 2 within 5 s" in capsys.readouterr().out
     assert main([*asked, "--json"]) == 0
@@ -43,7 +43,7 @@ def test_runs_that_are_kept_are_not_made_again(
 
 def test_without_numbers_it_makes_as_many_as_each_kind_is_judged_by(made: list[Case], tmp_path: Path) -> None:
     assert main(["lost", "nowhere", "--jobs", "1", "--out", str(tmp_path)]) == 0
-    assert len(made) == lost_command.RUNS[Kind.NOWHERE] == 100
+    assert len(made) == lost_command.RUNS[Kind.UNKNOWN_START] == 100
 
 
 def test_a_kind_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

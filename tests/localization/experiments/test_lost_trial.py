@@ -13,7 +13,7 @@ from localization.filters.health import IntegrityMonitor
 
 pytestmark = pytest.mark.long
 
-EXACT = Case(Kind.CALM, "several_walls", SCENARIOS["exact"], 3, 12.0)
+EXACT = Case(Kind.TRACKING, "several_walls", SCENARIOS["exact"], 3, 12.0)
 
 
 def test_a_calm_run_lasts_as_long_as_it_was_told_and_says_nothing() -> None:
@@ -34,7 +34,7 @@ def test_alarms_are_counted_as_they_are_said(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(("seed", "seconds"), [(125, 42.0), (139, 54.0)])
 def test_a_place_that_fits_two_dozen_echoes_by_chance_is_no_reason_for_an_alarm(seed: int, seconds: float) -> None:
     """A fifth of the readings bad and the heading off after a turn: elsewhere fits the last echoes better by e^19."""
-    assert drive(Case(Kind.CALM, "several_walls", SCENARIOS["measured"], seed, seconds)).alarms == 0
+    assert drive(Case(Kind.TRACKING, "several_walls", SCENARIOS["measured"], seed, seconds)).alarms == 0
 
 
 def test_a_kidnapped_robot_says_so_and_finds_itself(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,7 +48,7 @@ def test_a_kidnapped_robot_says_so_and_finds_itself(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_robot_that_is_told_nothing_finds_itself() -> None:
-    outcome = drive(replace(EXACT, kind=Kind.NOWHERE, seed=2))
+    outcome = drive(replace(EXACT, kind=Kind.UNKNOWN_START, seed=2))
     assert outcome.rmse_in is None
     assert outcome.found_after_s is not None
     assert outcome.right
@@ -56,7 +56,7 @@ def test_a_robot_that_is_told_nothing_finds_itself() -> None:
 
 def test_in_a_square_room_nothing_is_ever_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lost_trial, "PATIENCE_S", 15.0)
-    outcome = drive(replace(EXACT, kind=Kind.NOWHERE, world="thesis_room"))
+    outcome = drive(replace(EXACT, kind=Kind.UNKNOWN_START, world="thesis_room"))
     assert outcome.found_after_s is None
     assert not outcome.right
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import __main__, lost_command, plan_command
-from localization.experiments import live_command as live
+from localization.experiments import __main__, live
+from localization.experiments import lost as lost_command
+from localization.experiments import plan as plan_command
+from localization.experiments.figure_trial import FIGURES
 from localization.experiments.results import Summary
-from localization.experiments.trial import FIGURES
 
 QUICK = ["--seeds", "2", "--jobs", "1"]
 
@@ -100,7 +101,7 @@ def test_without_matplotlib_it_refuses_before_it_drives(
 def test_a_folder_that_cannot_be_made_is_named_before_anything_is_run(
     words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for room in ("__main__", "live_command", "lost_command", "plan_command"):
+    for room in ("__main__", "live", "lost", "plan"):
         monkeypatch.setattr(f"localization.experiments.{room}.progress", lambda *_: pytest.fail("it runs"))
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert __main__.main([*words, "--out", str(tmp_path / "file")]) == 2

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from localization.experiments import execution, plan_command
+from localization.experiments import execution
+from localization.experiments import plan as plan_command
 from localization.experiments.__main__ import main
 from localization.experiments.execution import Kept
-from localization.experiments.plan_command import APART_IN, ROOM_IN, WORLDS, Driven, Pair, drive, ends_of
-from worlds.bodies import N150
-from worlds.files import load_world
+from localization.experiments.plan import APART_IN, ROOM_IN, WORLDS, Driven, Pair, drive, ends_of
+from worlds.io import load_world
+from worlds.robots import N150
 
 DRIVEN = Driven("thesis_room", 0, "done", "", False, 2.0, 0.4, 50.0, 50.5, 51.0, 1, 12.0)
 

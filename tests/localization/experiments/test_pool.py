@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from localization.experiments.execution import drive, drive_part, parts_of
-from localization.experiments.trial import FIGURES
+from localization.experiments.figure_trial import FIGURES
 
 
 @pytest.mark.parametrize(

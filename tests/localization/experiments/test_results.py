@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from localization.experiments.figure_trial import FIGURES, Runs
 from localization.experiments.results import (
     TRACKED_SEEDS,
     Outcome,
@@ -17,7 +18,6 @@ from localization.experiments.results import (
     summarize,
     typical,
 )
-from localization.experiments.trial import FIGURES, Runs
 
 
 def made_up_runs(first_seed: int = 0) -> Runs:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from localization.experiments.live_trial import COURSES, SCENARIOS
-from worlds.files import load_world
+from worlds.io import load_world
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from localization.experiments.live_command import Store
+from localization.experiments.live import Store
 from localization.experiments.live_trial import SCENARIOS, Trial, TrialResult
 from localization.filters.sonar_cone import ConeSonar
 

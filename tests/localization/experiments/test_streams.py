@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 
-from localization.experiments.trial import start_errors, step_errors
+from localization.experiments.figure_trial import start_errors, step_errors
 from localization.filters.belief import Floats
 
 

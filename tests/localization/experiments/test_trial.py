@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from localization.experiments.figure_trial import FIGURES, Course, Runs, course_of, mean_band, run, start_errors
 from localization.experiments.results import Summary, outcome_of, summarize
-from localization.experiments.trial import FIGURES, Course, Runs, course_of, mean_band, run, start_errors
 from localization.filters.belief import difference
 from localization.filters.odometry import transition
 from localization.filters.sonar_ray import meet, range_jacobian, rays, sight, wall_map
-from localization.navigation.speed import Gains, next_step
+from localization.navigation.speed import ControlGains, next_step
 
 pytestmark = pytest.mark.long
 
@@ -58,7 +58,9 @@ def test_the_other_figures_arrive_and_stay_consistent(name: str) -> None:
     figure = FIGURES[name]
     course = course_of(figure)
     if name != "5.6":
-        course = replace(course, gains=Gains(drho_max_in=0.2, dtheta_max_rad=0.2, alpha_rho=0.1, alpha_theta=0.1))
+        course = replace(
+            course, gains=ControlGains(drho_max_in=0.2, dtheta_max_rad=0.2, alpha_rho=0.1, alpha_theta=0.1)
+        )
     summary = summarize(figure, outcome_of(run(course, range(seeds)), filtered=True).results)
     low, high = mean_band(3, seeds, probability=0.999)
     assert summary["reached"] == seeds
@@ -143,7 +145,7 @@ def test_without_the_filter_the_start_is_known_exactly() -> None:
 
 
 def test_a_run_that_never_arrives_ends_and_is_not_counted() -> None:
-    circling = replace(short_course(), gains=Gains(0.5, 0.001, 0.08, 0.8), goals_in=np.array([[0.0, 5.0]]))
+    circling = replace(short_course(), gains=ControlGains(0.5, 0.001, 0.08, 0.8), goals_in=np.array([[0.0, 5.0]]))
     runs = run(circling, range(3))
     assert not runs.reached.any()
     assert runs.steps.tolist() == [circling.most_steps] * 3

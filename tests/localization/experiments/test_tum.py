@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from localization.experiments import live_command
+from localization.experiments import live as live_command
 from localization.experiments.live_trial import Job, run, trials
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from localization.experiments.lost_trial import STAND, Wanderer
+from localization.experiments.lost_trial import STAND, RandomExplorer
 from localization.navigation.recovery import TURN_RAD_S
 from localization.navigation.roadmap import Roadmap
 from localization.navigation.waypoints import Command, Speeds
@@ -23,12 +23,12 @@ class Ring(NamedTuple):
     turret_rad: float = 1.0
 
 
-def wanderer(places: np.typing.NDArray[np.float64] = GOAL) -> Wanderer:
-    return Wanderer(Roadmap(ROOM, 12.0), places, Speeds(translation_in_s=5.0), np.random.default_rng(0))
+def explorer(places: np.typing.NDArray[np.float64] = GOAL) -> RandomExplorer:
+    return RandomExplorer(Roadmap(ROOM, 12.0), places, Speeds(translation_in_s=5.0), np.random.default_rng(0))
 
 
 def test_it_plans_standing_then_turns_on_the_spot_then_drives_and_plans_anew_when_it_is_there() -> None:
-    one = wanderer()
+    one = explorer()
     assert one.command(np.array([20.0, 20.0, pi])) == STAND
     assert one.command(np.array([20.0, 20.0, pi])).translation_in_s == 0.0
     assert one.command(np.array([20.0, 20.0, -2.0])) == Command(0.0, TURN_RAD_S)
@@ -38,13 +38,13 @@ def test_it_plans_standing_then_turns_on_the_spot_then_drives_and_plans_anew_whe
 
 
 def test_where_there_is_no_way_it_stands_and_tries_the_next_place() -> None:
-    one = wanderer(np.array([[2.0, 2.0]]))
+    one = explorer(np.array([[2.0, 2.0]]))
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND
     assert one.command(np.array([20.0, 20.0, 0.0])) == STAND
 
 
 def test_lost_it_gropes_and_plans_anew_when_it_is_found() -> None:
-    one = wanderer()
+    one = explorer()
     one.command(np.array([20.0, 20.0, 0.0]))
     assert one.command(np.array([20.0, 20.0, 0.0])) == Command(5.0, 0.0)
     assert one.grope(Ring((255,) * 16)) == Command(0.0, TURN_RAD_S)

@@ -11,7 +11,7 @@ from localization.filters.calibration import EDGE_STD_RAD, Aiming, Look
 from localization.filters.reflectors import reflectors
 from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
 from localization.filters.sonar_ray import wall_map
-from worlds.bodies import N150
+from worlds.robots import N150
 
 WALL = [[100.0, -1000.0, 100.0, 1000.0]]
 MODEL = ConeSonar()

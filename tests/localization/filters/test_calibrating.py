@@ -25,9 +25,9 @@ from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import pick, rays, ring, wall_map
 from localization.filters.update import Refusal
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.raycast import cast_rays
+from worlds.robots import N150
 
 WORLD = load_world("several_walls")
 QUIET = OdometryNoise(0.02, 0.02, 0.0005)

@@ -10,7 +10,7 @@ import pytest
 
 from localization.filters.reflectors import reflectors
 from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_chances, cone_returns
-from worlds.files import load_world
+from worlds.io import load_world
 
 SURE = np.array(1e-9)
 SQUARE_ROOM = [[-50, -50, 50, -50], [50, -50, 50, 50], [50, 50, -50, 50], [-50, 50, -50, -50]]

@@ -19,8 +19,8 @@ from localization.live.sensor_input import FiringSchedule
 from nclient import Robot, connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
 from nclient.state import Pose
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 

@@ -15,8 +15,8 @@ from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeModel, ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RayModel, RaySonar, observe, pick, ring, wall_map
 from localization.filters.update import MeasurementUpdate, Refusal, Rule, iterated, unscented
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 ROOM = load_world("thesis_room").walls
 BELIEF = independent([40.0, 45.0, 0.0], [0.5, 0.5, 0.02])

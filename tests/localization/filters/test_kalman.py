@@ -16,8 +16,8 @@ from localization.filters.registry import update_for
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import RaySonar
 from localization.filters.update import Association, Hypotheses, MeasurementUpdate, Refusal, linear
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 WINDOW = Bounds().window
 HERE = independent([20.0, 35.0, 0.3], [0.2, 0.2, 0.01])

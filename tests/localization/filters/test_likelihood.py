@@ -10,8 +10,8 @@ import pytest
 from localization.filters.particles import SPAN_IN, ConeLikelihood, Likelihood, RayLikelihood
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 

@@ -24,9 +24,9 @@ from localization.filters.sonar_ray import (
     sight,
     wall_map,
 )
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.raycast import cast_rays
+from worlds.robots import N150
 
 WALLS = wall_map(load_world("several_walls").walls)
 

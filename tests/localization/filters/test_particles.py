@@ -12,9 +12,9 @@ from localization.filters.odometry import OdometryNoise, move, predict
 from localization.filters.particles import ParticleFilter, RayLikelihood, Weighed, drawn_from, low_variance, moments
 from localization.filters.sonar_ray import WIRE_SONAR
 from localization.filters.update import Observation, Refusal
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.raycast import cast_rays
+from worlds.robots import N150
 
 BELIEF = independent([40.0, 45.0, 0.3], [0.8, 0.5, 0.03])
 ROOM = load_world("thesis_room").walls

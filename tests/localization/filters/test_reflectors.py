@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from localization.filters.reflectors import reflectors
-from worlds.files import load_world
+from worlds.io import load_world
 
 
 def test_a_square_room_has_four_square_corners() -> None:

@@ -18,8 +18,8 @@ from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
 from localization.filters.sonar_ray import RaySonar
 from nclient import connect
 from nclient.protocol.types import DEFAULT_SONAR_ORDER
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 

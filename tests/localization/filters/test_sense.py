@@ -10,8 +10,8 @@ from localization.filters.belief import Belief, Floats, independent
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR, RaySonar, associate, pick, ring, wall_map
 from localization.filters.update import Association, Hypotheses, Refusal
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 WALLS = load_world("centre_vertex").walls
 POSE = np.array([40.0, 45.0, 0.2])

@@ -22,8 +22,8 @@ from localization.filters.sonar_ray import (
     wall_map,
 )
 from localization.filters.update import Refusal
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 ROOM = wall_map(load_world("several_walls").walls)
 OPEN = wall_map([[30.0, -40.0, 30.0, 40.0]])

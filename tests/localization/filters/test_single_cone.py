@@ -7,7 +7,7 @@ import pytest
 
 from localization.filters.reflectors import reflectors
 from localization.filters.sonar_cone import ConeSensor, ConeSonar, SonarMount, cone_returns
-from worlds.files import load_world
+from worlds.io import load_world
 
 MODELS = [ConeSonar(), ConeSonar(cone_rad=1.2, margin_db=60.0), ConeSonar(cone_rad=7.0)]
 

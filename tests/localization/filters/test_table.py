@@ -12,8 +12,8 @@ from localization.filters.belief import Belief, independent
 from localization.filters.odometry import OdometryNoise, with_parameters
 from localization.filters.range_table import build_range_table
 from localization.filters.registry import METHODS, finder, make
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 KNOWN = LocalizationConfig(load_world("thesis_room").walls, N150)
 BELIEF = independent([40.0, 45.0, 0.3], [0.5, 0.5, 0.02])

@@ -13,9 +13,8 @@ from localization.filters.sonar_ray import WIRE_SONAR
 from localization.live import sensor_input as calibrated
 from localization.live.localizer import Localizer
 from localization.live.sensor_input import FiringSchedule, SensorData, with_wheels
-from worlds.bodies import N150
-from worlds.calibration import FAULTLESS, Calibration, Spread
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import IDEAL_CALIBRATION, N150, Calibration, Spread
 
 TOLD = SensorData(1.0, 2.0, 3.0, 0.5, 0.6, (6.0, 255.0, 0.0, 7.0, 254.0, *(50.0,) * 11))
 ERRS = Calibration(1.02, 0.97, 0.001, (2.0,) * 4 + (-2.0,) * 12, radians(3.0), Spread(0.01, 0.02, 1e-4))
@@ -32,9 +31,9 @@ def test_readings_lose_their_offsets_and_limits_stay_limits() -> None:
 
 
 def test_a_faultless_robot_is_told_as_it_is() -> None:
-    assert calibrated.of(TOLD, FAULTLESS) is TOLD
+    assert calibrated.of(TOLD, IDEAL_CALIBRATION) is TOLD
     pose = independent([0.0, 0.0, 0.0], [1.0, 1.0, 1.0])
-    assert with_wheels(pose, FAULTLESS) is pose
+    assert with_wheels(pose, IDEAL_CALIBRATION) is pose
 
 
 def test_wheels_begin_at_what_was_found() -> None:

@@ -9,14 +9,14 @@ import pytest
 
 from localization.filters.belief import difference, independent
 from localization.filters.odometry import OdometryNoise, move, step_between, step_variance
-from localization.live.saved_estimate import Kept, resumed, site_of
+from localization.live.saved_estimate import Kept, map_signature, resume_belief
 from localization.live.sensor_input import EncoderPose
 from nclient.errors import EstimateFileError
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import Polygon
 
 NOISE = OdometryNoise(0.05, 0.05, 0.002)
-SITE = site_of(load_world("thesis_room"), "n150")
+SITE = map_signature(load_world("thesis_room"), "n150")
 
 
 def encoders(x: float, y: float, heading: float, clock_s: float = 100.0) -> EncoderPose:
@@ -27,7 +27,7 @@ KEPT = Kept(SITE, encoders(10.0, 20.0, 0.3), independent([11.0, 19.0, 0.4, 0.02]
 
 
 def test_a_robot_that_stood_is_where_it_was() -> None:
-    held = resumed(KEPT, SITE, encoders(10.1, 20.0, 0.3017, 200.0), NOISE)
+    held = resume_belief(KEPT, SITE, encoders(10.1, 20.0, 0.3017, 200.0), NOISE)
     assert (held.mean == KEPT.belief.mean).all()
     assert (held.cov == KEPT.belief.cov).all()
 
@@ -42,7 +42,7 @@ def test_one_that_was_driven_on_is_where_that_led() -> None:
             step = np.array([chance.uniform(0.0, 2.0), chance.uniform(-0.5, 0.5)])
             true = move(true, step + np.sqrt(step_variance(step, NOISE)) * chance.standard_normal(2))
             told = move(told, step)
-        held = resumed(KEPT, SITE, EncoderPose(200.0, told, 0.0), NOISE)
+        held = resume_belief(KEPT, SITE, EncoderPose(200.0, told, 0.0), NOISE)
         error = difference(held.mean[:3], true)
         off.append(error @ np.linalg.solve(held.cov[:3, :3], error))
     assert 0.2 < np.mean(off) < 3.3
@@ -52,7 +52,7 @@ def test_one_that_was_driven_on_is_where_that_led() -> None:
 def test_the_frame_of_the_encoders_may_be_any() -> None:
     """The same drive told in the encoders' frame and turned into the map's."""
     step = np.array([8.0, 0.6])
-    held = resumed(KEPT, SITE, EncoderPose(200.0, move(KEPT.encoders.pose, step), 0.0), NOISE)
+    held = resume_belief(KEPT, SITE, EncoderPose(200.0, move(KEPT.encoders.pose, step), 0.0), NOISE)
     np.testing.assert_allclose(step_between(KEPT.belief.mean[:3], held.mean[:3]), step)
     assert held.mean[3] == 0.02
     assert (held.std[:3] > KEPT.belief.std[:3]).all()
@@ -64,9 +64,9 @@ def test_walls_in_another_order_are_the_same_map() -> None:
     room = load_world("thesis_room")
     (outline,) = room.rooms
     turned = replace(room, rooms=(Polygon(outline.corners_in[::-1], outline.name),))
-    assert site_of(turned, "n150") == SITE
+    assert map_signature(turned, "n150") == SITE
     larger = replace(room, rooms=(Polygon(tuple((x * 1.001, y) for x, y in outline.corners_in)),))
-    assert site_of(larger, "n150").walls != SITE.walls
+    assert map_signature(larger, "n150").walls != SITE.walls
 
 
 @pytest.mark.parametrize(
@@ -80,19 +80,19 @@ def test_walls_in_another_order_are_the_same_map() -> None:
 )
 def test_encoders_that_tell_nothing_are_refused(now: EncoderPose, told: str) -> None:
     with pytest.raises(EstimateFileError, match=told):
-        resumed(KEPT, SITE, now, NOISE)
+        resume_belief(KEPT, SITE, now, NOISE)
 
 
 @pytest.mark.parametrize("now", [encoders(10.0, 20.0, 0.3, 50.0), encoders(0.0, 0.0, 0.0, 900.0)])
 def test_who_says_how_far_it_was_moved_goes_on(now: EncoderPose) -> None:
-    held = resumed(KEPT, SITE, now, NOISE, (0.3, 0.4, 0.02))
+    held = resume_belief(KEPT, SITE, now, NOISE, (0.3, 0.4, 0.02))
     assert (held.mean == KEPT.belief.mean).all()
     np.testing.assert_allclose(held.std[:3] ** 2, KEPT.belief.std[:3] ** 2 + np.square([0.3, 0.4, 0.02]))
 
 
 def test_and_one_that_was_driven_besides_is_where_that_led() -> None:
     now = EncoderPose(200.0, move(KEPT.encoders.pose, np.array([8.0, 0.6])), 0.0)
-    driven, moved = (resumed(KEPT, SITE, now, NOISE, std) for std in (None, (1.0, 1.0, 0.1)))
+    driven, moved = (resume_belief(KEPT, SITE, now, NOISE, std) for std in (None, (1.0, 1.0, 0.1)))
     assert (moved.mean == driven.mean).all()
     np.testing.assert_allclose(moved.std[:3] ** 2, driven.std[:3] ** 2 + np.square([1.0, 1.0, 0.1]))
 
@@ -100,6 +100,6 @@ def test_and_one_that_was_driven_besides_is_where_that_led() -> None:
 def test_another_map_or_robot_is_refused() -> None:
     now = KEPT.encoders
     with pytest.raises(EstimateFileError, match=r"'thesis_room'.*not those of 'several_walls'.*--map thesis_room"):
-        resumed(KEPT, site_of(load_world("several_walls"), "n150"), now, NOISE)
+        resume_belief(KEPT, map_signature(load_world("several_walls"), "n150"), now, NOISE)
     with pytest.raises(EstimateFileError, match=r"of a n150, not of a scout.*--body n150"):
-        resumed(KEPT, SITE._replace(body="scout"), now, NOISE)
+        resume_belief(KEPT, SITE._replace(body="scout"), now, NOISE)

@@ -10,7 +10,7 @@ import pytest
 from localization.filters.belief import independent
 from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.live.run import Run, RunMoment, Sighting
+from localization.live.run import Run, RunMoment, TruthSample
 
 ECHOES = (
     Echo(0, 0.1, 40, Refusal.NONE, 0.2),
@@ -85,15 +85,15 @@ def test_a_truth_that_was_asked_late_is_compared_at_the_estimates_own_instant(la
     def true_pose(clock_s: float) -> tuple[float, float, float]:
         return speed * clock_s, 3.0, (3.0 + turn * clock_s + math.pi) % math.tau - math.pi
 
-    before = Sighting(1.0 + late_s, true_pose(1.0 + late_s))
-    after = Sighting(1.3 + late_s, true_pose(1.3 + late_s))
+    before = TruthSample(1.0 + late_s, true_pose(1.0 + late_s))
+    after = TruthSample(1.3 + late_s, true_pose(1.3 + late_s))
     x, y, heading = before.towards(after, 1.3)
     assert (x, y) == pytest.approx(true_pose(1.3)[:2])
     assert math.remainder(heading - true_pose(1.3)[2], math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_beyond_two_sightings_nothing_is_made_up() -> None:
-    first, second = Sighting(1.0, (0.0, 0.0, 0.0)), Sighting(2.0, (1.0, 1.0, 0.5))
+    first, second = TruthSample(1.0, (0.0, 0.0, 0.0)), TruthSample(2.0, (1.0, 1.0, 0.5))
     assert first.towards(second, 0.5) == pytest.approx(first.pose)
     assert first.towards(second, 3.0) == pytest.approx(second.pose)
     assert first.towards(first, 1.0) == pytest.approx(first.pose)

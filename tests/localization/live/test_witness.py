@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from localization.live.run import Witness
+from localization.live.run import GroundTruth
 
 
 class Robot:
@@ -23,7 +23,7 @@ class Robot:
 
 def test_the_truth_is_that_of_the_instant_and_asked_once_a_call() -> None:
     robot: Any = Robot()
-    witness = Witness(robot, True)
+    witness = GroundTruth(robot, True)
     assert witness.robot_id == 3
     assert witness.at(1.5) == pytest.approx((3.0, 5.0, 0.0))
     assert witness.at(3.0) == pytest.approx((6.0, 5.0, 0.0))
@@ -32,5 +32,5 @@ def test_the_truth_is_that_of_the_instant_and_asked_once_a_call() -> None:
 
 def test_of_a_real_robot_nothing_is_known_and_nothing_asked() -> None:
     robot: Any = Robot()
-    witness = Witness(robot, False)
+    witness = GroundTruth(robot, False)
     assert (witness.robot_id, witness.at(1.0), robot.asked) == (1, None, 0)

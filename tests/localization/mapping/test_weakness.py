@@ -14,9 +14,9 @@ from localization.filters.odometry import OdometryNoise, move, step_variance
 from localization.filters.registry import make
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import rays, ring
-from localization.mapping.observability import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, weakness
-from worlds.bodies import N150, SONARS
+from localization.mapping.observability import HEADINGS, ROUND_S, ROUNDS, START_STD, WAYS, compute_observability
 from worlds.raycast import cast_rays
+from worlds.robots import N150, SONARS
 
 ROOM = np.array([[0, 0, 120, 0], [120, 0, 120, 100], [120, 100, 0, 100], [0, 100, 0, 0]], dtype=np.float64)
 CORRIDOR = np.array([[-900.0, 0.0, 900.0, 0.0], [-900.0, 60.0, 900.0, 60.0]])
@@ -32,7 +32,7 @@ def ranges(pose: Floats) -> Floats:
 
 def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
     """P^-1 = (F P F' + Q)^-1 + J on some way, with J, F and Q by central differences."""
-    bound = weakness(LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
+    bound = compute_observability(LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), PLACES, 5.0)
     chance = np.diag([0.05**2 * 4.8, 0.002**2 * 4.8])
     for place, cov in zip(PLACES, bound.cov, strict=True):
         information = np.zeros((3, 3))
@@ -57,7 +57,7 @@ def test_the_end_of_the_recursion_solves_riccatis_equation() -> None:
 @pytest.mark.parametrize("sonar", [EXACT_RAYS, ConeSonar()])
 def test_nobody_knows_how_far_along_a_corridor_he_is(sonar: ConeSonar) -> None:
     """Driving along it costs what the odometry strays; the best way is across, and costs less."""
-    bound = weakness(LocalizationConfig(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
+    bound = compute_observability(LocalizationConfig(CORRIDOR, N150, QUIET, sonar), np.array([[0.0, 30.0]]), 5.0)
     along = sqrt(START_STD[0] ** 2 + ROUNDS * 0.05**2 * 5.0 * ROUND_S)
     assert START_STD[0] < bound.worst_in[0] <= along
     assert sqrt(bound.cov[0, 1, 1]) < 0.2
@@ -84,7 +84,7 @@ def test_no_filter_beats_it_and_a_good_one_comes_near() -> None:
                 error = difference(method.belief.mean, true)
                 squares.append(0.5 * (error[0] ** 2 + error[1] ** 2))
                 headings.append(error[2] ** 2)
-    bound = weakness(known, np.array([[55.0, 45.0]]), 5.0)
+    bound = compute_observability(known, np.array([[55.0, 45.0]]), 5.0)
     assert 0.9 * bound.worst_in[0] < sqrt(np.mean(squares)) < 1.6 * bound.worst_in[0]
     assert 0.9 * bound.heading_rad[0] < sqrt(np.mean(headings))
 
@@ -114,13 +114,17 @@ def test_nor_does_one_that_drives_straight_on() -> None:
             if round_ > 30:
                 squares.append(difference(method.belief.mean, true)[2] ** 2)
                 stds.append(sqrt(method.belief.cov[2, 2]))
-    (bound,) = weakness(known, np.array([[250.0, 50.0]]), 5.0).heading_rad
+    (bound,) = compute_observability(known, np.array([[250.0, 50.0]]), 5.0).heading_rad
     assert bound < np.mean(stds) < 1.6 * bound
     assert 0.9 * bound < sqrt(np.mean(squares)) < 2.0 * bound
 
 
 def test_the_faster_the_weaker_and_cones_weaker_than_rays() -> None:
     exact, noisy = LocalizationConfig(ROOM, N150, QUIET, EXACT_RAYS), LocalizationConfig(ROOM, N150, QUIET, ConeSonar())
-    slow, fast, real = weakness(exact, PLACES, 1.0), weakness(exact, PLACES, 10.0), weakness(noisy, PLACES, 1.0)
+    slow, fast, real = (
+        compute_observability(exact, PLACES, 1.0),
+        compute_observability(exact, PLACES, 10.0),
+        compute_observability(noisy, PLACES, 1.0),
+    )
     assert (slow.worst_in < fast.worst_in).all()
     assert (slow.worst_in < real.worst_in).all()

@@ -10,12 +10,12 @@ import pytest
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import independent
-from localization.missions.controller import Helm
+from localization.missions.controller import RobotController
 from nclient import connect
-from worlds.bodies import BODIES
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import BODIES
 
-MakeHelm = Callable[..., Helm]
+MakeHelm = Callable[..., RobotController]
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def helm_at() -> Iterator[MakeHelm]:
     """Makes helms: `helm_at("thesis_room", "0,0,0,0", setup="noisy", method="finder")`; all are closed at the end."""
     with ExitStack() as closing:
 
-        def make(world: str, start: str = "0,0,0,0", *, method: str = "ekf", **options: Any) -> Helm:
+        def make(world: str, start: str = "0,0,0,0", *, method: str = "ekf", **options: Any) -> RobotController:
             words = {"start": start, "seed": 1, "step_s": 0.05, **options}
             query = "&".join(f"{key}={value}" for key, value in words.items())
             robot = closing.enter_context(connect(f"sim:{world}?{query}"))
@@ -31,7 +31,7 @@ def helm_at() -> Iterator[MakeHelm]:
             belief = independent([state.x_in, state.y_in, state.steering_rad], (0.1, 0.1, 0.01))
             body = BODIES[str(options.get("robot", "n150"))]
             known = LocalizationConfig(load_world(world).walls, body)
-            return closing.enter_context(Helm(robot, known, body, belief, _idle, method, 10.0))
+            return closing.enter_context(RobotController(robot, known, body, belief, _idle, method, 10.0))
 
         yield make
 

@@ -15,14 +15,13 @@ import pytest
 from localization.cli import go, mission
 from localization.cli.options import MOST_NOISE, constants, noise, numbers, point, pose, positive, seconds, stds
 from localization.live import saved_estimate
-from localization.missions.mission import Mission
+from localization.missions.mission import Mission, run_mission
 from localization.missions.report import Report, Step, StepFailed
-from localization.missions.runner import run_mission
-from localization.navigation.waypoints import standing_after
+from localization.navigation.waypoints import stop_on_exit
 from nclient.cli.main import main
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import ConnectionLost, MissionFileError
-from worlds.calibration import Calibration, calibration_text
+from worlds.robots import Calibration, format_calibration
 
 ROOT = Path(__file__).parents[3]
 GUESS = "sonars are taken for exact rays, this being a simulation (of setup measured: --sonars cones)"
@@ -74,8 +73,8 @@ def test_a_mission_is_checked_run_and_its_report_written(tmp_path: Path, capsys:
     assert capsys.readouterr().out.splitlines()[0] == "T"
     written = json.loads(report.read_text())
     assert (written["title"], written["ending"], written["steps"][0]["do"]) == ("T", "done", "turn")
-    unwritable = report / "r.json"
-    assert main(["mission", str(file), SIM, "--report", str(unwritable)]) == 1
+    describe_write_error = report / "r.json"
+    assert main(["mission", str(file), SIM, "--report", str(describe_write_error)]) == 1
     told = capsys.readouterr()
     assert f"nomad: {report}: cannot be written: File exists" in told.err
     assert told.out == "", "before the drive"
@@ -93,7 +92,7 @@ def test_go_goes_on_from_what_it_saved_with_the_robots_calibration(
 ) -> None:
     model, kept = tmp_path / "model.toml", tmp_path / "kept.json"
     offsets = tuple(1.5 for _ in range(16))
-    model.write_text(calibration_text("n150", Calibration(1.04, 1.0, 0.0, offsets)))
+    model.write_text(format_calibration("n150", Calibration(1.04, 1.0, 0.0, offsets)))
     address = f"sim:thesis_room?noisy=1&seed=2&model_file={model}"
     words = ["go", address, "--calibration", str(model), "--json"]
     assert main([*words, "--to", "40,10", "--save", str(kept)]) == 0
@@ -140,9 +139,9 @@ def test_a_robot_that_is_gone_is_what_is_told_not_that_it_cannot_be_stopped() ->
             raise ConnectionLost("not back yet")
 
     robot: Any = Gone()
-    with pytest.raises(ConnectionLost, match="the cause"), standing_after(robot):
+    with pytest.raises(ConnectionLost, match="the cause"), stop_on_exit(robot):
         raise ConnectionLost("the cause")
-    with pytest.raises(ConnectionLost, match="not back"), standing_after(robot):
+    with pytest.raises(ConnectionLost, match="not back"), stop_on_exit(robot):
         pass
     assert robot.stopped == 2
 
@@ -219,7 +218,7 @@ def fail(error: BaseException) -> Any:
     [
         (StepFailed("blocked", "no way"), "blocked", "no way"),
         (KeyboardInterrupt(), "interrupted", "Ctrl-C (KeyboardInterrupt)"),
-        (Left("SIGHUP"), "interrupted", "SIGHUP (Left)"),
+        (TerminatedBySignal("SIGHUP"), "interrupted", "SIGHUP (TerminatedBySignal)"),
         (MissionFileError("line 3"), "error", "line 3 (MissionFileError)"),
         (SystemExit(), "error", "SystemExit (SystemExit)"),
     ],
@@ -282,7 +281,7 @@ def test_a_guess_of_rays_that_does_not_fit_is_doubted(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of a server, which does not tell its setup."""
-    monkeypatch.setattr("localization.cli.assumptions.rays_told_by", lambda _: None)
+    monkeypatch.setattr("localization.live.assumptions.sonar_model_of_address", lambda _: None)
     words = ["go", "sim:thesis_room?setup=measured&seed=1", "--to", "60,40", "--method", "ekf", "--speed", "8"]
     main([*words, "--json"])
     told = capsys.readouterr()

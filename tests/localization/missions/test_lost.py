@@ -9,30 +9,30 @@ from math import hypot, pi
 import pytest
 
 from localization.filters.health import FilterHealth, HealthStatus
-from localization.missions.controller import Helm, Sight
+from localization.missions.controller import Observation, RobotController
 from localization.missions.mission import Mission, _searching
 from localization.missions.report import MissionOver
 from localization.missions.settings import OnLost, Settings
 from localization.navigation.path_follower import Velocities
-from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
+from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, RecoveryBehavior
 from localization.navigation.waypoints import PERIOD_S
 from nclient.state import Pose
 
 pytestmark = pytest.mark.long
 
-MakeHelm = Callable[..., Helm]
+MakeHelm = Callable[..., RobotController]
 
 
 class Kidnapper:
     """Carries the robot elsewhere when so much time is over; its encoders think nothing of it. It is stopped first: its
     wheels would turn on under the hands that hold it, and the ring stand otherwise on the body."""
 
-    def __init__(self, helm: Helm, pose: Pose, at_s: float = 2.0) -> None:
-        self._helm, self._pose, self._at_s, self.done = helm, pose, at_s, False
+    def __init__(self, controller: RobotController, pose: Pose, at_s: float = 2.0) -> None:
+        self._helm, self._pose, self._at_s, self.done = controller, pose, at_s, False
         self.lost_s = 0.0
-        helm.watchers.append(self)
+        controller.watchers.append(self)
 
-    def __call__(self, sight: Sight) -> None:
+    def __call__(self, sight: Observation) -> None:
         if not self.done and sight.estimate.clock_s > self._at_s:
             self.done = True
             self._helm.robot.stop()
@@ -46,9 +46,9 @@ class Kidnapper:
 
 
 def kidnapped(helm_at: MakeHelm, settings: Settings) -> tuple[Mission, Kidnapper]:
-    helm = helm_at("several_walls", "5,5,0,0", method="finder", setup="noisy")
-    kidnapper = Kidnapper(helm, Pose(85.0, 85.0, pi))
-    return Mission(helm, settings), kidnapper
+    controller = helm_at("several_walls", "5,5,0,0", method="finder", setup="noisy")
+    kidnapper = Kidnapper(controller, Pose(85.0, 85.0, pi))
+    return Mission(controller, settings), kidnapper
 
 
 def test_given_up_the_mission_ends_at_once(helm_at: MakeHelm) -> None:
@@ -72,59 +72,59 @@ def test_found_again_by_a_search_the_mission_goes_on(helm_at: MakeHelm) -> None:
 
 def test_where_no_place_is_like_any_other_it_searches_until_its_time_is_over(helm_at: MakeHelm) -> None:
     """The square room has four that look alike, wherever one drives in it."""
-    helm = helm_at("thesis_room", "45,45,0,0", method="finder")
-    Kidnapper(helm, Pose(20.0, 70.0, 1.0))
-    mission = Mission(helm, Settings(on_lost=OnLost.SEARCH, lost_s=25.0))
+    controller = helm_at("thesis_room", "45,45,0,0", method="finder")
+    Kidnapper(controller, Pose(20.0, 70.0, 1.0))
+    mission = Mission(controller, Settings(on_lost=OnLost.SEARCH, lost_s=25.0))
     with pytest.raises(MissionOver, match="not found again in 25 s"):
         mission.patrol([(80, 80), (10, 10)], rounds=3)
     assert not any(step.touches for step in mission.report.steps)
 
 
 def test_lost_while_turning_it_is_found_before_the_turn_goes_on(helm_at: MakeHelm) -> None:
-    helm = helm_at("several_walls", "35,55,0,0", method="finder", setup="noisy")
-    Kidnapper(helm, Pose(85.0, 85.0, pi), 0.5)
-    mission = Mission(helm, Settings(on_lost=OnLost.STOP))
+    controller = helm_at("several_walls", "35,55,0,0", method="finder", setup="noisy")
+    Kidnapper(controller, Pose(85.0, 85.0, pi), 0.5)
+    mission = Mission(controller, Settings(on_lost=OnLost.STOP))
     for heading in (120, 240, 0):
         mission.turn(heading)
-    truth = helm.robot.truth()
+    truth = controller.robot.truth()
     assert abs((truth.steering_rad + pi) % (2 * pi) - pi) < 0.15
 
 
 def test_a_search_gropes_and_is_set_back_by_a_touch(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room", "45,45,0,0")
-    groping, commands = Groping(PERIOD_S), _searching(helm)
+    controller = helm_at("thesis_room", "45,45,0,0")
+    groping, commands = RecoveryBehavior(PERIOD_S), _searching(controller)
     for _ in range(round(LOOK_RAD / TURN_RAD_S / PERIOD_S) + 5):
         command = next(commands)
-        assert tuple(command) == groping.command(helm.sight.state)
-        helm.period(command)
+        assert tuple(command) == groping.command(controller.sight.state)
+        controller.period(command)
     assert command.translation_in_s == DRIVE_IN_S
-    free = helm.sight
-    helm.sight = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
-    assert helm.sight.state.touching
+    free = controller.sight
+    controller.sight = free._replace(state=replace(free.state, raw=(*free.state.raw[:33], 1, *free.state.raw[34:])))
+    assert controller.sight.state.touching
     back = [next(commands)]
-    helm.sight = free
+    controller.sight = free
     back += [next(commands) for _ in range(14)]
     assert back == [Velocities(-DRIVE_IN_S, 0.0)] * 15
     assert next(commands) == Velocities(0.0, TURN_RAD_S)
 
 
 def test_lost_on_the_last_foot_into_a_dock_it_stands_and_begins_anew(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room", "5,5,0,0")
-    mission = Mission(helm, Settings(on_lost=OnLost.STOP))
-    lost: list[Sight] = []
+    controller = helm_at("thesis_room", "5,5,0,0")
+    mission = Mission(controller, Settings(on_lost=OnLost.STOP))
+    lost: list[Observation] = []
 
-    def on_the_last_foot(sight: Sight) -> None:
+    def on_the_last_foot(sight: Observation) -> None:
         """For two seconds no place is believed, and the pose is that of nowhere."""
         if sight.estimate.pose[0] > 41.0 and len(lost) < 20:
             lost.append(sight)
             nowhere = replace(sight.estimate, health=FilterHealth(HealthStatus.LOST, "nothing fits"))
-            helm.sight = sight._replace(estimate=nowhere)
+            controller.sight = sight._replace(estimate=nowhere)
 
-    helm.watchers.insert(0, on_the_last_foot)
+    controller.watchers.insert(0, on_the_last_foot)
     mission.dock(50, 5, 0)
     assert len(lost) == 20
     assert {sight.state.translation_in_s for sight in lost[10:]} == {0.0}
-    truth = helm.robot.truth()
+    truth = controller.robot.truth()
     assert hypot(truth.x_in - 50, truth.y_in - 5) < 1.0
     words = [words for _, words in mission.report.steps[0].notes]
     assert words[0] == "lost: nothing fits"

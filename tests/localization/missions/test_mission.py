@@ -10,18 +10,17 @@ from typing import Any
 
 import pytest
 
-from localization.missions.controller import Helm
-from localization.missions.mission import Mission
+from localization.missions.controller import RobotController
+from localization.missions.mission import Mission, run_mission
 from localization.missions.report import MissionOver, StepFailed
-from localization.missions.runner import run_mission
 from localization.missions.settings import Settings
-from localization.navigation.path import turn_between
-from nclient.common.process import Left
+from localization.navigation.path import angle_difference
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import ConnectionLost, NomadError
 
 pytestmark = pytest.mark.long
 
-MakeHelm = Callable[..., Helm]
+MakeHelm = Callable[..., RobotController]
 BOX = [(36.0, -6.0), (44.0, -6.0), (44.0, 6.0), (36.0, 6.0)]
 
 
@@ -34,10 +33,10 @@ def endings(mission: Mission) -> list[tuple[str, str]]:
 
 
 def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room", setup="noisy")
-    mission = Mission(helm)
+    controller = helm_at("thesis_room", setup="noisy")
+    mission = Mission(controller)
     seen = mission.go_to(30, 20, heading_deg=90)
-    truth = helm.robot.truth()
+    truth = controller.robot.truth()
     assert hypot(truth.x_in - 30, truth.y_in - 20) < 1.0
     assert degrees(truth.steering_rad) == pytest.approx(90, abs=6)
     assert seen.heading_deg == pytest.approx(90, abs=3)
@@ -46,15 +45,15 @@ def test_go_to_arrives_in_truth_and_is_reported(helm_at: MakeHelm) -> None:
     assert (step.verb, step.words, step.ending, step.tries, step.plans) == ("go_to", "(30, 20) 90 deg", "done", 1, 1)
     assert step.way_in == pytest.approx(hypot(30, 20), rel=0.05)
     assert step.planned_in == pytest.approx(hypot(30, 20), rel=0.05)
-    assert not helm.robot.refresh().moving
+    assert not controller.robot.refresh().moving
 
 
 def test_what_the_map_does_not_have_is_gone_around(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room", setup="noisy")
-    helm.robot.add_obstacle(corners_in=BOX)
+    controller = helm_at("thesis_room", setup="noisy")
+    controller.robot.add_obstacle(corners_in=BOX)
     touched = []
-    helm.watchers.append(lambda sight: touched.append(sight.state.touching))
-    mission = Mission(helm)
+    controller.watchers.append(lambda sight: touched.append(sight.state.touching))
+    mission = Mission(controller)
     mission.go_to(80, 0)
     assert not any(touched)
     assert mission.report.steps[0].plans > 1
@@ -91,10 +90,10 @@ def test_waiting_ends_by_the_condition_or_by_its_limit(helm_at: MakeHelm) -> Non
 
 
 def test_a_dock_is_entered_straight_and_a_touch_before_it_fails(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room", setup="noisy")
-    mission = Mission(helm)
+    controller = helm_at("thesis_room", setup="noisy")
+    mission = Mission(controller)
     mission.dock(-1.5, 20, 180)
-    truth = helm.robot.truth()
+    truth = controller.robot.truth()
     assert (truth.x_in, truth.y_in) == pytest.approx((-1.5, 20), abs=0.8)
     assert degrees(truth.steering_rad) == pytest.approx(180, abs=6)
     blocked = helm_at("thesis_room", "40,60,180,0")
@@ -128,15 +127,15 @@ def test_a_step_has_its_time_and_the_mission_has_its(helm_at: MakeHelm) -> None:
 def test_a_robot_that_somebody_holds_is_told_of_and_goes_on_once_released(
     helm_at: MakeHelm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    helm = helm_at("thesis_room")
-    mission, until_s = Mission(helm, Settings(time_limit_s=40.0)), helm.clock_s + 12.0
-    drive = helm.robot.drive
+    controller = helm_at("thesis_room")
+    mission, until_s = Mission(controller, Settings(time_limit_s=40.0)), controller.clock_s + 12.0
+    drive = controller.robot.drive
 
     def held(**velocities: float) -> Any:
         """What would move it is taken for st (nserver_emu.server.ownership)."""
-        return helm.robot.stop() if helm.clock_s < until_s else drive(**velocities)
+        return controller.robot.stop() if controller.clock_s < until_s else drive(**velocities)
 
-    monkeypatch.setattr(helm.robot, "drive", held)
+    monkeypatch.setattr(controller.robot, "drive", held)
     mission.go_to(20, 0)
     (step,) = mission.report.steps
     told = [words for _, words in step.notes if "is it held (nserver ctl status tells), or its emerg" in words]
@@ -157,13 +156,13 @@ def test_who_looks_stands_and_nothing_is_said_of_it(helm_at: MakeHelm) -> None:
 
 def test_a_fence_is_planned_within_and_left_by_nobody(helm_at: MakeHelm) -> None:
     fence = ((-11.0, -11.0), (70.0, -11.0), (70.0, 40.0), (-11.0, 40.0))
-    helm = helm_at("thesis_room", setup="noisy")
-    mission = Mission(helm, Settings(fence_in=fence))
+    controller = helm_at("thesis_room", setup="noisy")
+    mission = Mission(controller, Settings(fence_in=fence))
     with pytest.raises(StepFailed, match=r"no room at \(40, 60\)|no way from") as failed:
         mission.go_to(40, 60)
     assert failed.value.ending == "blocked"
     mission.go_to(50, 20)
-    helm.robot.set_position(x_in=50, y_in=20)
+    controller.robot.set_position(x_in=50, y_in=20)
     jumped = helm_at("thesis_room", start="60,60,0,0")
     outside = Mission(jumped, Settings(fence_in=fence))
     with pytest.raises(MissionOver, match=r"is outside of the fence") as over:
@@ -192,8 +191,8 @@ def test_the_end_of_a_mission_is_swallowed_by_no_program(helm_at: MakeHelm, swal
 
 
 def test_after_the_fence_every_verb_refuses(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room", start="60,60,0,0")
-    robot = Mission(helm, Settings(fence_in=((-11.0, -11.0), (40.0, -11.0), (40.0, 40.0), (-11.0, 40.0))))
+    controller = helm_at("thesis_room", start="60,60,0,0")
+    robot = Mission(controller, Settings(fence_in=((-11.0, -11.0), (40.0, -11.0), (40.0, 40.0), (-11.0, 40.0))))
     verbs: list[Callable[[], object]] = [
         robot.look, lambda: robot.go_to(60, 50), lambda: robot.follow([(60, 50)]), lambda: robot.turn(90),
         lambda: robot.wait_for(bool, 1.0), lambda: robot.patrol([(60, 50)]), lambda: robot.dock(60, 50, 0),
@@ -232,13 +231,13 @@ def test_one_step_at_a_time(helm_at: MakeHelm) -> None:
 
 
 def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room")
-    mission = Mission(helm)
+    controller = helm_at("thesis_room")
+    mission = Mission(controller)
 
     def lose(_: object) -> None:
         raise ConnectionLost("the cable is out")
 
-    helm.watchers.append(lose)
+    controller.watchers.append(lose)
     with pytest.raises(ConnectionLost):
         mission.go_to(30, 0)
     (step,) = mission.report.steps
@@ -247,7 +246,7 @@ def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm
     def break_off(_: object) -> None:
         raise KeyboardInterrupt
 
-    helm.watchers[-1] = break_off
+    controller.watchers[-1] = break_off
     with pytest.raises(KeyboardInterrupt):
         mission.turn(90)
     assert (mission.report.steps[-1].ending, mission.report.steps[-1].reason) == ("interrupted", "Ctrl-C")
@@ -255,16 +254,16 @@ def test_what_goes_wrong_with_the_robot_is_reported_and_raised(helm_at: MakeHelm
 
 @pytest.mark.parametrize("by_deg", [-270, 360, 540])
 def test_a_turn_by_so_much_is_turned_by_so_much_in_truth(helm_at: MakeHelm, by_deg: int) -> None:
-    helm = helm_at("thesis_room")
-    turned, before = 0.0, helm.robot.truth().steering_rad
+    controller = helm_at("thesis_room")
+    turned, before = 0.0, controller.robot.truth().steering_rad
 
     def add_up(_: object) -> None:
         nonlocal turned, before
-        now = helm.robot.truth().steering_rad
-        turned, before = turned + turn_between(before, now), now
+        now = controller.robot.truth().steering_rad
+        turned, before = turned + angle_difference(before, now), now
 
-    helm.watchers.append(add_up)
-    mission = Mission(helm)
+    controller.watchers.append(add_up)
+    mission = Mission(controller)
     mission.turn(by_deg=by_deg)
     assert degrees(turned) == pytest.approx(by_deg, abs=4)
 
@@ -278,14 +277,14 @@ def test_a_turn_that_is_tried_again_goes_on_where_it_was(helm_at: MakeHelm) -> N
 
 
 def test_a_signal_ends_a_step_by_its_name(helm_at: MakeHelm) -> None:
-    helm = helm_at("thesis_room")
+    controller = helm_at("thesis_room")
 
     def leave(_: object) -> None:
-        raise Left("SIGTERM")
+        raise TerminatedBySignal("SIGTERM")
 
-    helm.watchers.append(leave)
-    mission = Mission(helm)
-    with pytest.raises(Left):
+    controller.watchers.append(leave)
+    mission = Mission(controller)
+    with pytest.raises(TerminatedBySignal):
         run_mission(mission, lambda robot: robot.patrol([(20, 0)]))
     (step,) = mission.report.steps
     assert (step.ending, step.reason) == ("interrupted", "SIGTERM")
@@ -308,11 +307,11 @@ def test_an_exit_within_a_condition_that_is_swallowed_does_not_end_it_with_its_c
 
 def test_touches_are_counted(helm_at: MakeHelm) -> None:
     """A thing too low for the sonars: they are switched off, the bumpers are not."""
-    helm = helm_at("thesis_room")
-    helm.robot.add_obstacle(corners_in=BOX)
+    controller = helm_at("thesis_room")
+    controller.robot.add_obstacle(corners_in=BOX)
     spare: Any = lambda *_: None  # noqa: E731
-    helm.unmapped.hear = spare  # type: ignore[method-assign]
-    mission = Mission(helm)
+    controller.unmapped.hear = spare  # type: ignore[method-assign]
+    mission = Mission(controller)
     mission.go_to(80, 0)
     (step,) = mission.report.steps
     assert step.touches >= 1

@@ -9,7 +9,7 @@ import pytest
 from localization.missions.mission import Mission
 from localization.missions.report import MissionOver, StepFailed
 from localization.missions.steps import parse_program
-from nclient.common.process import Left
+from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, RobotRefused
 
 
@@ -122,7 +122,7 @@ def test_a_coroutine_that_nobody_waits_for_is_no_mission_done() -> None:
         program.run(robot)
 
 
-@pytest.mark.parametrize("error", [Left("SIGTERM"), KeyboardInterrupt(), MissionOver("lost", "x"),
+@pytest.mark.parametrize("error", [TerminatedBySignal("SIGTERM"), KeyboardInterrupt(), MissionOver("lost", "x"),
                                    StepFailed("blocked", "x")])  # fmt: skip
 def test_signals_and_the_end_of_the_mission_are_no_mistake_of_a_program(error: BaseException) -> None:
     def raise_it(*_: object) -> None:
@@ -136,8 +136,8 @@ def test_signals_and_the_end_of_the_mission_are_no_mistake_of_a_program(error: B
 
 
 def test_a_signal_while_a_program_is_read_is_no_mistake_of_it() -> None:
-    with pytest.raises(Left):
-        parse_program("from nclient.common.process import Left\nraise Left('SIGTERM')", "m.py")
+    with pytest.raises(TerminatedBySignal):
+        parse_program("from nclient.common import process\nraise process.TerminatedBySignal('SIGTERM')", "m.py")
 
 
 def test_what_a_verb_or_settings_refuse_is_told_with_the_line_that_says_it() -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from localization.navigation.speed import ENOUGH, allowed_share
+from localization.navigation.speed import ENOUGH, allowed_speed_fraction
 
 WALL = np.array([[10.0, -100.0, 10.0, 100.0]])
 
 
 def share(x: float, ahead: float, std: float, heading_std: float = 0.0) -> float:
     cov = np.diag([std**2, std**2, heading_std**2])
-    return allowed_share(np.array([x, 0.0, 0.0]), np.array([ahead, 0.0]), cov, WALL, 5.0)
+    return allowed_speed_fraction(np.array([x, 0.0, 0.0]), np.array([ahead, 0.0]), cov, WALL, 5.0)
 
 
 def test_full_speed_with_room_none_without_and_between_in_proportion() -> None:
@@ -28,14 +28,14 @@ def test_a_wall_that_is_left_behind_does_not_hold() -> None:
 
 
 def test_no_walls_no_caution() -> None:
-    assert allowed_share(np.zeros(3), np.ones(2), np.eye(3), np.zeros((0, 4)), 5.0) == 1.0
+    assert allowed_speed_fraction(np.zeros(3), np.ones(2), np.eye(3), np.zeros((0, 4)), 5.0) == 1.0
 
 
 def test_an_uncertain_heading_counts_across_the_way_ahead() -> None:
     along = np.array([[-100.0, 6.0, 100.0, 6.0]])
     cov = np.diag([1e-6, 1e-6, 0.1**2])
-    near = allowed_share(np.zeros(3), np.array([1.0, 0.0]), cov, along, 5.0)
-    far = allowed_share(np.zeros(3), np.array([4.0, 0.0]), cov, along, 5.0)
+    near = allowed_speed_fraction(np.zeros(3), np.array([1.0, 0.0]), cov, along, 5.0)
+    far = allowed_speed_fraction(np.zeros(3), np.array([4.0, 0.0]), cov, along, 5.0)
     assert near == 1.0
     assert far == 0.0
 
@@ -51,4 +51,4 @@ def test_the_spread_is_that_of_places_drawn_at_random() -> None:
     sigma = float(ends.std())
     room = 3.0 * sigma * 0.5 * (1.0 + ENOUGH)
     wall = np.array([[4.0 + 5.0 + room, -100.0, 4.0 + 5.0 + room, 100.0]])
-    assert allowed_share(np.zeros(3), way, cov, wall, 5.0) == pytest.approx(0.5, abs=0.03)
+    assert allowed_speed_fraction(np.zeros(3), way, cov, wall, 5.0) == pytest.approx(0.5, abs=0.03)

@@ -7,9 +7,9 @@ from math import pi, tau
 import numpy as np
 import pytest
 
-from localization.navigation.path import Rim, on_circles, room, tangents, tangents_from
-from worlds.files import load_world
+from localization.navigation.path import CornerCircle, on_circles, room, tangents, tangents_from
 from worlds.geometry import nearest_points
+from worlds.io import load_world
 
 RADIUS_IN = 11.0
 
@@ -19,7 +19,7 @@ def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
     walls, chance = np.array(load_world(world).walls), np.random.default_rng(1)
     seen = set()
     for centre in np.unique(walls.reshape(-1, 2), axis=0):
-        rim, angles = Rim(centre, walls, RADIUS_IN), np.sort(chance.uniform(0.0, tau, 9))
+        rim, angles = CornerCircle(centre, walls, RADIUS_IN), np.sort(chance.uniform(0.0, tau, 9))
         for free, first, last in zip(rim.free(angles), angles, np.append(angles[1:], angles[0] + tau), strict=True):
             turns = np.linspace(first, last, 2001)
             points = centre + RADIUS_IN * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
@@ -30,10 +30,13 @@ def test_arcs_are_free_where_every_point_of_them_is(world: str) -> None:
 
 def test_a_rim_alone_is_free_all_around_and_one_angle_goes_around_it() -> None:
     wall = np.array([[0.0, 0.0, 50.0, 0.0]])
-    assert Rim(np.array([0.0, 0.0]), wall, 10.0).free(np.array([pi])) == [False]
-    assert Rim(np.array([0.0, 0.0]), wall, 10.0).free(np.array([0.5 * pi + 0.01, 1.5 * pi - 0.01])) == [True, False]
+    assert CornerCircle(np.array([0.0, 0.0]), wall, 10.0).free(np.array([pi])) == [False]
+    assert CornerCircle(np.array([0.0, 0.0]), wall, 10.0).free(np.array([0.5 * pi + 0.01, 1.5 * pi - 0.01])) == [
+        True,
+        False,
+    ]
     point = np.array([[0.0, 0.0, 0.0, 0.0]])
-    assert Rim(np.array([0.0, 0.0]), point, 10.0).free(np.array([1.0])) == [True]
+    assert CornerCircle(np.array([0.0, 0.0]), point, 10.0).free(np.array([1.0])) == [True]
 
 
 def test_tangents_touch_both_circles_and_cut_neither() -> None:

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localization.filters.odometry import move
-from localization.navigation.speed import Gains, bearing_error, distance_to, next_step, reached
+from localization.navigation.speed import ControlGains, bearing_error, distance_to, next_step, reached
 
-GAINS = Gains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
+GAINS = ControlGains(drho_max_in=0.05, dtheta_max_rad=0.05, alpha_rho=0.1, alpha_theta=0.1)
 
 
 def test_far_from_the_goal_the_step_is_as_long_as_allowed() -> None:

@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
-from localization.navigation.path import Leg, Stretch, length_of, straight, stretches, turn_between, waypoints
+from localization.navigation.path import Leg, Stretch, angle_difference, length_of, straight, stretches, waypoints
 
 ARC = Leg(10.0, -5.0, 0.7, 0.08, 30.0)
 
@@ -72,7 +72,7 @@ def test_a_stretch_is_looked_at_between_two_places_only() -> None:
 
 @pytest.mark.parametrize(("one", "other", "turn"), [(3.0, -3.0, 2 * pi - 6.0), (0.1, 0.3, 0.2), (9.0, 9.5, 0.5)])
 def test_turns_go_the_short_way(one: float, other: float, turn: float) -> None:
-    assert turn_between(one, other) == pytest.approx(turn)
+    assert angle_difference(one, other) == pytest.approx(turn)
 
 
 def test_waypoints_are_the_ends_of_straight_legs_and_points_along_curved_ones() -> None:

@@ -12,8 +12,8 @@ from localization.navigation.path import Leg, Stretch, straight, stretches
 from localization.navigation.path_follower import STAND, Follower, turn
 from localization.navigation.planner import Planner
 from localization.navigation.speed import LIMITS
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 AXES = LIMITS["n150"].capped(8.0)
 

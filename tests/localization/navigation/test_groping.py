@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, Groping
+from localization.navigation.recovery import DRIVE_IN_S, LOOK_RAD, TURN_RAD_S, RecoveryBehavior
 
 PERIOD_S = 0.1
 
@@ -27,7 +27,7 @@ def near(*sonars: int) -> tuple[int, ...]:
 def test_it_looks_around_and_then_drives_where_there_is_room_ahead(
     readings: tuple[int, ...], speed_in_s: float
 ) -> None:
-    heard, one = Ring(readings), Groping(PERIOD_S)
+    heard, one = Ring(readings), RecoveryBehavior(PERIOD_S)
     turning = [one.command(heard) for _ in range(round(LOOK_RAD / TURN_RAD_S / PERIOD_S))]
     assert set(turning) == {(0.0, TURN_RAD_S)}
     one.command(heard)
@@ -37,7 +37,7 @@ def test_it_looks_around_and_then_drives_where_there_is_room_ahead(
 
 
 def test_ahead_is_where_it_would_drive_whatever_way_the_turret_looks() -> None:
-    one = Groping(100.0)
+    one = RecoveryBehavior(100.0)
     one.command(Ring(near()))
     assert one.command(Ring(near(8), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == 0.0
     assert one.command(Ring(near(0), steering_rad=1.0, turret_rad=1.0 + 3.14159))[0] == DRIVE_IN_S

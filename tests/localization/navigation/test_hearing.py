@@ -12,12 +12,12 @@ from localization.filters.belief import independent
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.filters.update import Refusal
 from localization.live.localizer import Echo, Estimate
-from localization.navigation.obstacles import MOST_SPARED, Unmapped, spared, take_in
+from localization.navigation.obstacles import MOST_SPARED, ObstacleTracker, filter_unmapped, update_obstacles
 from nclient import connect
 from nclient.robot import Robot
 from nclient.state import RobotState
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 WALLS = np.array(load_world("thesis_room").walls)
 BOX = [(28.0, 10.0), (36.0, 10.0), (36.0, 22.0), (28.0, 22.0)]
@@ -43,7 +43,7 @@ def estimate(state: RobotState, *sonars: int, health: FilterHealth = HEALTHY) ->
 
 def test_what_is_nearer_than_the_map_allows_is_spared_and_all_else_told_as_it_is(robot: Robot) -> None:
     state = robot.refresh()
-    shown = spared(Unmapped(WALLS, N150.sonar_ring_radius_in), estimate(state), state, ANGLES)
+    shown = filter_unmapped(ObstacleTracker(WALLS, N150.sonar_ring_radius_in), estimate(state), state, ANGLES)
     assert state.sonars_in[0] == 9
     assert shown.sonars_in[0] == 6
     differing = [k for k in range(16) if shown.sonars_in[k] != state.sonars_in[k]]
@@ -53,35 +53,35 @@ def test_what_is_nearer_than_the_map_allows_is_spared_and_all_else_told_as_it_is
 
 
 def test_where_most_is_too_near_the_estimate_is_to_blame(robot: Robot) -> None:
-    unmapped, state = Unmapped(np.zeros((0, 4)), N150.sonar_ring_radius_in), robot.refresh()
+    unmapped, state = ObstacleTracker(np.zeros((0, 4)), N150.sonar_ring_radius_in), robot.refresh()
     near = sum(6 <= reading <= 60 for reading in state.sonars_in)
     assert near > MOST_SPARED
-    assert spared(unmapped, estimate(state), state, ANGLES).sonars_in == state.sonars_in
+    assert filter_unmapped(unmapped, estimate(state), state, ANGLES).sonars_in == state.sonars_in
 
 
 def test_the_box_is_found_where_it_stands(robot: Robot) -> None:
-    unmapped, state = Unmapped(WALLS, N150.sonar_ring_radius_in), robot.refresh()
+    unmapped, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
     for _ in range(3):
-        take_in(unmapped, estimate(state, 0, 8, 4), state, ANGLES)
+        update_obstacles(unmapped, estimate(state, 0, 8, 4), state, ANGLES)
     ((x1, y1, x2, y2),) = unmapped.segments
     assert (0.5 * (x1 + x2), 0.5 * (y1 + y2)) == pytest.approx((28.0, 16.0), abs=0.6)
 
 
 def test_an_echo_was_heard_where_the_robot_was(robot: Robot) -> None:
-    unmapped = Unmapped(WALLS, N150.sonar_ring_radius_in)
+    unmapped = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
     robot.drive(translation_in_s=5.0)
     for _ in range(4):
         state = robot.refresh()
-        take_in(unmapped, estimate(state, 0), state, ANGLES)
+        update_obstacles(unmapped, estimate(state, 0), state, ANGLES)
     ((x1, y1, x2, y2),) = unmapped.segments
     assert hypot(0.5 * (x1 + x2) - 28.0, 0.5 * (y1 + y2) - 16.0) < 3.0
 
 
 def test_one_who_is_lost_forgets_and_spares_nothing(robot: Robot) -> None:
-    unmapped, state = Unmapped(WALLS, N150.sonar_ring_radius_in), robot.refresh()
+    unmapped, state = ObstacleTracker(WALLS, N150.sonar_ring_radius_in), robot.refresh()
     for _ in range(3):
-        take_in(unmapped, estimate(state, 0), state, ANGLES)
+        update_obstacles(unmapped, estimate(state, 0), state, ANGLES)
     lost = estimate(state, 0, health=FilterHealth(HealthStatus.LOST, "searching"))
-    assert spared(unmapped, lost, state, ANGLES).sonars_in == state.sonars_in
-    take_in(unmapped, lost, state, ANGLES)
+    assert filter_unmapped(unmapped, lost, state, ANGLES).sonars_in == state.sonars_in
+    update_obstacles(unmapped, lost, state, ANGLES)
     assert len(unmapped.segments) == 0

@@ -13,8 +13,8 @@ from localization.filters.health import HealthStatus
 from localization.filters.sonar_cone import ConeSonar
 from localization.navigation.waypoints import PERIOD_S, Navigator, Progress, Speeds, begin, follow
 from nclient import connect
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 
 def never(seconds: float) -> None:

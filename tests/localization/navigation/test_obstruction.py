@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from localization.navigation.recovery import PATIENCE_S, Obstruction
+from localization.navigation.recovery import PATIENCE_S, StallDetector
 
 GOAL = np.array([20.0, 0.0])
 
@@ -17,7 +17,7 @@ def state(x_in: float, *bumpers: int, heading: float = 0.0) -> Any:
     return SimpleNamespace(x_in=x_in, y_in=0.0, steering_rad=heading, touching=bool(bumpers), bumpers=bumpers)
 
 
-def told(obstruction: Obstruction, seconds: float, at: Any, speed_in_s: float = 0.0, goal: Any = GOAL) -> list[str]:
+def told(obstruction: StallDetector, seconds: float, at: Any, speed_in_s: float = 0.0, goal: Any = GOAL) -> list[str]:
     """The reasons of so many seconds; the estimate is `speed_in_s` on each second, state `at(second)`."""
     return [
         obstruction.reason(second, at(second), np.array([speed_in_s * second, 0.0, 0.0]), goal)
@@ -26,13 +26,13 @@ def told(obstruction: Obstruction, seconds: float, at: Any, speed_in_s: float = 
 
 
 def test_pressing_is_told_with_the_bumpers_though_wheels_slip() -> None:
-    reasons = told(Obstruction(5.0), 6.0, lambda second: state(5.0 * second, 0, 1))
+    reasons = told(StallDetector(5.0), 6.0, lambda second: state(5.0 * second, 0, 1))
     assert reasons[:10] == [""] * 10
     assert reasons[10] == "it presses against something 5 s long, 20.0 in before (20, 0): bumpers 0, 1 touch"
 
 
 def test_wheels_that_stand_are_told_though_nothing_touches() -> None:
-    reasons = told(Obstruction(5.0), 6.0, lambda _: state(3.0))
+    reasons = told(StallDetector(5.0), 6.0, lambda _: state(3.0))
     assert reasons[9:11] == [
         "", "it makes no way 5 s long, 20.0 in before (20, 0), though it is told to drive: is it held (nserver ctl "
         "status tells), or its emergency button pressed?",
@@ -44,16 +44,16 @@ def test_wheels_that_stand_are_told_though_nothing_touches() -> None:
     lambda second: state(0.0, heading=3.1 + 0.05 * second),
 ])  # fmt: skip
 def test_rolling_or_turning_slowly_is_way(at: Any) -> None:
-    assert not any(told(Obstruction(5.0), 30.0, at))
+    assert not any(told(StallDetector(5.0), 30.0, at))
 
 
 def test_sliding_along_a_wall_is_way_while_it_comes_nearer() -> None:
-    assert not any(told(Obstruction(5.0), 30.0, lambda _: state(0.0, 3), speed_in_s=0.2))
-    assert any(told(Obstruction(5.0), 30.0, lambda _: state(0.0, 3), speed_in_s=0.05))
+    assert not any(told(StallDetector(5.0), 30.0, lambda _: state(0.0, 3), speed_in_s=0.2))
+    assert any(told(StallDetector(5.0), 30.0, lambda _: state(0.0, 3), speed_in_s=0.05))
 
 
 def test_another_way_point_or_none_begins_anew() -> None:
-    obstruction = Obstruction(5.0)
+    obstruction = StallDetector(5.0)
     assert not any(told(obstruction, 5.0, lambda _: state(0.0)))
     assert not any(told(obstruction, 20.0, lambda _: state(0.0), goal=None))
     assert obstruction.reason(4.9, state(0.0), np.zeros(3), GOAL) == ""
@@ -64,4 +64,4 @@ def test_another_way_point_or_none_begins_anew() -> None:
 
 @pytest.mark.parametrize(("speed_in_s", "patience_s"), [(5.0, PATIENCE_S), (0.01, 40.0)])
 def test_the_slower_the_more_patient(speed_in_s: float, patience_s: float) -> None:
-    assert Obstruction(speed_in_s).patience_s == pytest.approx(patience_s)
+    assert StallDetector(speed_in_s).patience_s == pytest.approx(patience_s)

@@ -12,7 +12,7 @@ import pytest
 from localization.filters.belief import Belief
 from localization.filters.health import HEALTHY, FilterHealth, HealthStatus
 from localization.live.localizer import Estimate
-from localization.navigation.obstacles import Unmapped
+from localization.navigation.obstacles import ObstacleTracker
 from localization.navigation.path import room
 from localization.navigation.path_follower import STAND
 from localization.navigation.pilot import Ending, Patience, Pilot
@@ -20,8 +20,8 @@ from localization.navigation.planner import MARGINS_IN, Planner
 from localization.navigation.speed import LIMITS
 from nclient.protocol.types import N150 as MODEL
 from nclient.state import RobotState
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 
@@ -40,7 +40,7 @@ class World:
         self.pose = np.array([x, y, 0.0])
         self.clock_s, self.std_in, self.feels = 0.0, std_in, feels
         self.health = HEALTHY
-        self.unmapped = Unmapped(WALLS, N150.sonar_ring_radius_in)
+        self.unmapped = ObstacleTracker(WALLS, N150.sonar_ring_radius_in)
         self.least_room = np.inf
 
     def estimate(self) -> Estimate:

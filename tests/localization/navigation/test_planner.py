@@ -7,10 +7,10 @@ import pytest
 
 from localization.navigation.path import room
 from localization.navigation.planner import LONGER, MARGINS_IN, Plan, Planner
-from localization.navigation.roadmap import NoWayError, Roadmap, length_in
+from localization.navigation.roadmap import NoPathError, Roadmap, length_in
 from localization.navigation.speed import LIMITS
-from worlds.bodies import N150
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import N150
 
 WALLS = np.array(load_world("several_walls").walls)
 PLANNER = Planner(WALLS, N150.radius_in)
@@ -49,7 +49,7 @@ def test_finds_are_gone_around_and_may_leave_no_way() -> None:
     assert around.length_in > straight_way.length_in
     points = np.concatenate([stretch.points(0.2) for stretch in around.course])
     assert room(points, find).min() >= N150.radius_in + MARGINS_IN[0] - 1e-4
-    with pytest.raises(NoWayError, match="no way from"):
+    with pytest.raises(NoPathError, match="no way from"):
         PLANNER.plan((5.0, 5.0), (90.0, 0.0), np.array([[50.0, 35.0, 60.0, 75.0], [60.0, 75.0, 102.0, 60.0]]))
 
 
@@ -59,7 +59,7 @@ def test_given_points_are_passed_by_on_straight_ways() -> None:
     (stretch,) = plan.course
     place = stretch.at(stretch.nearest(35.0, 55.0))
     assert np.hypot(place.x_in - 35.0, place.y_in - 55.0) <= 1.0 + 1e-9
-    with pytest.raises(NoWayError, match=r"from \(5, 5\) to \(90, 0\) comes within 0.0 in of a wall"):
+    with pytest.raises(NoPathError, match=r"from \(5, 5\) to \(90, 0\) comes within 0.0 in of a wall"):
         PLANNER.along([(5.0, 5.0), (90.0, 0.0)], 1.0, LIMITS["n150"])
 
 
@@ -69,7 +69,7 @@ def test_around_finds_there_is_the_widest_room_there_is() -> None:
     plan = PLANNER.plan((5.0, 5.0), (60.0, 55.0), find)
     wider = [margin for margin in MARGINS_IN if margin > plan.margin_in]
     for margin in wider[:1]:
-        with pytest.raises(NoWayError):
+        with pytest.raises(NoPathError):
             Roadmap(walls, N150.radius_in + margin).path((5.0, 5.0), (60.0, 55.0), N150.radius_in)
     narrow = PLANNER.plan((5.0, 5.0), (60.0, 55.0), np.array([[50.0, 35.0, 50.0, 51.0], [62.0, 75.0, 62.0, 74.9]]))
     assert narrow.margin_in == 3.0  # 26 in between (50, 51) and (60, 75): 3.28 in on either side

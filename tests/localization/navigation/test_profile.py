@@ -12,7 +12,7 @@ from localization.navigation.path import (
     CREEP_IN_S,
     SHIFT_IN,
     Leg,
-    Profile,
+    SpeedProfile,
     Stretch,
     fastest_in_s,
     straight,
@@ -27,13 +27,13 @@ def test_a_straight_line_is_driven_as_a_trapezoid() -> None:
     push = BRAKING_SHARE * AXES.translation_in_s2
     line = Stretch((straight((0, 0), (100, 0)),))
     exact = 100.0 / 20.0 + 20.0 / push
-    assert Profile(line, AXES).duration_s == pytest.approx(exact, rel=0.01)
+    assert SpeedProfile(line, AXES).duration_s == pytest.approx(exact, rel=0.01)
     short = Stretch((straight((0, 0), (10, 0)),))
-    assert Profile(short, AXES).duration_s == pytest.approx(2.0 * sqrt(10.0 / push), rel=0.03)
+    assert SpeedProfile(short, AXES).duration_s == pytest.approx(2.0 * sqrt(10.0 / push), rel=0.03)
 
 
 def test_no_speed_is_beyond_an_axis() -> None:
-    profile = Profile(BEND, AXES)
+    profile = SpeedProfile(BEND, AXES)
     along = np.linspace(0.0, BEND.length_in, 400)
     speeds = np.array([profile.speed_in_s(float(value)) for value in along])
     assert speeds.max() <= AXES.translation_in_s

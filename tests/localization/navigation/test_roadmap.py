@@ -15,10 +15,10 @@ from scipy.spatial import ConvexHull
 
 from localization.filters.belief import Floats
 from localization.navigation.path import Leg
-from localization.navigation.roadmap import NoWayError, Roadmap, clearances, length_in
-from worlds.bodies import N150
-from worlds.files import load_world
+from localization.navigation.roadmap import NoPathError, Roadmap, clearances, length_in
 from worlds.geometry import nearest_points
+from worlds.io import load_world
+from worlds.robots import N150
 
 RADIUS_IN = N150.radius_in + 1.0
 CORNERS = 24
@@ -154,27 +154,27 @@ def test_a_start_too_near_a_wall_is_left_straight_and_a_goal_too_near_is_refused
     assert (path[0].x_in, path[0].y_in) == (-2.0, 10.0)
     assert path[0].length_in == pytest.approx(0.72, abs=0.3)
     assert length_in(path) < length_in(roadmap.path((-1.2, 10.0), (80.0, 0.0))) + 2.0
-    with pytest.raises(NoWayError, match=r"no room at \(-2, 40\): 0.0 in to a wall, 10.7 wanted"):
+    with pytest.raises(NoPathError, match=r"no room at \(-2, 40\): 0.0 in to a wall, 10.7 wanted"):
         roadmap.path((60.0, 60.0), (-2.0, 40.0))
     assert end_of(roadmap.path((80.0, 0.0), (-2.0, 10.0), 9.72)) == pytest.approx((-2.0, 10.0))
 
 
 def test_a_start_without_any_room_has_no_way() -> None:
     narrow = np.array([[-500.0, 0.0, 500.0, 0.0], [-500.0, 12.0, 500.0, 12.0]])
-    with pytest.raises(NoWayError, match=r"no way from \(0, 6\) to \(0, 60\)"):
+    with pytest.raises(NoPathError, match=r"no way from \(0, 6\) to \(0, 60\)"):
         Roadmap(narrow, 10.0).path((0.0, 6.0), (0.0, 60.0))
 
 
 def test_where_there_is_no_way_it_says_so() -> None:
     box = np.array([[0, 0, 60, 0], [60, 0, 60, 60], [60, 60, 0, 60], [0, 60, 0, 0]], dtype=float)
-    with pytest.raises(NoWayError, match="no way from"):
+    with pytest.raises(NoPathError, match="no way from"):
         Roadmap(box, 10.0).path((30.0, 30.0), (200.0, 30.0))
 
 
 def test_given_ways_are_refused_where_they_come_too_near() -> None:
     roadmap = Roadmap(np.array([[0.0, 0.0, 0.0, -500.0]]), 10.0)
     roadmap.require_free([(-5.0, 0.0), (-20.0, 0.0), (-20.0, 30.0)])
-    with pytest.raises(NoWayError, match=r"from \(-20, 0\) to \(20, 0\) comes within 0.0 in of a wall, 10.0 wanted"):
+    with pytest.raises(NoPathError, match=r"from \(-20, 0\) to \(20, 0\) comes within 0.0 in of a wall, 10.0 wanted"):
         roadmap.require_free([(-20.0, 20.0), (-20.0, 0.0), (20.0, 0.0)])
 
 

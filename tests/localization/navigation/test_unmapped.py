@@ -7,23 +7,23 @@ from math import atan2, cos, hypot, pi, sin, tau
 import numpy as np
 import pytest
 
-from localization.navigation.obstacles import FADE_S, MOST, SURE, Unmapped
-from worlds.bodies import N150
-from worlds.files import load_world
+from localization.navigation.obstacles import FADE_S, MOST, SURE, ObstacleTracker
+from worlds.io import load_world
 from worlds.raycast import cast_rays
+from worlds.robots import N150
 
 WALLS = np.array(load_world("several_walls").walls)
 RING_IN = N150.sonar_ring_radius_in
 HERE = (20.0, 20.0)
 
 
-def hear(unmapped: Unmapped, towards: float, reading: float, times: int = 1, clock_s: float = 0.0) -> None:
+def hear(unmapped: ObstacleTracker, towards: float, reading: float, times: int = 1, clock_s: float = 0.0) -> None:
     for _ in range(times):
         unmapped.hear(clock_s, HERE, towards, reading, 0.2)
 
 
 def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> None:
-    unmapped = Unmapped(WALLS, RING_IN)
+    unmapped = ObstacleTracker(WALLS, RING_IN)
     hear(unmapped, 0.3, 15.0, times=2)
     assert not len(unmapped.segments)
     hear(unmapped, 0.35, 15.0)
@@ -37,7 +37,7 @@ def test_the_same_thing_heard_again_is_sure_and_stands_where_it_was_heard() -> N
 
 def test_what_the_map_explains_is_no_find_in_any_direction() -> None:
     """Exact ranges of rays, and longer ones as second echoes are, from many places."""
-    unmapped, chance = Unmapped(WALLS, RING_IN), np.random.default_rng(2)
+    unmapped, chance = ObstacleTracker(WALLS, RING_IN), np.random.default_rng(2)
     for _ in range(300):
         place, towards = chance.uniform(12.0, 30.0, 2), float(chance.uniform(0.0, tau))
         ray = float(cast_rays(place, np.array([cos(towards), sin(towards)]), WALLS)[0]) - RING_IN
@@ -49,7 +49,7 @@ def test_what_the_map_explains_is_no_find_in_any_direction() -> None:
 def test_a_fifth_of_all_readings_drawn_at_random_finds_nothing() -> None:
     """Ten minutes of a standing robot in the square room: the rest goes through to the walls."""
     walls, chance = np.array(load_world("thesis_room").walls), np.random.default_rng(7)
-    unmapped, found = Unmapped(walls, RING_IN), 0
+    unmapped, found = ObstacleTracker(walls, RING_IN), 0
     angles = np.array(N150.sonar_angles_rad)
     ways = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
     true = cast_rays(np.broadcast_to(np.array((45.0, 45.0)), ways.shape), ways, walls)[0] - RING_IN
@@ -63,7 +63,7 @@ def test_a_fifth_of_all_readings_drawn_at_random_finds_nothing() -> None:
 
 
 def test_it_is_seen_through_and_gone_where_readings_pass() -> None:
-    unmapped = Unmapped(WALLS, RING_IN)
+    unmapped = ObstacleTracker(WALLS, RING_IN)
     hear(unmapped, 0.3, 15.0, times=4)
     hear(unmapped, 0.3 + 0.3, 40.0, times=10)
     assert len(unmapped.segments) == 1
@@ -72,7 +72,7 @@ def test_it_is_seen_through_and_gone_where_readings_pass() -> None:
 
 
 def test_it_fades_with_time_and_no_weight_is_beyond_the_most() -> None:
-    unmapped = Unmapped(WALLS, RING_IN)
+    unmapped = ObstacleTracker(WALLS, RING_IN)
     hear(unmapped, 0.3, 15.0, times=100)
     hear(unmapped, pi, 200.0, clock_s=FADE_S * np.log(MOST) - 0.5)
     assert len(unmapped.segments) == 1
@@ -82,7 +82,7 @@ def test_it_fades_with_time_and_no_weight_is_beyond_the_most() -> None:
 
 
 def test_what_is_felt_is_sure_at_once_and_not_seen_through() -> None:
-    unmapped = Unmapped(WALLS, RING_IN)
+    unmapped = ObstacleTracker(WALLS, RING_IN)
     unmapped.touch(0.0, HERE, pi / 2.0, 9.72)
     np.testing.assert_allclose(unmapped.segments, [[25.0, 29.72, 15.0, 29.72]])
     hear(unmapped, pi / 2.0, 72.0, times=20)
@@ -95,13 +95,13 @@ def test_what_is_felt_is_sure_at_once_and_not_seen_through() -> None:
 
 @pytest.mark.parametrize(("reading", "std"), [(0.0, 0.2), (5.0, 0.2), (15.0, 2.0), (70.0, 0.2)])
 def test_dead_sonars_far_readings_and_one_who_does_not_know_his_place_add_nothing(reading: float, std: float) -> None:
-    unmapped = Unmapped(np.array(load_world("thesis_room").walls), RING_IN)
+    unmapped = ObstacleTracker(np.array(load_world("thesis_room").walls), RING_IN)
     for _ in range(5):
         unmapped.hear(0.0, (0.0, 0.0), 0.7, reading, std)
     assert len(unmapped.segments) == 0
 
 
 def test_where_the_map_is_empty_everything_near_is_unmapped() -> None:
-    unmapped = Unmapped(np.zeros((0, 4)), RING_IN)
+    unmapped = ObstacleTracker(np.zeros((0, 4)), RING_IN)
     near = unmapped.too_near(HERE, np.array([0.0, 1.0, 2.0]), np.array([20.0, 5.0, 255.0]), 0.1)
     assert near.tolist() == [True, False, False]

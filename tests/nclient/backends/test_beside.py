@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from nclient import AddressError, ConnectionLost, RobotRefused, connect
+from nclient.connect import Connector
 from nclient.protocol.commands import Call
-from nclient.schemes import Wanted, opening_of
 from nclient.transports import memory
+from nclient.url import parse_address
 
 
 def test_the_truth_is_the_simulations_and_all_else_the_lines() -> None:
@@ -39,7 +40,7 @@ def test_a_servers_words_are_refused() -> None:
 
 
 def test_closed_both_are() -> None:
-    backend = opening_of("sim:thesis_room?line=1", Wanted()).backend()
+    backend = Connector(parse_address("sim:thesis_room?line=1")).open()
     backend.execute(Call("sim_truth"))
     backend.close()
     for call in (Call("sim_truth"), Call("gs")):
@@ -48,8 +49,8 @@ def test_closed_both_are() -> None:
 
 
 def test_a_recording_of_it_is_of_a_line() -> None:
-    assert opening_of("sim:thesis_room?line=1", Wanted()).scheme.line == "serial"
-    assert opening_of("sim:thesis_room?line=0", Wanted()).scheme.line == "tcp"
+    assert parse_address("sim:thesis_room?line=1").wire == "serial"
+    assert parse_address("sim:thesis_room?line=0").wire == "tcp"
 
 
 def test_what_has_no_line_has_nothing_beside() -> None:

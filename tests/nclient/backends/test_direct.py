@@ -10,12 +10,12 @@ import pytest
 from nclient.backends.direct import QUIET_S, DirectBackend
 from nclient.backends.wrappers import Retrying
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
-from nclient.protocol.client_state import HeldState, Hello, build_hello
+from nclient.protocol.client_state import ClientState, Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from tests.nclient.protocol.recorded import LINE_SESSIONS, model_of
@@ -43,17 +43,17 @@ def test_what_the_c_library_said_and_held(session: str) -> None:
     peer = RecordedRobot(session)
     model = model_of(session)
     backend = DirectBackend(MemoryStream(peer), model, hello=session == "n200_tcp", checks=False)
-    held = HeldState()
+    held = ClientState()
     played = peer.exchanges
     if backend.greeting is not None:
-        held.absorb(backend.greeting)
+        held.apply_reply(backend.greeting)
         played = played[1:]
     for exchange in played:
         if "Nak" in exchange.prints:
             with pytest.raises(RobotRefused, match="NAK"):
                 backend.execute(exchange.call)
             continue
-        held.absorb(backend.execute(exchange.call))
+        held.apply_reply(backend.execute(exchange.call))
         if exchange.decoded:
             assert [value or 0 for value in held.slots] == exchange.decoded["State"], exchange.call
     backend.close()
@@ -73,10 +73,10 @@ def test_a_n200_is_sent_its_mask_and_asked_again_when_it_is_silent() -> None:
 def test_a_n200_over_tcp_says_its_mask_first() -> None:
     robot = ScriptedLine(model=N200)
     mask = EVERYTHING.with_position(2)
-    robot.terms.note_mask(mask)
-    robot.out += build_hello(Hello(mask, 51))
+    robot.wire_state.set_mask(mask)
+    robot.out += build_handshake(Handshake(mask, 51))
     backend = direct_on(robot, hello=True)
-    assert (backend.greeting, backend.terms.mask, robot.calls) == (None, mask, [])
+    assert (backend.greeting, backend.wire_state.mask, robot.calls) == (None, mask, [])
     assert "sonar_15" in backend.execute(GS).stamps
     for few in (b"", b"\xff" * 10):
         robot = ScriptedLine(model=N200)
@@ -162,8 +162,8 @@ def test_a_nak_to_what_shapes_answers_leaves_their_shape() -> None:
     for call in (Call("ct", wanted.smask), Call("conf_ls", (33, 20, 20, 20, 4))):
         with pytest.raises(RobotRefused):
             backend.execute(call)
-    assert backend.terms.mask == EVERYTHING
-    assert backend.terms.laser_mode == 51
+    assert backend.wire_state.mask == EVERYTHING
+    assert backend.wire_state.laser_mode == 51
     robot.calls.clear()
     assert backend.execute(GS).kind == "state"
     assert robot.names() == ["gs"]
@@ -355,7 +355,7 @@ def test_a_robot_that_was_switched_off_and_on_gets_its_mask_again() -> None:
     backend = direct_on(robot)
     backend.execute(Call("ct", EVERYTHING.with_position(2).smask))
     backend.execute(Call("conf_ls", (33, 20, 20, 20, 4)))
-    robot.terms = line_terms(N200)
+    robot.wire_state = serial_wire_state(N200)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)
     robot.calls.clear()
@@ -515,14 +515,14 @@ def test_no_late_and_no_corrupt_answer_is_ever_another_commands(seed: int) -> No
 @pytest.mark.parametrize("laser", [(0,), (2, 10, 20, 30, -40, 50, 60, 70, -80)])
 def test_a_laser_that_another_client_left_in_line_mode_is_read(laser: tuple[int, ...]) -> None:
     robot = ScriptedLine(model=N200)
-    robot.terms.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = laser
     backend = direct_on(robot)
     assert backend.greeting is not None
     assert backend.greeting.laser == laser
     robot.laser = (1, 1, 2, 3, -4)
     assert backend.execute(GS).laser == (1, 1, 2, 3, -4)
-    robot.terms.note_laser_mode(51)
+    robot.wire_state.set_laser_mode(51)
     robot.laser = (3, 100, 200, 300)
     assert backend.execute(GS).laser == (3, 100, 200, 300)
 
@@ -531,14 +531,14 @@ def test_a_laser_mode_that_was_said_is_the_mode() -> None:
     robot = ScriptedLine(model=N200)
     backend = direct_on(robot)
     backend.execute(Call("conf_ls", (51, 20, 20, 60, 4)))
-    robot.terms.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = (1, 1, 2, 3, -4)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)
     robot = ScriptedLine(model=N200)
-    robot.out += build_hello(Hello(EVERYTHING, 51))
+    robot.out += build_handshake(Handshake(EVERYTHING, 51))
     backend = direct_on(robot, hello=True)
-    robot.terms.note_laser_mode(33)
+    robot.wire_state.set_laser_mode(33)
     robot.laser = (1, 1, 2, 3, -4)
     with pytest.raises(ReplyTimeout, match="does not fit"):
         backend.execute(GS)

@@ -33,7 +33,7 @@ def test_connecting_is_what_old_clients_do() -> None:
     assert server.calls == [Call("connect_robot", (3, 42)), Call("ct", EVERYTHING.smask)]
     assert backend.port == 7019
     assert backend.greeting.slots[17] == 99
-    assert backend.terms.model is N150
+    assert backend.wire_state.model is N150
     assert not backend.closed
 
 
@@ -98,8 +98,8 @@ def test_silence_closes_so_that_a_late_answer_is_nobodys() -> None:
 @pytest.mark.parametrize(
     "answer",
     [
-        pytest.param(codec.tcp_reply(codec.row_named("get_rc"), Reply("configuration", {34: 1}),
-                                        ScriptedServer().terms), id="another call's answer"),
+        pytest.param(codec.encode_tcp_reply(codec.find_command("get_rc"), Reply("configuration", {34: 1}),
+                                        ScriptedServer().wire_state), id="another call's answer"),
         pytest.param(bytes.fromhex("04d2 0001 00000000"), id="an unknown type"),
         pytest.param(bytes.fromhex("0050 ffff"), id="a count that no state has"),
         pytest.param(bytes.fromhex("0052 0001 00000000") * 2, id="two answers"),

@@ -13,7 +13,7 @@ from nclient.backends.wrappers import Reconnecting
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N200
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from nclient.transports.memory import MemoryStream
 from tests.nclient.answering import ScriptedServer
 from tests.nclient.robot_line import ScriptedLine
@@ -122,7 +122,7 @@ def test_a_laser_mode_is_said_again_and_its_answers_are_read() -> None:
     cable.pull()
     with pytest.raises(ConnectionLost):
         backend.execute(GS)
-    cable.robot.terms = line_terms(N200)  # it was switched off, too
+    cable.robot.wire_state = serial_wire_state(N200)  # it was switched off, too
     cable.plugged = True
     cable.robot.laser = (0,)
     cable.robot.calls.clear()

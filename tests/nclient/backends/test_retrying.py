@@ -79,7 +79,7 @@ def test_a_wrapper_hands_on_everything_else() -> None:
     robot = ScriptedLine(model=N200)
     inner = direct_on(robot)
     backend = Retrying(inner, 2)
-    assert backend.terms is inner.terms
+    assert backend.wire_state is inner.wire_state
     assert backend.greeting is inner.greeting
     assert (backend.port, backend.closed, backend.link) == (1, False, inner.link)
     backend.close()

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.cli.shell_help import Order, parse
+from nclient.cli.shell_help import ParsedCommand, parse
 from nclient.cli.shell_session import call_of
 from nclient.errors import ShellError, WireError
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING, N150, N200
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 
-TCP = tcp_terms(N150)
+TCP = tcp_wire_state(N150)
 PID = 4711
 
 
-def call(text: str, terms: Terms = TCP) -> Call:
+def call(text: str, wire_state: WireState = TCP) -> Call:
     (order,) = parse(text)
-    assert isinstance(order, Order)
-    return call_of(order, terms, EVERYTHING.smask, PID)
+    assert isinstance(order, ParsedCommand)
+    return call_of(order, wire_state, EVERYTHING.smask, PID)
 
 
 @pytest.mark.parametrize(("text", "args"), [
@@ -64,20 +64,20 @@ def test_what_is_no_call_is_told(text: str, told: str) -> None:
         call(text)
 
 
-@pytest.mark.parametrize(("text", "terms"), [
+@pytest.mark.parametrize(("text", "wire_state"), [
     ("pr 99999999999 0 0", TCP),
     ("add_obstacle 3 0 0", TCP),
     ("motion_check 2 0 0 0 0", TCP),
-    ("pr 40000 0 0", line_terms(N150)),
+    ("pr 40000 0 0", serial_wire_state(N150)),
 ])
-def test_numbers_that_cannot_be_sent_are_the_wires_to_refuse(text: str, terms: Terms) -> None:
+def test_numbers_that_cannot_be_sent_are_the_wires_to_refuse(text: str, wire_state: WireState) -> None:
     with pytest.raises(WireError):
-        call(text, terms)
+        call(text, wire_state)
 
 
 def test_a_robots_own_line_has_commands_of_its_own() -> None:
-    assert call("conf_ser 1 9600", line_terms(N150)).args == (1, 9600)
+    assert call("conf_ser 1 9600", serial_wire_state(N150)).args == (1, 9600)
     with pytest.raises(ShellError, match="there is no sim_truth on the own line of a n200; help sim_truth says where"):
-        call("sim_truth", line_terms(N200))
+        call("sim_truth", serial_wire_state(N200))
     with pytest.raises(ShellError, match="there is no pa on the own line of a n150"):
-        call("pa 0 0 0", line_terms(N150))
+        call("pa 0 0 0", serial_wire_state(N150))

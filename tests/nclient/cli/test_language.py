@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nclient.cli.shell_help import Element, Order, parse
+from nclient.cli.shell_help import Element, ParsedCommand, parse
 from nclient.errors import ShellError
 
 
@@ -14,21 +14,21 @@ from nclient.errors import ShellError
     ("", ()),
     ("   # all of it a comment", ()),
     (";;", ()),
-    ("st", (Order("st"),)),
-    ("pr 240 -5 0", (Order("pr", (240, -5, 0)),)),
-    ("pr 240, -5, +0 # forward", (Order("pr", (240, -5, 0)),)),
-    ("pr(240, 0, 0); ws(1,1,1,20);", (Order("pr", (240, 0, 0)), Order("ws", (1, 1, 1, 20)))),
-    ("st()", (Order("st"),)),
-    ("conf_sn 15 {0, 2,255}", (Order("conf_sn", (15, (0, 2, 255))),)),
-    ("conf_sn(15, [0 2])", (Order("conf_sn", (15, (0, 2))),)),
-    ('tk "a # b; \\"c\\""', (Order("tk", ('a # b; "c"',)),)),
-    ("tk 'no more' words 2", (Order("tk", ("no more", "words", 2)),)),
-    ("sleep .5; sleep 1e-1; sleep 2.", (Order("sleep", (0.5,)), Order("sleep", (0.1,)), Order("sleep", (2.0,)))),
+    ("st", (ParsedCommand("st"),)),
+    ("pr 240 -5 0", (ParsedCommand("pr", (240, -5, 0)),)),
+    ("pr 240, -5, +0 # forward", (ParsedCommand("pr", (240, -5, 0)),)),
+    ("pr(240, 0, 0); ws(1,1,1,20);", (ParsedCommand("pr", (240, 0, 0)), ParsedCommand("ws", (1, 1, 1, 20)))),
+    ("st()", (ParsedCommand("st"),)),
+    ("conf_sn 15 {0, 2,255}", (ParsedCommand("conf_sn", (15, (0, 2, 255))),)),
+    ("conf_sn(15, [0 2])", (ParsedCommand("conf_sn", (15, (0, 2))),)),
+    ('tk "a # b; \\"c\\""', (ParsedCommand("tk", ('a # b; "c"',)),)),
+    ("tk 'no more' words 2", (ParsedCommand("tk", ("no more", "words", 2)),)),
+    ("sleep .5; sleep 1e-1; sleep 2.", tuple(ParsedCommand("sleep", (time_s,)) for time_s in (0.5, 0.1, 2.0))),
     ("State[34]", (Element("State", 34),)),
     ("Smask [ 17 ] = 0; Laser", (Element("Smask", 17, 0), Element("Laser"))),
-    ("help 12abc", (Order("help", ("12abc",)),)),
+    ("help 12abc", (ParsedCommand("help", ("12abc",)),)),
 ])
-def test_what_a_line_means(text: str, orders: tuple[Order | Element, ...]) -> None:
+def test_what_a_line_means(text: str, orders: tuple[ParsedCommand | Element, ...]) -> None:
     assert parse(text) == orders
 
 
@@ -62,12 +62,12 @@ def test_any_text_is_orders_or_an_error_of_ours(text: str) -> None:
         found = parse(text)
     except ShellError:
         return
-    assert all(isinstance(order, Order | Element) for order in found)
+    assert all(isinstance(order, ParsedCommand | Element) for order in found)
 
 
 @given(st.lists(st.integers(-(2**31), 2**31 - 1), max_size=8))
 def test_whole_numbers_come_as_they_were_written(numbers: list[int]) -> None:
     written = ", ".join(map(str, numbers))
     assert parse(f"add_obstacle({written})") == parse(f"add_obstacle {written}") == (
-        Order("add_obstacle", tuple(numbers)),
+        ParsedCommand("add_obstacle", tuple(numbers)),
     )

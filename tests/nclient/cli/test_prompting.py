@@ -16,18 +16,18 @@ from prompt_toolkit.output import DummyOutput
 
 from nclient.cli.shell import Names, PromptReader
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.protocol.wire_state import WireState, tcp_wire_state
 
 
-def terms() -> Terms:
-    return tcp_terms(N150)
+def wire_state() -> WireState:
+    return tcp_wire_state(N150)
 
 
 @contextmanager
 def typed(keys: str, history: Path | None = None) -> Iterator[PromptReader]:
     with create_pipe_input() as pipe, create_app_session(input=pipe, output=DummyOutput()):
         pipe.send_text(keys)
-        yield PromptReader(terms, lambda: "standing", history)
+        yield PromptReader(wire_state, lambda: "standing", history)
 
 
 def test_lines_are_read_and_kept(tmp_path: Path) -> None:
@@ -47,12 +47,12 @@ def test_ctrl_c_and_ctrl_d(key: str, raised: type[BaseException]) -> None:
     ("get_rp", "get_rpx"), ("st; get_rp", "st; get_rpx"), ("help new", "help new_world"), ("st;get_rp", "st;get_rpx"),
 ])
 def test_a_name_takes_the_place_of_what_was_typed_of_it(line: str, completed: str) -> None:
-    (one,) = Names(terms).get_completions(Document(line), CompleteEvent())
+    (one,) = Names(wire_state).get_completions(Document(line), CompleteEvent())
     assert line[: len(line) + one.start_position] + one.text == completed
 
 
 def test_names_come_with_what_they_are_for() -> None:
-    found = list(Names(terms).get_completions(Document("pr 1 2 3; get_s"), CompleteEvent()))
+    found = list(Names(wire_state).get_completions(Document("pr 1 2 3; get_s"), CompleteEvent()))
     assert [(one.text, one.start_position, one.display_meta_text) for one in found] == [
         ("get_sn", -5, "ask for the sonars"), ("get_sg", -5, "ask for the laser's line segments"),
     ]

@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 
 from nclient import capi
-from nclient.cli.shell_help import _EXAMPLES, Order, help_lines, model_note, parameters, parse, summaries, usage
+from nclient.cli.shell_help import _EXAMPLES, ParsedCommand, help_lines, model_note, parameters, parse, summaries, usage
 from nclient.cli.shell_session import call_of
 from nclient.protocol.commands import BY_NAME, COMMANDS
 from nclient.protocol.types import MODELS, N150, SCOUT
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 
 
 @pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.name)
 def test_every_command_has_help_with_its_usage_its_summary_and_its_python_name(row: object) -> None:
     (command,) = (known for known in COMMANDS if known is row)
-    told = list(help_lines(command.name, tcp_terms(N150)))
+    told = list(help_lines(command.name, tcp_wire_state(N150)))
     assert told[0] == usage(command)
     assert told[1].strip() == command.summary
     assert f"robot.{command.method};" in told[-1]
@@ -41,25 +41,25 @@ def test_as_many_arguments_as_the_c_call_has(name: str) -> None:
     ("sim_truth", ["over TCP, on no robot's own line"]),
 ])
 def test_help_tells_units_and_where_a_command_exists(name: str, lines: list[str]) -> None:
-    told = "\n".join(help_lines(name, tcp_terms(N150)))
+    told = "\n".join(help_lines(name, tcp_wire_state(N150)))
     assert all(line in told for line in lines), told
 
 
 def test_a_robots_own_line_bounds_its_numbers() -> None:
-    told = "\n".join(help_lines("pr", line_terms(N150)))
+    told = "\n".join(help_lines("pr", serial_wire_state(N150)))
     assert "translation  1/10 in    -32767 to 32767" in told
-    assert "-32767" not in "\n".join(help_lines("pr", tcp_terms(N150)))
+    assert "-32767" not in "\n".join(help_lines("pr", tcp_wire_state(N150)))
 
 
 def test_a_scout_has_wheels() -> None:
-    assert any("right wheel" in line for line in help_lines("vm", tcp_terms(SCOUT)))
-    assert not any("wheel" in line for line in help_lines("vm", tcp_terms(N150)))
+    assert any("right wheel" in line for line in help_lines("vm", tcp_wire_state(SCOUT)))
+    assert not any("wheel" in line for line in help_lines("vm", tcp_wire_state(N150)))
     assert "wheel" in model_note(SCOUT)
     assert "turret" in model_note(N150)
 
 
 def test_the_list_has_what_there_is_with_this_robot() -> None:
-    tcp, line = summaries(tcp_terms(N150)), summaries(line_terms(MODELS["n200"]))
+    tcp, line = summaries(tcp_wire_state(N150)), summaries(serial_wire_state(MODELS["n200"]))
     assert len(tcp) == sum(row.tcp_type is not None for row in COMMANDS)
     assert "sim_truth" in tcp
     assert "sim_truth" not in line
@@ -69,5 +69,5 @@ def test_the_list_has_what_there_is_with_this_robot() -> None:
 @pytest.mark.parametrize("example", _EXAMPLES.values())
 def test_examples_are_calls(example: str) -> None:
     (order,) = parse(example)
-    assert isinstance(order, Order)
-    assert call_of(order, tcp_terms(N150), (), 1).name == example.split()[0]
+    assert isinstance(order, ParsedCommand)
+    assert call_of(order, tcp_wire_state(N150), (), 1).name == example.split()[0]

@@ -9,7 +9,7 @@ import pytest
 from nclient.backends.nserver import NserverBackend
 from nclient.cli.shell_help import OWN
 from nclient.cli.shell_session import Session
-from nclient.connect import Wanted, open_backend
+from nclient.connect import open_backend
 from nclient.errors import RobotRefused, ShellError
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
@@ -27,11 +27,11 @@ class Slept:
 
 
 def session_on(address: str = "sim:thesis_room", slept: Slept | None = None) -> Session:
-    return Session(open_backend(address, Wanted()), slept or Slept())
+    return Session(open_backend(address), slept or Slept())
 
 
 def scripted(server: ScriptedServer, slept: Slept | None = None) -> Session:
-    return Session(NserverBackend(MemoryStream(server), model=server.terms.model), slept or Slept(), pid=7)
+    return Session(NserverBackend(MemoryStream(server), model=server.wire_state.model), slept or Slept(), pid=7)
 
 
 def told(session: Session, text: str) -> str:
@@ -86,9 +86,9 @@ def test_a_model_with_more_sensors_tells_more() -> None:
 def test_the_mask_is_set_and_sent_as_in_c() -> None:
     session = session_on("sim:thesis_room?robot=n200")
     assert told(session, "Smask[17] = 0; Smask[17]") == "Smask[17] = 0\nSmask[17] = 0"
-    assert session.terms.mask.has(17)  # not yet
+    assert session.wire_state.mask.has(17)  # not yet
     told(session, "ct")
-    assert not session.terms.mask.has(17)
+    assert not session.wire_state.mask.has(17)
     told(session, f"ct {{{' '.join(['0'] + ['1'] * 43)}}}")
     assert told(session, "Smask[17]") == "Smask[17] = 1"
 

@@ -11,7 +11,7 @@ import pytest
 
 from nclient.backends.nserver import NserverBackend
 from nclient.cli import main, shell
-from nclient.cli.shell import MOST_BYTES, Watcher
+from nclient.cli.shell import MOST_BYTES, StatusPoller
 from nclient.cli.shell_session import Session
 from nclient.transports.memory import MemoryStream
 from tests.nclient.answering import ScriptedServer
@@ -122,7 +122,7 @@ class Typed:
 def converse(server: ScriptedServer, *lines: str | type[BaseException]) -> int:
     session = Session(NserverBackend(MemoryStream(server)), lambda _: None)
     with session.robot:
-        return shell.converse(session, Typed(*lines), Watcher(session, 0))
+        return shell.converse(session, Typed(*lines), StatusPoller(session, 0))
 
 
 def test_a_conversation_goes_on_after_a_mistake_and_leaving_stops(capsys: pytest.CaptureFixture[str]) -> None:

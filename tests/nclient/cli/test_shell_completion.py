@@ -6,9 +6,9 @@ import pytest
 
 from nclient.cli import shell_help, state_text
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 
-TCP = tcp_terms(N150)
+TCP = tcp_wire_state(N150)
 
 
 def words(text: str) -> list[str]:
@@ -43,7 +43,7 @@ def test_each_comes_with_what_it_is_for() -> None:
 
 
 def test_only_what_this_robot_has() -> None:
-    on_line = [candidate.word for candidate in shell_help.candidates("", line_terms(N150))]
+    on_line = [candidate.word for candidate in shell_help.candidates("", serial_wire_state(N150))]
     assert "conf_ser" in on_line
     assert "conf_ser" not in words("")
     assert "sim_truth" not in on_line

@@ -9,7 +9,7 @@ from nclient.backends.direct import DirectBackend
 from nclient.cli import main
 from nclient.cli.stop import StopFirst, Stopping
 from nclient.errors import ReplyTimeout
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.types import EVERYTHING, MODELS, N150, N200, SCOUT, Model
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import ByteStream
@@ -62,7 +62,7 @@ def test_a_n200_that_does_not_answer_ct_is_stopped_all_the_same(capsys: pytest.C
 
 def test_a_hello_before_the_answer_is_no_answer() -> None:
     robot = ScriptedLine(model=N200)
-    robot.out += build_hello(Hello(EVERYTHING, 51))
+    robot.out += build_handshake(Handshake(EVERYTHING, 51))
     code, _ = stopped(robot, N200)
     assert (code, robot.names()[0]) == (0, "st")
 
@@ -109,8 +109,8 @@ def test_from_the_command_line_a_hello_that_was_lost_is_not_waited_for(
     address: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot = ScriptedLine(model=N200)
-    for name in ("SerialStream", "TcpStream"):
-        monkeypatch.setattr(f"nclient.openers.{name}", lambda *_, **__: MemoryStream(robot))
+    for name in ("serial.SerialStream", "tcp.TcpStream"):
+        monkeypatch.setattr(f"nclient.transports.{name}", lambda *_, **__: MemoryStream(robot))
     assert main.main(["stop", address, "--patience", "0.2"]) == 0
     assert robot.names()[:2] == ["st", "ct"]
     assert capsys.readouterr().out.startswith("stands still at")

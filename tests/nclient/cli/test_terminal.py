@@ -11,11 +11,11 @@ import pytest
 from nclient.cli import shell
 from nclient.cli.shell import PlainReader, PromptReader, default_history, reader
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import Terms, tcp_terms
+from nclient.protocol.wire_state import WireState, tcp_wire_state
 
 
-def terms() -> Terms:
-    return tcp_terms(N150)
+def wire_state() -> WireState:
+    return tcp_wire_state(N150)
 
 
 def test_history_stands_where_the_users_states_do() -> None:
@@ -25,20 +25,20 @@ def test_history_stands_where_the_users_states_do() -> None:
 
 def test_prompt_toolkit_reads_where_it_is_installed(tmp_path: Path) -> None:
     history = tmp_path / "deep" / "history"
-    assert isinstance(reader(terms, lambda: "", history), PromptReader)
+    assert isinstance(reader(wire_state, lambda: "", history), PromptReader)
     assert history.stat().st_mode & 0o777 == 0o600
 
 
 def test_readline_does_where_it_is_not(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    plain = reader(terms, lambda: "", tmp_path / "history")
+    plain = reader(wire_state, lambda: "", tmp_path / "history")
     assert isinstance(plain, PlainReader)
 
 
 def test_without_readline_it_is_input_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "readline", None)
     monkeypatch.setattr("builtins.input", lambda prompt: f"{prompt}gs")
-    plain = PlainReader(terms, tmp_path / "history")
+    plain = PlainReader(wire_state, tmp_path / "history")
     assert plain.read("n150> ") == "n150> gs"
     plain.close()
     assert not (tmp_path / "history").exists()
@@ -48,7 +48,7 @@ def test_readline_is_given_one_name_after_the_other(monkeypatch: pytest.MonkeyPa
     readline = pytest.importorskip("readline")
     monkeypatch.setattr(readline, "get_line_buffer", lambda: "help get_s")
     monkeypatch.setattr(readline, "get_endidx", lambda: 10)
-    plain = PlainReader(terms, None)
+    plain = PlainReader(wire_state, None)
     assert [plain.complete("get_s", number) for number in range(3)] == ["get_sn", "get_sg", None]
     plain.close()
 
@@ -57,17 +57,17 @@ def test_readline_keeps_the_lines_and_has_them_again(tmp_path: Path) -> None:
     readline = pytest.importorskip("readline")
     history = tmp_path / "history"
     readline.clear_history()
-    plain = PlainReader(terms, history)
+    plain = PlainReader(wire_state, history)
     readline.add_history("pr 240 0 0")
     plain.close()
     readline.clear_history()
-    PlainReader(terms, history)
+    PlainReader(wire_state, history)
     assert readline.get_history_item(1) == "pr 240 0 0"
     readline.clear_history()
 
 
 def test_no_history_is_wanted(tmp_path: Path) -> None:
-    assert isinstance(reader(terms, lambda: "", None), PromptReader)
+    assert isinstance(reader(wire_state, lambda: "", None), PromptReader)
     assert not list(tmp_path.iterdir())
 
 
@@ -76,7 +76,7 @@ def test_libedit_is_bound_in_its_own_way(monkeypatch: pytest.MonkeyPatch) -> Non
     bound: list[str] = []
     monkeypatch.setattr(readline, "__doc__", "as libedit has it")
     monkeypatch.setattr(readline, "parse_and_bind", bound.append)
-    PlainReader(terms, None)
+    PlainReader(wire_state, None)
     assert bound == ["bind ^I rl_complete"]
 
 

@@ -6,15 +6,15 @@ import time
 from collections.abc import Callable
 
 from nclient.backends.nserver import NserverBackend
-from nclient.cli.shell import Watcher
+from nclient.cli.shell import StatusPoller
 from nclient.cli.shell_session import Session
 from nclient.transports.memory import MemoryStream
 from tests.nclient.answering import ScriptedServer
 
 
-def watched(server: ScriptedServer, every_s: float = 0.002) -> tuple[Session, Watcher]:
+def watched(server: ScriptedServer, every_s: float = 0.002) -> tuple[Session, StatusPoller]:
     session = Session(NserverBackend(MemoryStream(server)), lambda _: None)
-    return session, Watcher(session, every_s)
+    return session, StatusPoller(session, every_s)
 
 
 def until(true: Callable[[], bool]) -> None:

@@ -10,13 +10,13 @@ import threading
 import pytest
 
 from nclient.cli import main
-from nclient.common.process import Left, left_in_order
+from nclient.common.process import TerminatedBySignal, handle_termination_signals
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_leaves_in_order(number: signal.Signals, code: int) -> None:
     before = signal.getsignal(number)
-    with pytest.raises(SystemExit) as left, left_in_order():
+    with pytest.raises(SystemExit) as left, handle_termination_signals():
         signal.raise_signal(number)
     assert left.value.code == code
     assert signal.getsignal(number) == before
@@ -24,14 +24,14 @@ def test_a_signal_leaves_in_order(number: signal.Signals, code: int) -> None:
 
 def test_a_system_without_hanging_up_has_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(signal, "SIGHUP")
-    with pytest.raises(SystemExit, match="143"), left_in_order():
+    with pytest.raises(SystemExit, match="143"), handle_termination_signals():
         signal.raise_signal(signal.SIGTERM)
 
 
 def test_a_second_signal_does_not_disturb_the_leaving() -> None:
     left = []
 
-    @left_in_order()
+    @handle_termination_signals()
     def driving() -> None:
         try:
             signal.raise_signal(signal.SIGTERM)
@@ -40,7 +40,7 @@ def test_a_second_signal_does_not_disturb_the_leaving() -> None:
             signal.raise_signal(signal.SIGTERM)
             left.append("in order")
 
-    with pytest.raises(Left) as first:
+    with pytest.raises(TerminatedBySignal) as first:
         driving()
     assert (first.value.signal_name, left) == ("SIGTERM", ["in order"])
 
@@ -48,7 +48,7 @@ def test_a_second_signal_does_not_disturb_the_leaving() -> None:
 def test_what_nohup_ignores_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with left_in_order():
+        with handle_termination_signals():
             signal.raise_signal(signal.SIGHUP)
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
@@ -60,7 +60,7 @@ def test_on_another_thread_nothing_is_changed() -> None:
 
     def run() -> None:
         before = signal.getsignal(signal.SIGTERM)
-        with left_in_order():
+        with handle_termination_signals():
             found.append(signal.getsignal(signal.SIGTERM) == before)
 
     thread = threading.Thread(target=run)
@@ -73,14 +73,14 @@ def test_to_a_terminal_that_was_closed_nothing_is_written(monkeypatch: pytest.Mo
     ours, theirs = pty.openpty()
     monkeypatch.setattr("nclient.common.process._OUTPUTS", (theirs,))
 
-    @left_in_order()
+    @handle_termination_signals()
     def hung_up() -> None:
         os.close(ours)
         with pytest.raises(OSError, match="Input/output"):
             os.write(theirs, b"lost")
         signal.raise_signal(signal.SIGHUP)
 
-    with pytest.raises(Left):
+    with pytest.raises(TerminatedBySignal):
         hung_up()
     assert os.write(theirs, b"nowhere") == 7
     os.close(theirs)
@@ -90,7 +90,7 @@ def test_a_terminal_that_is_still_there_is_written_to(monkeypatch: pytest.Monkey
     ours, theirs = pty.openpty()
     monkeypatch.setattr("nclient.common.process._OUTPUTS", (theirs,))
     try:
-        with pytest.raises(Left), left_in_order():
+        with pytest.raises(TerminatedBySignal), handle_termination_signals():
             signal.raise_signal(signal.SIGHUP)
         os.write(theirs, b"here")
         assert os.read(ours, 4) == b"here"

@@ -18,7 +18,7 @@ LONG = (
     "import sys\nfrom nclient.common import process as outputs\n"
     "try:\n    print('x' * {size}, flush={flush})\n    sys.stdout.flush()\n"
 )
-TOLD = LONG + "except OSError as error:\n    sys.exit(outputs.ended_by(error, 'try'))\n"
+TOLD = LONG + "except OSError as error:\n    sys.exit(outputs.handle_broken_pipe(error, 'try'))\n"
 FULL = "stdout: cannot be written: No space left on device; make room on that disk, or name a file on another\n"
 
 
@@ -62,7 +62,7 @@ def test_a_command_goes_without_what_is_closed(closed: str, told: bool) -> None:
 
 def test_no_file_takes_the_number_of_what_is_closed(tmp_path: Path) -> None:
     program = (
-        "import sys\nfrom nclient.common import process as outputs\noutputs.fill_in()\n"
+        "import sys\nfrom nclient.common import process as outputs\noutputs.ensure_std_streams()\n"
         f"kept = open({str(tmp_path / 'kept')!r}, 'w')\nprint('said')\nprint('cried', file=sys.stderr)\n"
         "import os\nos.write(1, b'raw')\nos.write(2, b'raw')\n"
     )
@@ -73,11 +73,11 @@ def test_no_file_takes_the_number_of_what_is_closed(tmp_path: Path) -> None:
 
 def test_what_is_open_stays_as_it_is() -> None:
     before = sys.stdout, sys.stderr, os.fstat(1), os.fstat(2)
-    process.fill_in()
+    process.ensure_std_streams()
     assert (sys.stdout, sys.stderr, os.fstat(1), os.fstat(2)) == before
 
 
 def test_an_error_of_something_else_is_not_stdouts(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(OSError, match="No space left on device"):
-        process.ended_by(OSError(28, "No space left on device"), "try")
+        process.handle_broken_pipe(OSError(28, "No space left on device"), "try")
     assert capsys.readouterr().err == ""

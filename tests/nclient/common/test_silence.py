@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.common.idle import NONE, Overheard, Silence
+from nclient.common.idle import NONE, IdleMonitor, IdleTimer
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from nclient.recording.recorder import SERIAL, TCP
 
 STATE = Reply("state", {34: 7}, clock=20)
@@ -23,28 +23,28 @@ class Clock:
         return self.now_s
 
 
-def conversation(line: str) -> tuple[Clock, Silence, Overheard]:
+def conversation(line: str) -> tuple[Clock, IdleTimer, IdleMonitor]:
     """Who may be silent for 5 s, and is listened to."""
     clock = Clock()
-    silence = Silence(5.0, clock)
-    return clock, silence, Overheard(silence, line, N150)
+    silence = IdleTimer(5.0, clock)
+    return clock, silence, IdleMonitor(silence, line, N150)
 
 
 def said(line: str, name: str, *args: int) -> bytes:
     call = Call(name, args)
-    return codec.tcp_request(call) if line == TCP else codec.line_request(call, line_terms(N150))
+    return codec.encode_tcp_request(call) if line == TCP else codec.encode_serial_request(call, serial_wire_state(N150))
 
 
 def answer(line: str, name: str) -> bytes:
     row = BY_NAME[name]
-    return codec.tcp_reply(row, STATE, tcp_terms(N150)) if line == TCP else \
-        codec.line_reply(row, STATE, line_terms(N150))
+    return codec.encode_tcp_reply(row, STATE, tcp_wire_state(N150)) if line == TCP else \
+        codec.encode_serial_reply(row, STATE, serial_wire_state(N150))
 
 
-def lasts_s(silence: Silence, clock: Clock) -> int:
+def lasts_s(silence: IdleTimer, clock: Clock) -> int:
     """Whole seconds until it is too long."""
     seconds = 0
-    while not silence.too_long and seconds < 1000:
+    while not silence.expired and seconds < 1000:
         clock.now_s += 1.0
         seconds += 1
     return seconds
@@ -52,16 +52,16 @@ def lasts_s(silence: Silence, clock: Clock) -> int:
 
 def test_it_begins_with_him_and_anew_with_each_word() -> None:
     clock = Clock()
-    silence = Silence(5.0, clock)
+    silence = IdleTimer(5.0, clock)
     assert lasts_s(silence, clock) == 5
     silence.heard()
     assert lasts_s(silence, clock) == 5
-    assert silence.too_long
+    assert silence.expired
 
 
 def test_without_a_limit_it_is_never_too_long() -> None:
     clock = Clock()
-    assert lasts_s(Silence(NONE, clock), clock) == 1000
+    assert lasts_s(IdleTimer(NONE, clock), clock) == 1000
 
 
 @pytest.mark.parametrize("line", [TCP, SERIAL])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nclient.common.hints import did_you_mean, nearest
+from nclient.common.hints import nearest, suggest
 
 KNOWN = ("points_in", "corners_in")
 
@@ -24,6 +24,6 @@ def test_the_only_word_that_begins_so_is_meant_however_long_it_is() -> None:
 
 
 def test_a_question_ends_a_message() -> None:
-    assert did_you_mean("pionts_in", iter(KNOWN)) == "; did you mean points_in?"
-    assert did_you_mean("pionts_in", KNOWN, before="", after=":? ") == "did you mean points_in:? "
-    assert did_you_mean("zzz", KNOWN) == ""
+    assert suggest("pionts_in", iter(KNOWN)) == "; did you mean points_in?"
+    assert suggest("pionts_in", KNOWN, before="", after=":? ") == "did you mean points_in:? "
+    assert suggest("zzz", KNOWN) == ""

@@ -13,6 +13,7 @@ from nclient.faults.frames import LINE_NAK, Delivery, Injector, total
 from nclient.faults.plan import (
     BIT,
     BOTH,
+    Blackout,
     Corrupt,
     Cut,
     Delay,
@@ -21,12 +22,11 @@ from nclient.faults.plan import (
     DropByte,
     Fault,
     HangUp,
+    InsertBytes,
     Nak,
     Noise,
     Plan,
     Rule,
-    Silence,
-    Stray,
     When,
 )
 from nclient.protocol.serial_framing import build_frame
@@ -74,7 +74,7 @@ def test_every_nth_is_exact(sent: list[bytes], n: int) -> None:
 @quick
 @given(frames, st.integers(0, 2**32), st.integers(1, 10))
 def test_one_faulty_byte_in_every_nth_of_three_kinds(sent: list[bytes], seed: int, n: int) -> None:
-    rule = Rule("byte", (Corrupt(), DropByte(), Stray()), When(every=n))
+    rule = Rule("byte", (Corrupt(), DropByte(), InsertBytes()), When(every=n))
     injector = Injector(Plan((rule,), seed), "serial:1")
     happened: Counter[str] = Counter({"corrupt": 0, "drop_byte": 0, "stray": 0})
     for number, frame in enumerate(sent, start=1):
@@ -164,7 +164,7 @@ def test_a_cut_leaves_less(data: bytes, seed: int, keep: int | None) -> None:
 @quick
 @given(st.binary(min_size=1, max_size=40), st.integers(1, 9), st.integers(-50, 50) | st.none())
 def test_stray_bytes_stand_at_one_place(data: bytes, count: int, place: int | None) -> None:
-    (found,) = one_rule(Stray(count, place)).pass_on(data, "gs", REPLY, 0.0)
+    (found,) = one_rule(InsertBytes(count, place)).pass_on(data, "gs", REPLY, 0.0)
     assert len(found.data) == len(data) + count
     assert any(found.data[:k] + found.data[k + count :] == data for k in range(len(data) + 1))
 
@@ -208,7 +208,7 @@ def test_a_hang_up_ends_it_after_so_many_bytes() -> None:
 
 
 def test_a_silence_swallows_everything_that_way_until_it_is_over() -> None:
-    rule = Rule("hush", (Silence(2.0),), When(at=(2,)), ("gs",))
+    rule = Rule("hush", (Blackout(2.0),), When(at=(2,)), ("gs",))
     injector = Injector(Plan((rule,)), "x")
     passes = [
         (0.0, "gs", REPLY, True), (1.0, "gs", REPLY, False), (1.5, "vm", REPLY, False), (1.6, "vm", REQUEST, True),
@@ -245,7 +245,7 @@ def test_what_a_rule_took_away_those_below_never_see() -> None:
 @quick
 @given(frames, st.integers(0, 2**32))
 def test_a_seed_repeats_everything_and_another_rule_changes_nothing_of_the_first(sent: list[bytes], seed: int) -> None:
-    one = Rule("one", (Corrupt(), Stray(), Cut()), When(percent=50.0))
+    one = Rule("one", (Corrupt(), InsertBytes(), Cut()), When(percent=50.0))
     other = Rule("other", (Noise(10.0, 10.0, 10.0),), When(percent=50.0), ("st",))
     runs = [
         passed(Injector(Plan(rules, seed), "serial:1"), sent) for rules in ((one,), (one,), (one, other), (other, one))

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 from pathlib import Path
 
 import pytest
 
 from nclient import connect
+from nclient.connect import Connector
 from nclient.errors import AddressError, FaultPlanError, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import Call
 from nclient.protocol.serial_framing import build_frame
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
+from nclient.url import parse_address
 from tests.nclient.answering import ScriptedServer
-
-schemes = importlib.import_module("nclient.schemes")
 
 PLAN = """
 [[rule]]
@@ -41,7 +40,7 @@ line = "serial"
 def server(monkeypatch: pytest.MonkeyPatch) -> ScriptedServer:
     """Who answers at the other end of what would be a socket."""
     server = ScriptedServer()
-    monkeypatch.setattr("nclient.openers.TcpStream", lambda *_: MemoryStream(server))
+    monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_: MemoryStream(server))
     return server
 
 
@@ -89,9 +88,9 @@ def test_on_an_n150_s_own_line_the_first_bytes_are_no_greeting(
     path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'hello'")
     for model, greeted in (("n150", False), ("n200", True)):
         sent = build_frame(21, bytes(8))
-        monkeypatch.setattr("nclient.openers.TcpStream", lambda *_, sent=sent, **__: Chatty(sent))
-        opening = schemes.opening_of(f"robotd://lab?model={model}&faults={path}", schemes.Wanted())
-        stream = opening.stream()
+        monkeypatch.setattr("nclient.transports.tcp.TcpStream", lambda *_, sent=sent, **__: Chatty(sent))
+        connector = Connector(parse_address(f"robotd://lab?model={model}&faults={path}"))
+        stream = connector.open_stream()
         data = stream.receive(Deadline.after(0))
         assert data == (sent[11:] if greeted else sent)
 
@@ -118,15 +117,16 @@ class Chatty:
 def test_counting_goes_on_when_the_connection_is_made_anew(server: ScriptedServer, tmp_path: Path) -> None:
     path = tmp_path / "plan.toml"
     path.write_text("[[rule]]\ndo = 'drop'\ncommand = 'gs'\nevery = 3")
-    opening = schemes.opening_of(f"nserver://lab/1?faults={path}", schemes.Wanted())
+    connector = Connector(parse_address(f"nserver://lab/1?faults={path}"))
     answered = []
     for _ in range(6):
-        backend = opening.talk()
+        backend = connector.open_session()
         try:
             answered.append(bool(backend.execute(Call("gs"))))
         except ReplyTimeout:
             answered.append(False)
         backend.close()
     assert answered == [True, True, False, True, True, False]
-    assert opening.kept["faults"]().counts == {"rule 1": {"seen": 6, "drop": 2}}
+    assert connector.plan_injector is not None
+    assert connector.plan_injector.counts == {"rule 1": {"seen": 6, "drop": 2}}
     assert server.closed == 6

@@ -17,6 +17,7 @@ from nclient.faults.plan import (
     BOTH,
     BYTE,
     KINDS,
+    Blackout,
     Corrupt,
     Cut,
     Delay,
@@ -25,12 +26,11 @@ from nclient.faults.plan import (
     DropByte,
     Fault,
     HangUp,
+    InsertBytes,
     Nak,
     Noise,
     Plan,
     Rule,
-    Silence,
-    Stray,
     When,
     load_plan,
     parse_plan,
@@ -46,10 +46,10 @@ FAULTS: st.SearchStrategy[Fault] = st.one_of(
     st.tuples(SECONDS, SECONDS).map(lambda pair: Delay(max(pair), min(pair))),
     st.builds(Corrupt, st.sampled_from([BIT, BYTE]), PLACES),
     st.builds(DropByte, PLACES),
-    st.builds(Stray, st.integers(1, 9), PLACES),
+    st.builds(InsertBytes, st.integers(1, 9), PLACES),
     st.builds(Cut, st.none() | st.integers(0, 300)),
     st.builds(Nak),
-    st.builds(Silence, SECONDS),
+    st.builds(Blackout, SECONDS),
     st.builds(HangUp, st.integers(0, 300)),
     st.builds(Noise, st.floats(0.1, 30.0), st.floats(0.0, 30.0), st.floats(0.0, 30.0), st.sampled_from([BIT, BYTE])),
 )
@@ -68,7 +68,7 @@ NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1).filter(str
 RULES = st.builds(
     Rule,
     NAMES,
-    FAULTS.map(lambda fault: (fault,)) | st.just((Corrupt(), DropByte(), Stray())),
+    FAULTS.map(lambda fault: (fault,)) | st.just((Corrupt(), DropByte(), InsertBytes())),
     WHENS,
     st.lists(st.sampled_from(["gs", "vm", "special_request", "hello"]), unique=True).map(tuple),
     st.sampled_from([BOTH, frozenset({Direction.REQUEST}), frozenset({Direction.REPLY})]),
@@ -112,7 +112,7 @@ def test_a_plan_in_words() -> None:
     """)
     one, two, three = plan.rules
     assert plan.seed == 7
-    assert one == Rule("rule 1", (Corrupt(), DropByte(), Stray()), When(every=10))
+    assert one == Rule("rule 1", (Corrupt(), DropByte(), InsertBytes()), When(every=10))
     assert two == Rule(
         "slow gs", (Delay(0.2, 0.05),), When(at=(3,), until_s=60), ("gs",), BOTH, ("serial:1", "robotd")
     )
@@ -181,7 +181,7 @@ def test_what_is_wrong_is_named(text: str, words: str) -> None:
 
 def test_a_rule_that_cannot_be_written_cannot_be_made() -> None:
     with pytest.raises(FaultPlanError, match="place: is one for all kinds of a rule"):
-        Rule("x", (Corrupt(place=1), Stray(place=2)))
+        Rule("x", (Corrupt(place=1), InsertBytes(place=2)))
     with pytest.raises(FaultPlanError, match="direction: request, reply or both is wanted"):
         Rule("x", (Drop(),), directions=frozenset())
 
@@ -214,7 +214,7 @@ def test_files_that_are_no_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 )
 def test_which_frames_a_rule_strikes(when: When, struck: list[int]) -> None:
     draws = [0.0, 0.4999, 0.5, 0.7, 0.9, 0.99999]
-    assert [number for number, draw in enumerate(draws, start=1) if when.strikes(number, draw)] == struck
+    assert [number for number, draw in enumerate(draws, start=1) if when.matches(number, draw)] == struck
 
 
 def test_a_rule_is_in_force_from_one_moment_up_to_another() -> None:

@@ -10,7 +10,7 @@ import pytest
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.faults.frames import LINE_NAK, Injector, LineLanguage
 from nclient.faults.inject import NAP_S, FaultyLine, FaultyStream
-from nclient.faults.plan import Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, Silence, When
+from nclient.faults.plan import Blackout, Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, When
 from nclient.protocol.serial_framing import build_frame
 from nclient.transports.stream import Deadline
 
@@ -139,7 +139,7 @@ def test_a_corrupted_request_is_sent_corrupted() -> None:
 
 
 def test_a_silence_is_over_by_the_clock() -> None:
-    rig = Rig(Silence(1.0), when=When(at=(1,)))
+    rig = Rig(Blackout(1.0), when=When(at=(1,)))
     with pytest.raises(ReplyTimeout):
         rig.ask()
     with pytest.raises(ReplyTimeout):

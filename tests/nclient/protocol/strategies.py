@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, INFRARED_KEYS, MODELS, SONAR_KEYS, Mask, Model, Stamp
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 
 ALL_STAMPS = (*INFRARED_KEYS, *SONAR_KEYS, "bumper", "laser", "compass")
 TCP_ROWS = tuple(row for row in COMMANDS if row.tcp_type is not None)
@@ -102,29 +102,29 @@ def motion_checks() -> st.SearchStrategy[tuple[float, ...]]:
     return st.one_of(line, arc)
 
 
-def tcp_agreements(wide: bool) -> st.SearchStrategy[Terms]:
+def tcp_agreements(wide: bool) -> st.SearchStrategy[WireState]:
     """Terms of a connection to an Nserver: any mask, any laser mode, any shape asked for last."""
-    def agreed(mask: Mask, mode: int, width: int | None) -> Terms:
-        terms = tcp_terms(MODELS["n200"])
-        terms.note_mask(mask)
-        terms.note_laser_mode(mode)
-        terms.laser_width = width or terms.laser_width
-        terms.wide = wide
-        return terms
+    def agreed(mask: Mask, mode: int, width: int | None) -> WireState:
+        wire_state = tcp_wire_state(MODELS["n200"])
+        wire_state.set_mask(mask)
+        wire_state.set_laser_mode(mode)
+        wire_state.laser_width = width or wire_state.laser_width
+        wire_state.wide = wide
+        return wire_state
 
     return st.builds(agreed, masks, laser_modes, st.sampled_from((None, 1, 2, 4)))
 
 
-def line_agreements(model: Model) -> st.SearchStrategy[Terms]:
+def line_agreements(model: Model) -> st.SearchStrategy[WireState]:
     """Terms of a line: any mask and laser mode on a N200, the only ones there are on the others."""
     if not model.sends_mask:
-        return st.just(line_terms(model))
+        return st.just(serial_wire_state(model))
 
-    def agreed(mask: Mask, mode: int) -> Terms:
-        terms = line_terms(model)
-        terms.note_mask(mask)
-        terms.note_laser_mode(mode)
-        return terms
+    def agreed(mask: Mask, mode: int) -> WireState:
+        wire_state = serial_wire_state(model)
+        wire_state.set_mask(mask)
+        wire_state.set_laser_mode(mode)
+        return wire_state
 
     return st.builds(agreed, line_masks, laser_modes)
 

@@ -7,23 +7,23 @@ from construct import ConstructError
 
 from nclient.errors import WireError
 from nclient.protocol import codec
-from nclient.protocol.codec import beyond_line, line_bounds, within_line
+from nclient.protocol.codec import clamp_to_serial, describe_serial_overflow, serial_argument_bounds
 from nclient.protocol.commands import COMMANDS, Call, Command
 from nclient.protocol.types import N150, N200
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 
-BOUNDED = [row for row in COMMANDS if row.line_type is not None and line_bounds(row.name)]
+BOUNDED = [row for row in COMMANDS if row.line_type is not None and serial_argument_bounds(row.name)]
 
 
 @pytest.mark.parametrize("row", BOUNDED, ids=lambda row: row.name)
 def test_the_bytes_go_just_so_far(row: Command) -> None:
     middle = [0] * len(row.arguments)
-    for place, (name, least, most) in enumerate(line_bounds(row.name)):
+    for place, (name, least, most) in enumerate(serial_argument_bounds(row.name)):
         if most > 0xFFFF:
             continue
         for value, fits in ((least, True), (most, True), (least - 1, False), (most + 1, False)):
             numbers = [*middle[:place], value, *middle[place + 1 :]]
-            assert (beyond_line(Call(row.name, tuple(numbers))) == "") is fits, name
+            assert (describe_serial_overflow(Call(row.name, tuple(numbers))) == "") is fits, name
             if name == "history" and value > most:
                 continue  # the line's own clamp, to ten
             if fits:
@@ -46,11 +46,11 @@ def test_the_bytes_go_just_so_far(row: Command) -> None:
     (Call("ct", (31, *[1] * 43)), Call("ct", (31, *[1] * 43))),
 ])  # fmt: skip
 def test_brought_within(asked: Call, sent: Call) -> None:
-    assert within_line(asked) == sent
+    assert clamp_to_serial(asked) == sent
 
 
 def test_who_sends_too_much_is_told_what_and_how_far() -> None:
     with pytest.raises(WireError, match="pr: steering is -32768, and a robot's own line carries -32767 to 32767"):
-        codec.line_request(Call("pr", (32767, -32768, 0)), line_terms(N150))
+        codec.encode_serial_request(Call("pr", (32767, -32768, 0)), serial_wire_state(N150))
     with pytest.raises(WireError, match=r"conf_tm: timeout_s is 300, .* 0 to 255 .*in several steps"):
-        codec.line_request(Call("conf_tm", (300,)), line_terms(N200))
+        codec.encode_serial_request(Call("conf_tm", (300,)), serial_wire_state(N200))

@@ -23,17 +23,17 @@ from nclient.protocol.fields import (
     WordStamps,
 )
 from nclient.protocol.types import EVERYTHING, LASER_SLOT, N150, N200, NO_STAMP, SCOUT, Mask, Model, Position, Stamp
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import masks, signed16, word
 
 STAMP = Stamp(-1, 2, -3, 4, -5, 6, -7, 2**32 - 1, 9)
 quick = settings(max_examples=40)
 
 
-def terms_with(*slots: int, position: int = 0) -> Terms:
-    terms = line_terms(N200)
-    terms.note_mask(Mask((position, *[int(k in slots) for k in range(1, 44)])))
-    return terms
+def terms_with(*slots: int, position: int = 0) -> WireState:
+    wire_state = serial_wire_state(N200)
+    wire_state.set_mask(Mask((position, *[int(k in slots) for k in range(1, 44)])))
+    return wire_state
 
 
 @pytest.mark.parametrize(("value", "wire"), [
@@ -89,88 +89,89 @@ def test_slots_over_tcp_default_to_0() -> None:
 @quick
 @given(masks)
 def test_stamps_over_tcp_follow_the_position_bits_alone(mask: Mask) -> None:
-    terms = tcp_terms(N200)
-    terms.note_mask(mask)
+    wire_state = tcp_wire_state(N200)
+    wire_state.set_mask(mask)
     sensors = {1: 16, 2: 16, 4: 1, 8: 1, 16: 1}
     expected = sum(count for bit, count in sensors.items() if mask.position & bit)
-    built = WordStamps().build({"sonar_3": STAMP}, terms=terms)
+    built = WordStamps().build({"sonar_3": STAMP}, wire_state=wire_state)
     assert len(built) == 36 * expected
-    parsed = WordStamps().parse(built, terms=terms)
+    parsed = WordStamps().parse(built, wire_state=wire_state)
     assert parsed.get("sonar_3", STAMP) == STAMP
     assert all(stamp == NO_STAMP for name, stamp in parsed.items() if name != "sonar_3")
 
 
 def test_stamps_of_one_kind_of_sensor() -> None:
-    terms = tcp_terms(N200)
-    terms.note_mask(EVERYTHING.with_position(Position.COMPASS | Position.BUMPER))
-    assert list(WordStamps(Position.COMPASS).parse(bytes(36), terms=terms)) == ["compass"]
-    assert WordStamps(Position.SONAR).parse(b"", terms=terms) == {}
+    wire_state = tcp_wire_state(N200)
+    wire_state.set_mask(EVERYTHING.with_position(Position.COMPASS | Position.BUMPER))
+    assert list(WordStamps(Position.COMPASS).parse(bytes(36), wire_state=wire_state)) == ["compass"]
+    assert WordStamps(Position.SONAR).parse(b"", wire_state=wire_state) == {}
 
 
 @pytest.mark.parametrize("count", [-1, 483, 2**31 - 1])
 def test_a_laser_over_tcp_has_0_to_482_readings(count: int) -> None:
     laser = WordLaser(lambda _: 2)
     with pytest.raises(StreamError, match=f"not {count}"):
-        laser.parse(struct.pack(">i", count) + bytes(16), terms=tcp_terms(N200))
+        laser.parse(struct.pack(">i", count) + bytes(16), wire_state=tcp_wire_state(N200))
     with pytest.raises(ConstructError, match=f"not {count}"):
-        laser.build((count, 1, 2), terms=tcp_terms(N200))
+        laser.build((count, 1, 2), wire_state=tcp_wire_state(N200))
 
 
 def test_a_laser_vector_has_as_many_numbers_as_it_says() -> None:
-    laser = WordLaser(lambda terms: terms.laser_width)
-    terms = tcp_terms(N200)
-    assert laser.build(None, terms=terms) == bytes(4)
-    assert laser.parse(laser.build((2, 1, -2, 3, -4), terms=terms), terms=terms) == (2, 1, -2, 3, -4)
+    laser = WordLaser(lambda wire_state: wire_state.laser_width)
+    wire_state = tcp_wire_state(N200)
+    assert laser.build(None, wire_state=wire_state) == bytes(4)
+    data = laser.build((2, 1, -2, 3, -4), wire_state=wire_state)
+    assert laser.parse(data, wire_state=wire_state) == (2, 1, -2, 3, -4)
     with pytest.raises(FormatFieldError, match="a laser vector of 2 readings has 4 numbers after the count, not 3"):
-        laser.build((2, 1, 2, 3), terms=terms)
+        laser.build((2, 1, 2, 3), wire_state=wire_state)
     with pytest.raises(StreamError):
-        laser.parse(struct.pack(">4i", 2, 1, 2, 3), terms=terms)
+        laser.parse(struct.pack(">4i", 2, 1, 2, 3), wire_state=wire_state)
 
 
 def test_infrareds_are_packed_low_half_first_and_padded() -> None:
     nibbles = LineNibbles(1, 16)
-    terms = terms_with(2, 5, 16)
-    assert nibbles.build({2: 0xA, 5: 0xB, 16: 0xC, 3: 9}, terms=terms).hex() == "ba0c"
-    assert nibbles.parse(bytes.fromhex("bafc"), terms=terms) == {2: 0xA, 5: 0xB, 16: 0xC}
-    assert len(LineNibbles(1, 16, masked=False).build({}, terms=terms)) == 8
+    wire_state = terms_with(2, 5, 16)
+    assert nibbles.build({2: 0xA, 5: 0xB, 16: 0xC, 3: 9}, wire_state=wire_state).hex() == "ba0c"
+    assert nibbles.parse(bytes.fromhex("bafc"), wire_state=wire_state) == {2: 0xA, 5: 0xB, 16: 0xC}
+    assert len(LineNibbles(1, 16, masked=False).build({}, wire_state=wire_state)) == 8
 
 
 def test_slots_on_the_line_follow_the_mask() -> None:
     slots = LineSlots(17, 32, BYTES)
-    assert slots.build({17: 1, 20: 2, 32: 3}, terms=terms_with(17, 32)) == b"\x01\x03"
-    assert slots.parse(b"\x05", terms=terms_with(20)) == {20: 5}
+    assert slots.build({17: 1, 20: 2, 32: 3}, wire_state=terms_with(17, 32)) == b"\x01\x03"
+    assert slots.parse(b"\x05", wire_state=terms_with(20)) == {20: 5}
     with pytest.raises(ConstructError):
-        slots.build({20: 256}, terms=terms_with(20))
+        slots.build({20: 256}, wire_state=terms_with(20))
 
 
 @pytest.mark.parametrize(("model", "wire"), [(N150, "563412"), (N200, "563412"), (SCOUT, "123456")])
 def test_bumper_bytes_in_the_order_of_the_model(model: Model, wire: str) -> None:
-    assert BumperBytes(33).build({33: 0x563412}, terms=line_terms(model)).hex() == wire
-    assert BumperBytes(33).parse(bytes.fromhex(wire), terms=line_terms(model)) == {33: 0x563412}
+    assert BumperBytes(33).build({33: 0x563412}, wire_state=serial_wire_state(model)).hex() == wire
+    assert BumperBytes(33).parse(bytes.fromhex(wire), wire_state=serial_wire_state(model)) == {33: 0x563412}
 
 
 def test_stamps_on_the_line_are_sign_magnitude_and_masked_in_state_packets() -> None:
     in_packet, in_answer = LineStamps(Position.SONAR, range(17, 33)), LineStamps(Position.SONAR)
-    terms = terms_with(17, 20, position=2)
-    built = in_packet.build({"sonar_3": STAMP}, terms=terms)
+    wire_state = terms_with(17, 20, position=2)
+    built = in_packet.build({"sonar_3": STAMP}, wire_state=wire_state)
     assert built == bytes(36) + bytes.fromhex(
         "01000080 02000000 03000080 04000000 05000080 06000000 07000080 ffffffff 09000000"
     )
-    assert in_packet.parse(built, terms=terms) == {"sonar_0": NO_STAMP, "sonar_3": STAMP}
-    assert len(in_answer.build({}, terms=terms)) == 16 * 36
-    assert in_packet.build({"sonar_3": STAMP}, terms=terms_with(17, position=29)) == b""
+    assert in_packet.parse(built, wire_state=wire_state) == {"sonar_0": NO_STAMP, "sonar_3": STAMP}
+    assert len(in_answer.build({}, wire_state=wire_state)) == 16 * 36
+    assert in_packet.build({"sonar_3": STAMP}, wire_state=terms_with(17, position=29)) == b""
 
 
 def test_a_laser_on_the_line() -> None:
     lines, pixels = LineLaser(lambda _: 4, masked_by=LASER_SLOT), LineLaser(lambda _: 1)
     seen, unseen = terms_with(42), terms_with(41)
-    assert lines.build((1, -1, 2, -3, 4), terms=seen).hex() == "0100" "0180" "0200" "0380" "0400"
-    assert lines.parse(bytes.fromhex("0100" "0180" "0200" "0380" "0400"), terms=seen) == (1, -1, 2, -3, 4)
-    assert lines.build((1, -1, 2, -3, 4), terms=unseen) == b""
-    assert lines.parse(b"", terms=unseen) is None
-    assert lines.build(None, terms=seen) == b"\0\0"
-    assert pixels.parse(bytes.fromhex("0200" "ffff" "0180"), terms=unseen) == (2, 65535, 32769)
+    assert lines.build((1, -1, 2, -3, 4), wire_state=seen).hex() == "0100" "0180" "0200" "0380" "0400"
+    assert lines.parse(bytes.fromhex("0100" "0180" "0200" "0380" "0400"), wire_state=seen) == (1, -1, 2, -3, 4)
+    assert lines.build((1, -1, 2, -3, 4), wire_state=unseen) == b""
+    assert lines.parse(b"", wire_state=unseen) is None
+    assert lines.build(None, wire_state=seen) == b"\0\0"
+    assert pixels.parse(bytes.fromhex("0200" "ffff" "0180"), wire_state=unseen) == (2, 65535, 32769)
     with pytest.raises(StreamError, match="not 483"):
-        pixels.parse(b"\xe3\x01" + bytes(966), terms=unseen)
+        pixels.parse(b"\xe3\x01" + bytes(966), wire_state=unseen)
     with pytest.raises(FormatFieldError, match="a laser vector of 2"):
-        pixels.build((2, 1), terms=unseen)
+        pixels.build((2, 1), wire_state=unseen)

@@ -7,41 +7,41 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nclient.errors import WireError
-from nclient.protocol.client_state import HELLO_SIZE, Hello, adopt, build_hello, read_hello
+from nclient.protocol.client_state import HANDSHAKE_SIZE, Handshake, apply_handshake, build_handshake, read_handshake
 from nclient.protocol.types import N200, Mask
-from nclient.protocol.wire_state import line_terms
+from nclient.protocol.wire_state import serial_wire_state
 from tests.nclient.protocol.strategies import line_masks
 
 
 def test_where_the_bits_are() -> None:
-    found = read_hello(bytes.fromhex("01 00 80 00 02" "01" "25" "21" "aabbcc"))
+    found = read_handshake(bytes.fromhex("01 00 80 00 02" "01" "25" "21" "aabbcc"))
     assert [slot for slot in range(1, 44) if found.mask.has(slot)] == [1, 24, 34, 41, 42, 43]
     assert (found.mask.position, found.laser_mode) == (18, 33)
-    without = read_hello(bytes.fromhex("00 00 00 00 00" "fe" "00" "00" "000000"))
+    without = read_handshake(bytes.fromhex("00 00 00 00 00" "fe" "00" "00" "000000"))
     assert [slot for slot in range(1, 44) if without.mask.has(slot)] == [41]
 
 
 @settings(max_examples=40)
 @given(line_masks, st.integers(0, 255))
 def test_hellos_come_back_from_their_bytes(mask: Mask, mode: int) -> None:
-    built = build_hello(Hello(mask, mode))
-    assert len(built) == HELLO_SIZE
-    assert read_hello(built) == Hello(mask, mode)
+    built = build_handshake(Handshake(mask, mode))
+    assert len(built) == HANDSHAKE_SIZE
+    assert read_handshake(built) == Handshake(mask, mode)
 
 
 def test_the_host_adopts_mask_and_mode() -> None:
-    terms = line_terms(N200)
-    mask = terms.mask.with_position(4)
-    adopt(Hello(mask, 33), terms)
-    assert (terms.mask, terms.laser_mode, terms.laser_width) == (mask, 33, 4)
+    wire_state = serial_wire_state(N200)
+    mask = wire_state.mask.with_position(4)
+    apply_handshake(Handshake(mask, 33), wire_state)
+    assert (wire_state.mask, wire_state.laser_mode, wire_state.laser_width) == (mask, 33, 4)
 
 
 @pytest.mark.parametrize("size", [0, 10, 12])
 def test_no_other_number_of_bytes(size: int) -> None:
     with pytest.raises(WireError, match=f"11 bytes, not {size}"):
-        read_hello(bytes(size))
+        read_handshake(bytes(size))
 
 
 def test_a_mode_that_is_no_byte() -> None:
     with pytest.raises(WireError, match="a hello cannot carry this"):
-        build_hello(Hello(line_terms(N200).mask, 256))
+        build_handshake(Handshake(serial_wire_state(N200).mask, 256))

@@ -17,11 +17,11 @@ from nclient.protocol import (
     serial_framing,
     tcp_framing,
 )
-from nclient.protocol.client_state import Hello, build_hello, read_hello
+from nclient.protocol.client_state import Handshake, build_handshake, read_handshake
 from nclient.protocol.commands import Command
 from nclient.protocol.replies import STATE, Reply
 from nclient.protocol.types import EVERYTHING, N150, Model
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import LINE_CASE_NAMES, LINE_CASES, TCP_ROWS, calls
 
 few = settings(max_examples=3)
@@ -47,8 +47,8 @@ def test_a_request_over_tcp(row: Command, data: st.DataObject) -> None:
     call = data.draw(calls(row, line=False))
 
     def there_and_back() -> None:
-        frame = tcp_framing.only_frame(codec.tcp_request(call), tcp_framing.request_bounds, False)
-        assert codec.tcp_call(frame) == call
+        frame = tcp_framing.parse_single_frame(codec.encode_tcp_request(call), tcp_framing.request_bounds, False)
+        assert codec.decode_tcp_request(frame) == call
 
     assert garbage_of(there_and_back) == 0
 
@@ -57,27 +57,32 @@ def test_a_request_over_tcp(row: Command, data: st.DataObject) -> None:
 @few
 @given(data=st.data())
 def test_a_request_on_the_line(row: Command, model: Model, data: st.DataObject) -> None:
-    call, terms = data.draw(calls(row, line=True)), line_terms(model)
+    call, wire_state = data.draw(calls(row, line=True)), serial_wire_state(model)
 
     def there_and_back() -> None:
-        assert codec.line_call(serial_framing.only_frame(codec.line_request(call, terms)), terms) == call
+        assert (
+            codec.decode_serial_request(
+                serial_framing.parse_single_frame(codec.encode_serial_request(call, wire_state)), wire_state
+            )
+            == call
+        )
 
     assert garbage_of(there_and_back) == 0
 
 
 def test_a_reply() -> None:
-    terms, said = tcp_terms(N150), Reply("state", slots=dict.fromkeys(range(1, 45), 0), laser=(0,), clock=1)
-    assert garbage_of(lambda: STATE.parse(STATE.build(said, terms), terms)) == 0
+    wire_state, said = tcp_wire_state(N150), Reply("state", slots=dict.fromkeys(range(1, 45), 0), laser=(0,), clock=1)
+    assert garbage_of(lambda: STATE.parse(STATE.build(said, wire_state), wire_state)) == 0
 
 
 def test_a_hello() -> None:
-    assert garbage_of(lambda: read_hello(build_hello(Hello(EVERYTHING, 51)))) == 0
+    assert garbage_of(lambda: read_handshake(build_handshake(Handshake(EVERYTHING, 51)))) == 0
 
 
 def test_bytes_that_are_no_request() -> None:
     def refused() -> None:
         with pytest.raises(WireError):
-            codec.tcp_call(tcp_framing.TcpFrame(codec.row_named("vm").tcp_type or 0, b"12345"))
+            codec.decode_tcp_request(tcp_framing.TcpFrame(codec.find_command("vm").tcp_type or 0, b"12345"))
 
     assert garbage_of(refused) == 0
 

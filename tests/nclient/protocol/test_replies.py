@@ -19,7 +19,7 @@ from nclient.protocol.commands import BY_LINE_TYPE, BY_NAME, MAX_REPLY_WORDS, RE
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import ROBOT_LIMIT, SerialFrame
 from nclient.protocol.types import MODELS, N150, N200, NO_STAMP, Model
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.strategies import (
     ALL_STAMPS,
     FULL,
@@ -48,8 +48,8 @@ def check_carried(parsed: Reply, sent: Reply) -> None:
     assert parsed.values in ((), sent.values)
 
 
-def tcp_width(row: Command, terms: Terms) -> int:
-    return {"get_sg": 4, "get_ls": terms.get_laser_width}.get(row.name, terms.laser_width)
+def tcp_width(row: Command, wire_state: WireState) -> int:
+    return {"get_sg": 4, "get_ls": wire_state.get_laser_width}.get(row.name, wire_state.laser_width)
 
 
 @pytest.mark.parametrize("wide", [False, True])
@@ -57,28 +57,28 @@ def tcp_width(row: Command, terms: Terms) -> int:
 @quick
 @given(data=st.data())
 def test_the_reply_to_every_command_over_tcp(row: Command, wide: bool, data: st.DataObject) -> None:
-    terms = data.draw(tcp_agreements(wide))
+    wire_state = data.draw(tcp_agreements(wide))
     kind = row.tcp_reply.kind
     count = 4 if row.tcp_reply is shape.COLLISION else _TCP_VALUES.get(kind, 0)
-    sent = tcp_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), tcp_width(row, terms)), count)
-    built = codec.tcp_reply(row, sent, terms)
-    frame = tcp_framing.only_frame(built, tcp_framing.reply_bounds, wide)
-    parsed = codec.read_tcp_reply(row, frame, terms)
+    sent = tcp_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), tcp_width(row, wire_state)), count)
+    built = codec.encode_tcp_reply(row, sent, wire_state)
+    frame = tcp_framing.parse_single_frame(built, tcp_framing.reply_bounds, wide)
+    parsed = codec.decode_tcp_reply(row, frame, wire_state)
     assert frame.type == REPLY_TYPES[row.tcp_reply]
     check_carried(parsed, sent)
     assert parsed.slots or parsed.laser or parsed.values
-    assert codec.tcp_reply(row, parsed, terms) == built
+    assert codec.encode_tcp_reply(row, parsed, wire_state) == built
 
 
 @settings(max_examples=30)
 @given(tcp_agreements(wide=False), seeds, laser_counts)
-def test_a_state_reply_over_tcp_is_as_long_as_documented(terms: Terms, seed: int, count: int) -> None:
-    sent = tcp_reply_of("state", seed, (count, terms.laser_width), 0)
-    payload = shape.STATE.build(sent, terms)
+def test_a_state_reply_over_tcp_is_as_long_as_documented(wire_state: WireState, seed: int, count: int) -> None:
+    sent = tcp_reply_of("state", seed, (count, wire_state.laser_width), 0)
+    payload = shape.STATE.build(sent, wire_state)
     sensors = {1: 16, 2: 16, 4: 1, 8: 1, 16: 1}
-    stamps = sum(n for bit, n in sensors.items() if terms.mask.position & bit)
-    assert len(payload) == 4 * (45 + 1 + count * terms.laser_width + 9 * stamps + 3)
-    parsed = shape.STATE.parse(payload, terms)
+    stamps = sum(n for bit, n in sensors.items() if wire_state.mask.position & bit)
+    assert len(payload) == 4 * (45 + 1 + count * wire_state.laser_width + 9 * stamps + 3)
+    parsed = shape.STATE.parse(payload, wire_state)
     assert parsed.slots == sent.slots
     assert (parsed.laser, parsed.clock, parsed.volts) == (sent.laser, sent.clock, sent.volts)
     assert list(parsed.stamps) == [name for name in ALL_STAMPS if name in parsed.stamps]
@@ -89,25 +89,25 @@ def test_a_state_reply_over_tcp_is_as_long_as_documented(terms: Terms, seed: int
 @quick
 @given(data=st.data())
 def test_the_reply_to_every_command_on_the_line(row: Command, model: Model, data: st.DataObject) -> None:
-    terms = data.draw(line_agreements(model))
+    wire_state = data.draw(line_agreements(model))
     kind = row.line_reply.kind
-    width = _LINE_LASERS.get(row.name, 4 if terms.laser_mode & 0x1E == 0 else 1)
+    width = _LINE_LASERS.get(row.name, 4 if wire_state.laser_mode & 0x1E == 0 else 1)
     values = {"special": 12}.get(kind, 3 if row.name == "conf_cp" else 0)
     signed = row.name != "get_cp"
     sent = line_reply_of(kind, data.draw(seeds), (data.draw(laser_counts), width), values, signed)
-    built = codec.line_reply(row, sent, terms)
-    parsed = codec.read_line_reply(serial_framing.only_frame(built), terms)
+    built = codec.encode_serial_reply(row, sent, wire_state)
+    parsed = codec.decode_serial_reply(serial_framing.parse_single_frame(built), wire_state)
     check_carried(parsed, sent)
     assert parsed.slots or parsed.laser or parsed.values or row.name == "get_ra"
-    assert codec.line_reply(BY_NAME[row.name], parsed, terms) == built
+    assert codec.encode_serial_reply(BY_NAME[row.name], parsed, wire_state) == built
 
 
 @settings(max_examples=40)
 @given(line_agreements(N200), seeds, laser_counts)
-def test_a_state_packet_holds_what_the_mask_allows(terms: Terms, seed: int, count: int) -> None:
-    width = 4 if terms.laser_mode & 0x1E == 0 else 1
-    data = shape.LINE_STATE.build(line_reply_of("state", seed, (count, width), 0, True), terms)
-    on, position = terms.mask.smask, terms.mask.position
+def test_a_state_packet_holds_what_the_mask_allows(wire_state: WireState, seed: int, count: int) -> None:
+    width = 4 if wire_state.laser_mode & 0x1E == 0 else 1
+    data = shape.LINE_STATE.build(line_reply_of("state", seed, (count, width), 0, True), wire_state)
+    on, position = wire_state.mask.smask, wire_state.mask.position
     infrareds, sonars = sum(on[1:17]), sum(on[17:33])
     stamps = (
         infrareds * (position & 1) + sonars * (position >> 1 & 1) + on[33] * (position >> 2 & 1)
@@ -116,24 +116,24 @@ def test_a_state_packet_holds_what_the_mask_allows(terms: Terms, seed: int, coun
     laser = on[42] * (2 + 2 * count * width)
     assert len(data) == (infrareds + 1) // 2 + sonars + 3 * on[33] + 2 * sum(on[34:41]) + 2 * on[43] + laser \
         + 36 * stamps + 1 + 4 + 2
-    parsed = shape.LINE_STATE.parse(data, terms)
+    parsed = shape.LINE_STATE.parse(data, wire_state)
     assert set(parsed.slots) == {slot for slot in (*range(1, 41), 43) if on[slot]} | {41}
     assert (parsed.laser is None) == (not on[42])
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda model: model.name)
 def test_the_packets_of_n150_and_scout_have_a_fixed_length(model: Model) -> None:
-    size = len(shape.LINE_STATE.build(Reply("state"), line_terms(model)))
+    size = len(shape.LINE_STATE.build(Reply("state"), serial_wire_state(model)))
     assert size == {"n150": 42, "scout": 42, "n200": 52}[model.name]
 
 
 def test_the_longest_replies_fit_the_bounds_of_the_framers() -> None:
-    terms = tcp_terms(N200)
-    terms.note_mask(FULL)
-    terms.note_laser_mode(33)
-    longest = shape.STATE.build(tcp_reply_of("state", 1, (482, 4), 0), terms)
+    wire_state = tcp_wire_state(N200)
+    wire_state.set_mask(FULL)
+    wire_state.set_laser_mode(33)
+    longest = shape.STATE.build(tcp_reply_of("state", 1, (482, 4), 0), wire_state)
     assert len(longest) == 4 * MAX_REPLY_WORDS[80]
-    packet = shape.LINE_STATE.build(line_reply_of("state", 1, (482, 4), 0, True), terms)
+    packet = shape.LINE_STATE.build(line_reply_of("state", 1, (482, 4), 0, True), wire_state)
     built = serial_framing.build_frame(7, packet)
     assert len(built) == ROBOT_LIMIT
     assert serial_framing.SerialFramer().receive(built) == [SerialFrame(7, packet)]
@@ -147,50 +147,51 @@ _FIXED_WORDS = {
 
 @pytest.mark.parametrize(("layout", "kind"), _FIXED_WORDS.items(), ids=lambda value: str(getattr(value, "kind", value)))
 def test_the_most_words_a_type_can_carry(layout: shape.ReplyShape, kind: int) -> None:
-    terms = tcp_terms(N200)
-    terms.note_mask(FULL)
+    wire_state = tcp_wire_state(N200)
+    wire_state.set_mask(FULL)
     values = {"error": 1, "truth": 8, "control": 4}.get(layout.kind, 0)
-    assert len(layout.build(tcp_reply_of(layout.kind, 3, (0, 1), values), terms)) == 4 * MAX_REPLY_WORDS[kind]
+    assert len(layout.build(tcp_reply_of(layout.kind, 3, (0, 1), values), wire_state)) == 4 * MAX_REPLY_WORDS[kind]
 
 
 def test_what_is_not_given_is_sent_as_nothing() -> None:
-    parsed = shape.STATE.parse(shape.STATE.build(Reply("state"), tcp_terms(N150)), tcp_terms(N150))
+    parsed = shape.STATE.parse(shape.STATE.build(Reply("state"), tcp_wire_state(N150)), tcp_wire_state(N150))
     assert set(parsed.slots.values()) == {0}
     assert (parsed.laser, parsed.clock, parsed.volts) == ((0,), 0, (0, 0))
-    terms = tcp_terms(N150)
-    terms.note_mask(FULL)
-    assert set(shape.SONAR.parse(shape.SONAR.build(Reply("sonar"), terms), terms).stamps.values()) == {NO_STAMP}
+    wire_state = tcp_wire_state(N150)
+    wire_state.set_mask(FULL)
+    data = shape.SONAR.build(Reply("sonar"), wire_state)
+    assert set(shape.SONAR.parse(data, wire_state).stamps.values()) == {NO_STAMP}
 
 
 @settings(max_examples=40)
 @given(st.binary(max_size=300), st.sampled_from(sorted(REPLY_TYPES.values())), tcp_agreements(wide=False))
-def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, terms: Terms) -> None:
+def test_any_bytes_are_a_reply_or_a_wire_error(data: bytes, kind: int, wire_state: WireState) -> None:
     for layout in (layout for layout, its_type in REPLY_TYPES.items() if its_type == kind):
         try:
-            reply = layout.parse(data, terms)
+            reply = layout.parse(data, wire_state)
         except WireError:
             continue
-        assert layout.build(reply, terms) == data
+        assert layout.build(reply, wire_state) == data
 
 
 @settings(max_examples=60)
 @given(st.binary(max_size=200), st.sampled_from([row.line_type for row, _ in LINE_CASES]), line_agreements(N200))
-def test_any_bytes_are_an_answer_on_the_line_or_a_wire_error(data: bytes, kind: int, terms: Terms) -> None:
+def test_any_bytes_are_an_answer_on_the_line_or_a_wire_error(data: bytes, kind: int, wire_state: WireState) -> None:
     try:
-        reply = codec.read_line_reply(SerialFrame(kind, data), terms)
+        reply = codec.decode_serial_reply(SerialFrame(kind, data), wire_state)
     except WireError:
         return
     row = BY_LINE_TYPE.get(kind, BY_NAME["gs"])
-    again = serial_framing.only_frame(codec.line_reply(row, reply, terms))
-    assert codec.read_line_reply(again, terms) == reply
+    again = serial_framing.parse_single_frame(codec.encode_serial_reply(row, reply, wire_state))
+    assert codec.decode_serial_reply(again, wire_state) == reply
 
 
 def test_truncated_and_overlong_replies() -> None:
-    terms = tcp_terms(N150)
-    payload = shape.STATE.build(Reply("state"), terms)
+    wire_state = tcp_wire_state(N150)
+    payload = shape.STATE.build(Reply("state"), wire_state)
     for wrong in (payload[:-4], payload + bytes(4), payload[:100], b""):
         with pytest.raises(WireError, match="no state reply of this shape"):
-            shape.STATE.parse(wrong, terms)
+            shape.STATE.parse(wrong, wire_state)
 
 
 @pytest.mark.parametrize("reply", [
@@ -199,7 +200,7 @@ def test_truncated_and_overlong_replies() -> None:
 ])
 def test_what_a_state_reply_cannot_carry(reply: Reply) -> None:
     with pytest.raises(WireError, match="a state reply cannot carry this"):
-        shape.STATE.build(reply, tcp_terms(N150))
+        shape.STATE.build(reply, tcp_wire_state(N150))
 
 
 @pytest.mark.parametrize("reply", [
@@ -208,19 +209,19 @@ def test_what_a_state_reply_cannot_carry(reply: Reply) -> None:
 ])
 def test_what_a_state_packet_cannot_carry(reply: Reply) -> None:
     with pytest.raises(WireError, match="a state reply cannot carry this"):
-        shape.LINE_STATE.build(reply, line_terms(N150))
+        shape.LINE_STATE.build(reply, serial_wire_state(N150))
 
 
 def test_a_nak_and_an_error_go_by_their_own_layouts() -> None:
-    nak = codec.line_reply(BY_NAME["vm"], Reply("nak"), line_terms(N150))
+    nak = codec.encode_serial_reply(BY_NAME["vm"], Reply("nak"), serial_wire_state(N150))
     assert nak.hex() == "010200080b5c"
-    assert codec.read_line_reply(serial_framing.only_frame(nak), line_terms(N150)) == Reply("nak")
-    error = codec.tcp_reply(BY_NAME["vm"], Reply("error", values=(4,)), tcp_terms(N150))
+    assert codec.decode_serial_reply(serial_framing.parse_single_frame(nak), serial_wire_state(N150)) == Reply("nak")
+    error = codec.encode_tcp_reply(BY_NAME["vm"], Reply("error", values=(4,)), tcp_wire_state(N150))
     assert error == struct.pack(">hHi", 91, 1, 4)
     with pytest.raises(WireError, match="no nak reply"):
-        codec.read_line_reply(SerialFrame(8, b"\0"), line_terms(N150))
+        codec.decode_serial_reply(SerialFrame(8, b"\0"), serial_wire_state(N150))
 
 
 def test_a_row_without_a_line_has_no_answer_there() -> None:
     with pytest.raises(WireError, match="get_rpx does not exist on a robot's own line"):
-        codec.line_reply(BY_NAME["get_rpx"], Reply("state"), line_terms(N200))
+        codec.encode_serial_reply(BY_NAME["get_rpx"], Reply("state"), serial_wire_state(N200))

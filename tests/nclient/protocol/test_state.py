@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.protocol.client_state import HeldState
+from nclient.protocol.client_state import ClientState
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import NO_STAMP, Stamp
 
@@ -14,15 +14,15 @@ STATE = Reply(
 )
 
 
-def held_after(*replies: Reply, wide: bool = False) -> HeldState:
-    held = HeldState(wide)
+def held_after(*replies: Reply, wide: bool = False) -> ClientState:
+    held = ClientState(wide)
     for reply in replies:
-        held.absorb(reply)
+        held.apply_reply(reply)
     return held
 
 
 def test_at_first_nothing_was_ever_received() -> None:
-    held = HeldState()
+    held = ClientState()
     assert held.slots == [None] * 45
     assert (held.laser, held.stamps, held.clock, held.volts) == (None, {}, None, None)
 

@@ -14,11 +14,11 @@ from nclient.protocol.tcp_framing import (
     UNKNOWN_TYPE,
     WRONG_COUNT,
     Bounds,
-    Refused,
+    InvalidFrame,
     TcpFrame,
     TcpFramer,
     build_frame,
-    only_frame,
+    parse_single_frame,
     reply_bounds,
     request_bounds,
 )
@@ -40,7 +40,7 @@ requests = st.lists(st.sampled_from(sorted(BY_TCP_TYPE)).flatmap(lambda kind: si
 answers = st.lists(st.sampled_from(sorted(MAX_REPLY_WORDS)).flatmap(lambda kind: sized(kind, reply_bounds)), max_size=6)
 
 
-def accounted(framer: TcpFramer, found: list[TcpFrame | Refused]) -> int:
+def accounted(framer: TcpFramer, found: list[TcpFrame | InvalidFrame]) -> int:
     good = [frame for frame in found if isinstance(frame, TcpFrame)]
     assert framer.frames == len(good)
     factor = 2 if framer.wide else 1
@@ -78,8 +78,8 @@ def test_whatever_comes_every_byte_is_accounted_for(pieces: list[bytes], bounds:
 def test_a_count_of_65535_never_makes_the_buffer_grow(kind: int) -> None:
     framer = TcpFramer(request_bounds)
     (refused,) = framer.receive(struct.pack(">hH", kind, 65535))
-    assert isinstance(refused, Refused)
-    assert refused.hopeless
+    assert isinstance(refused, InvalidFrame)
+    assert refused.fatal
     for _ in range(20):
         assert framer.receive(b"\xff" * 500) == []
         assert framer.pending < 4
@@ -92,9 +92,9 @@ def test_unknown_types_and_wrong_counts_are_passed_over_whole() -> None:
     too_few = build_frame(12, bytes(8))
     found = framer.receive(unknown[:16] + too_few + build_frame(300, bytes(8)) + GS)
     assert found == [
-        Refused(UNKNOWN_TYPE, "unknown message type 9999", False),
-        Refused(WRONG_COUNT, "type 12 takes 3 words, not 2", False),
-        Refused(WRONG_COUNT, "type 300 takes 4 to 254 words, not 2", False),
+        InvalidFrame(UNKNOWN_TYPE, "unknown message type 9999", False),
+        InvalidFrame(WRONG_COUNT, "type 12 takes 3 words, not 2", False),
+        InvalidFrame(WRONG_COUNT, "type 300 takes 4 to 254 words, not 2", False),
         TcpFrame(15, b""),
     ]
     assert framer.skipped_bytes == 16 + 12 + 12
@@ -104,7 +104,7 @@ def test_a_lost_stream_is_reported_once_and_found_again() -> None:
     framer = TcpFramer(request_bounds)
     lost = struct.pack(">hH", 77, 60000) + b"\xff" * 90
     found = framer.receive(lost + VM + GS)
-    assert [isinstance(item, Refused) for item in found] == [True, False, False]
+    assert [isinstance(item, InvalidFrame) for item in found] == [True, False, False]
     assert found[1:] == [TcpFrame(12, VM[4:]), TcpFrame(15, b"")]
     assert framer.skipped_bytes == len(lost)
 
@@ -146,14 +146,14 @@ def test_messages_that_cannot_be(size: int) -> None:
 ])
 def test_what_is_wrong_with_one_line_of_a_recording(text: str, wrong: str) -> None:
     with pytest.raises(WireError, match=wrong):
-        only_frame(bytes.fromhex(text), request_bounds, wide=False)
+        parse_single_frame(bytes.fromhex(text), request_bounds, wide=False)
 
 
 def test_what_is_behind_a_64_bit_message() -> None:
     message = build_frame(21, CONNECT, wide=True)
-    assert only_frame(message, request_bounds, wide=True) == TcpFrame(21, CONNECT)
+    assert parse_single_frame(message, request_bounds, wide=True) == TcpFrame(21, CONNECT)
     with pytest.raises(WireError, match="2 bytes behind the message: abcd"):
-        only_frame(message + b"\xab\xcd", request_bounds, wide=True)
+        parse_single_frame(message + b"\xab\xcd", request_bounds, wide=True)
 
 
 def test_bounds_by_type() -> None:
@@ -171,6 +171,6 @@ def test_one_that_gives_up_drops_all_that_comes_after_the_frame_was_lost(after: 
     framer = TcpFramer(request_bounds, wide=False, gives_up=True)
     lost = b"\x7f\x7f\x7f\x7f"
     found = framer.receive(lost + after[:cut]) + framer.receive(after[cut:])
-    assert [item.hopeless for item in found if isinstance(item, Refused)] == [True]
+    assert [item.fatal for item in found if isinstance(item, InvalidFrame)] == [True]
     assert len(found) == 1
     assert (framer.skipped_bytes, framer.pending) == (len(lost + after), 0)

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from nclient.errors import WireError
 from nclient.protocol import codec
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.decode import Transcript
+from nclient.protocol.decode import WireDecoder
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
 from nclient.protocol.types import EVERYTHING, N150, N200, SCOUT, Model
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
 GS, VM = "> 000f0000", "> 000c000300000064ffffffce00000000"
@@ -80,7 +80,7 @@ def check_said(found: dict[str, Any], decoded: dict[str, Any]) -> None:
         assert found["remain"] == decoded["remain"]
 
 
-def follow(cases: list[dict[str, Any]], transcript: Transcript, model: Model | None) -> int:
+def follow(cases: list[dict[str, Any]], transcript: WireDecoder, model: Model | None) -> int:
     count = 0
     for case in (case for case in cases if case["exchanges"]):
         found: dict[str, Any] = {}
@@ -99,17 +99,17 @@ def follow(cases: list[dict[str, Any]], transcript: Transcript, model: Model | N
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
 def test_a_recorded_tcp_session(session: str) -> None:
-    assert follow(TCP[session], Transcript("tcp", N150), None) == sum(1 for _ in exchanges(TCP[session], None))
+    assert follow(TCP[session], WireDecoder("tcp", N150), None) == sum(1 for _ in exchanges(TCP[session], None))
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
 def test_a_recorded_session_on_the_robots_own_line(session: str) -> None:
     model = model_of(session)
-    assert follow(SERIAL[session], Transcript("serial", model), model) > 4
+    assert follow(SERIAL[session], WireDecoder("serial", model), model) > 4
 
 
 def test_the_recorded_64_bit_client() -> None:
-    transcript, after = Transcript("tcp64", N150), []
+    transcript, after = WireDecoder("tcp64", N150), []
     for exchange in LP64["exchanges"]:
         assert "error" not in transcript.read(f"> {exchange['request']}")
         if exchange.get("reply"):
@@ -127,13 +127,13 @@ def test_the_recorded_64_bit_client() -> None:
 ])
 @pytest.mark.parametrize("wire", ["tcp", "tcp64", "serial"])
 def test_lines_that_are_no_frame(wire: str, line: str) -> None:
-    transcript = Transcript(wire, N200)
+    transcript = WireDecoder(wire, N200)
     assert list(transcript.read(line)) == ["error"]
-    assert transcript.terms.mask == EVERYTHING
+    assert transcript.wire_state.mask == EVERYTHING
 
 
 def test_blanks_and_capitals_in_hex() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     for line in ("> 000f0000", ">000F0000\n", "  > 00 0f 00 00 \r\n", ">\t000f 0000"):
         assert transcript.read(line) == {"to": "robot", "call": "gs", "args": []}
 
@@ -145,7 +145,7 @@ def test_blanks_and_capitals_in_hex() -> None:
     ("> 00320003" + "0000000b" + "00" * 8, "obstacle"),
 ])
 def test_what_is_wrong_with_a_line_over_tcp(line: str, wrong: str) -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     assert wrong in transcript.read(line)["error"]
     assert transcript.read(VM)["args"] == [100, -50, 0]
 
@@ -156,27 +156,27 @@ def test_what_is_wrong_with_a_line_over_tcp(line: str, wrong: str) -> None:
     ("< 01020007 0a5c", "no state reply"), ("< 01020009", "truncated"), ("< 00" * 2, "hex"), ("< ff00", "starts with"),
 ])
 def test_what_is_wrong_with_a_line_of_a_robot(line: str, wrong: str) -> None:
-    assert wrong in Transcript("serial", N150).read(line)["error"]
+    assert wrong in WireDecoder("serial", N150).read(line)["error"]
 
 
 @settings(max_examples=80)
 @given(st.lists(st.tuples(st.sampled_from("<>"), st.binary(max_size=40)), max_size=6),
        st.sampled_from(["tcp", "tcp64", "serial"]), st.sampled_from([N150, N200, SCOUT]))
 def test_whatever_comes_there_is_an_object_a_line(lines: list[tuple[str, bytes]], wire: str, model: Model) -> None:
-    transcript = Transcript(wire, model)
+    transcript = WireDecoder(wire, model)
     for direction, data in lines:
         found = transcript.read(f"{direction} {data.hex()}")
         assert set(found) == {"error"} or found["to"] in ("robot", "host")
 
 
 def test_what_the_c_call_does_not_name_stands_beside() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     mask = EVERYTHING.with_position(2)
     sent = {
         "connect_robot": (1, 4711), "create_robot": (2, 99), "ct": mask.smask, "special_request": (200, 1, 2),
         "tk": ("Grüß",), "arm_mv": (1, -2, 3, -4),
     }
-    found = [transcript.request(codec.tcp_request(Call(name, args))) for name, args in sent.items()]
+    found = [transcript.request(codec.encode_tcp_request(Call(name, args))) for name, args in sent.items()]
     assert found == [
         {"to": "robot", "call": "connect_robot", "args": [1], "pid": 4711},
         {"to": "robot", "call": "create_robot", "args": [2], "pid": 99},
@@ -187,18 +187,18 @@ def test_what_the_c_call_does_not_name_stands_beside() -> None:
     ]
 
 
-def answered(transcript: Transcript, name: str, reply: Reply) -> dict[str, Any]:
+def answered(transcript: WireDecoder, name: str, reply: Reply) -> dict[str, Any]:
     """The object for the answer to that call, laid out as the terms now are."""
-    return transcript.reply(codec.tcp_reply(BY_NAME[name], reply, transcript.terms))
+    return transcript.reply(codec.encode_tcp_reply(BY_NAME[name], reply, transcript.wire_state))
 
 
-def asked(transcript: Transcript, name: str, *args: Any) -> None:
-    found = transcript.request(codec.tcp_request(Call(name, args), wide=transcript.terms.wide))
+def asked(transcript: WireDecoder, name: str, *args: Any) -> None:
+    found = transcript.request(codec.encode_tcp_request(Call(name, args), wide=transcript.wire_state.wide))
     assert found["call"] == name
 
 
 def test_at_first_the_client_holds_nothing() -> None:
-    found = Transcript("tcp", N150).read("< 0052000100000000")
+    found = WireDecoder("tcp", N150).read("< 0052000100000000")
     assert found == {
         "to": "host", "reply": "simple", "State": [None] * 45, "Laser": None, "positions": {}, "clock": None,
         "volt_cpu": None, "volt_motor": None, "values": [0],
@@ -206,7 +206,7 @@ def test_at_first_the_client_holds_nothing() -> None:
 
 
 def test_an_answer_goes_to_the_first_request_that_it_fits() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     for name in ("gs", "tk", "get_rpx", "get_sn"):
         asked(transcript, name, *(["hi"] if name == "tk" else []))
     found = answered(transcript, "get_rpx", Reply("simple", values=(1, 10, 20, 30)))
@@ -217,18 +217,18 @@ def test_an_answer_goes_to_the_first_request_that_it_fits() -> None:
 
 
 def test_each_answer_is_read_by_the_terms_of_its_request() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     stamped = EVERYTHING.with_position(31)
     asked(transcript, "ct", *stamped.smask)
-    then = transcript.terms.copy()
+    then = transcript.wire_state.copy()
     asked(transcript, "ct", *EVERYTHING.smask)
-    with_stamps = transcript.reply(codec.tcp_reply(BY_NAME["ct"], Reply("state", clock=1), then))
+    with_stamps = transcript.reply(codec.encode_tcp_reply(BY_NAME["ct"], Reply("state", clock=1), then))
     assert (len(with_stamps["positions"]), with_stamps["clock"]) == (35, 1)
     assert answered(transcript, "ct", Reply("state", clock=2))["clock"] == 2
 
 
 def test_laser_shapes_follow_the_questions() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     lines, points = (1, 1, 2, 3, 4), (1, -5, 6)
     asked(transcript, "get_sg")
     assert answered(transcript, "get_sg", Reply("laser", laser=lines))["Laser"] == list(lines)
@@ -249,22 +249,22 @@ def test_laser_shapes_follow_the_questions() -> None:
     ("sim_control", Reply("control", values=(1,) * 4), "control"), ("vm", Reply("error", values=(2,)), "error"),
 ])
 def test_an_answer_whose_request_was_not_seen_is_read_by_its_type(name: str, reply: Reply, kind: str) -> None:
-    found = answered(Transcript("tcp", N150), name, reply)
+    found = answered(WireDecoder("tcp", N150), name, reply)
     assert found["reply"] == kind
 
 
 @pytest.mark.parametrize(("old", "new"), [(81, 80), (90, 89)])
 def test_types_of_old_servers(old: int, new: int) -> None:
     name, reply = ("gs", Reply("state", clock=9)) if new == 80 else ("get_ra", Reply("velocity", {38: 9}))
-    built = struct.pack(">h", old) + codec.tcp_reply(BY_NAME[name], reply, tcp_terms(N150))[2:]
-    unseen, seen = Transcript("tcp", N150), Transcript("tcp", N150)
+    built = struct.pack(">h", old) + codec.encode_tcp_reply(BY_NAME[name], reply, tcp_wire_state(N150))[2:]
+    unseen, seen = WireDecoder("tcp", N150), WireDecoder("tcp", N150)
     asked(seen, name)
     assert unseen.reply(built) == seen.reply(built)
-    assert 9 in (unseen.held.clock, unseen.held.slots[38])
+    assert 9 in (unseen.client_state.clock, unseen.client_state.slots[38])
 
 
 def test_an_error_shows_its_code_and_leaves_the_rest() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     asked(transcript, "gs")
     before = answered(transcript, "gs", Reply("state", {34: 7}, volts=(255, 0)))
     asked(transcript, "predict_sensors", 1, 2, 3, 4)
@@ -275,14 +275,14 @@ def test_an_error_shows_its_code_and_leaves_the_rest() -> None:
 
 
 def test_a_disconnect_is_not_answered() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     asked(transcript, "disconnect_robot", 1, 2)
     asked(transcript, "get_rpx")
     assert answered(transcript, "get_rpx", Reply("simple", values=(0,)))["obs"] == [0]
 
 
 def test_a_prediction_is_held_nowhere() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     asked(transcript, "predict_sensors", 1, 2, 3, 4)
     found = answered(transcript, "predict_sensors", Reply("prediction", values=tuple(range(44)), laser=(1, 7, 8)))
     assert found["reply"] == "prediction"
@@ -295,18 +295,18 @@ def test_the_arms_answers_by_what_was_asked() -> None:
     answer = Reply("special", values=(12, 0, 0, 41, 0xFE, 255, 255, 255, 0, 1, 0, 0))
     seen = []
     for name, args in (("arm_zr", (1,)), ("arm_ws", (1, 1, 9)), ("special_request", (41, 1))):
-        transcript = Transcript("tcp", N150)
+        transcript = WireDecoder("tcp", N150)
         asked(transcript, name, *args)
         found = answered(transcript, name, answer)
         seen.append((found.get("arm"), found.get("remain")))
     assert seen == [(-2, None), (-2, 256), (None, None)]
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     asked(transcript, "arm_ws", 1, 1, 9)
     assert "arm" not in answered(transcript, "arm_ws", Reply("special", values=(4, 0, 0, 41)))
 
 
 def test_a_64_bit_client_holds_numbers_without_a_sign() -> None:
-    transcript = Transcript("tcp64", N150)
+    transcript = WireDecoder("tcp64", N150)
     asked(transcript, "ct", *EVERYTHING.with_position(4).smask)
     found = answered(transcript, "ct", Reply("state", {34: -200}, laser=(1, -1, 2)))
     assert (found["State"][34], found["Laser"]) == (2**32 - 200, [1, 2**32 - 1, 2])
@@ -315,7 +315,7 @@ def test_a_64_bit_client_holds_numbers_without_a_sign() -> None:
 
 
 def test_what_a_caller_knows_beforehand() -> None:
-    transcript = Transcript("tcp", N150)
+    transcript = WireDecoder("tcp", N150)
     transcript.expect("get_rpx")
     assert answered(transcript, "get_rpx", Reply("simple", values=(5,)))["obs"] == [5]
     transcript.expect("conf_ser")
@@ -326,53 +326,53 @@ def test_what_a_caller_knows_beforehand() -> None:
 
 def test_no_such_line() -> None:
     with pytest.raises(WireError, match="no line 'usb'; there are tcp, tcp64, serial"):
-        Transcript("usb", N150)
+        WireDecoder("usb", N150)
 
 
-def packet(reply: Reply, hello: Hello) -> bytes:
-    terms = line_terms(N200)
-    terms.note_mask(hello.mask)
-    terms.note_laser_mode(hello.laser_mode)
-    return codec.line_reply(BY_NAME["gs"], reply, terms)
+def packet(reply: Reply, hello: Handshake) -> bytes:
+    wire_state = serial_wire_state(N200)
+    wire_state.set_mask(hello.mask)
+    wire_state.set_laser_mode(hello.laser_mode)
+    return codec.encode_serial_reply(BY_NAME["gs"], reply, wire_state)
 
 
 def test_the_hello_of_a_n200_sets_mask_and_laser_mode() -> None:
-    hello = Hello(EVERYTHING.with_position(4), 33)
-    transcript = Transcript("serial", N200)
-    found = transcript.reply(build_hello(hello))
+    hello = Handshake(EVERYTHING.with_position(4), 33)
+    transcript = WireDecoder("serial", N200)
+    found = transcript.reply(build_handshake(hello))
     assert found == {"to": "host", "reply": "hello", "mask": list(hello.mask.smask), "laser_mode": 33}
     after = transcript.reply(packet(Reply("state", {34: 3}, laser=(1, 1, -2, 3, -4)), hello))
     assert (after["State"][34], after["Laser"], list(after["positions"])) == (3, [1, 1, -2, 3, -4], ["bumper"])
 
 
 def test_a_hello_comes_once_at_the_start_from_a_n200() -> None:
-    hello = build_hello(Hello(EVERYTHING, 51))
-    again = Transcript("serial", N200)
+    hello = build_handshake(Handshake(EVERYTHING, 51))
+    again = WireDecoder("serial", N200)
     again.reply(hello)
-    after_a_frame = Transcript("serial", N200)
+    after_a_frame = WireDecoder("serial", N200)
     after_a_frame.reply(build_frame(8))
-    for transcript in (again, after_a_frame, Transcript("serial", N150), Transcript("tcp", N200)):
+    for transcript in (again, after_a_frame, WireDecoder("serial", N150), WireDecoder("tcp", N200)):
         assert "error" in transcript.reply(hello)
     spoilt = build_frame(7, bytes(5))[:-2] + b"\xee\x5c"
     assert len(spoilt) == len(hello)
-    assert "checksum" in Transcript("serial", N200).reply(spoilt)["error"]
+    assert "checksum" in WireDecoder("serial", N200).reply(spoilt)["error"]
 
 
 def test_refusals_and_the_arm_on_the_line() -> None:
-    transcript = Transcript("serial", N150)
-    asked_for = codec.line_request(Call("arm_ws", (1, 1, 9)), line_terms(N150))
+    transcript = WireDecoder("serial", N150)
+    asked_for = codec.encode_serial_request(Call("arm_ws", (1, 1, 9)), serial_wire_state(N150))
     assert transcript.request(asked_for)["call"] == "arm_ws"
     assert transcript.reply(build_frame(8))["reply"] == "nak"
     data = bytes((12, 0, 0, 41)) + struct.pack("<iI", -2, 256)
     found = transcript.reply(build_frame(128, data))
     assert (found["reply"], found["arm"], found["remain"], found["special"]) == ("special", -2, 256, list(data))
-    unseen = Transcript("serial", N150).reply(build_frame(128, data))
+    unseen = WireDecoder("serial", N150).reply(build_frame(128, data))
     assert "arm" not in unseen
 
 
 def test_what_the_line_never_sets_stays_null() -> None:
-    transcript = Transcript("serial", N150)
-    built = codec.line_reply(BY_NAME["gs"], Reply("state", {34: -5}), line_terms(N150))
+    transcript = WireDecoder("serial", N150)
+    built = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: -5}), serial_wire_state(N150))
     found = transcript.reply(built)
     assert [slot for slot, value in enumerate(found["State"]) if value is None] == [0, *range(1, 17), 42, 44]
     assert (found["State"][34], found["Laser"]) == (-5, None)
@@ -380,5 +380,5 @@ def test_what_the_line_never_sets_stays_null() -> None:
 
 def test_the_point_laser_on_the_line_reads_51() -> None:
     call = Call("conf_ls", (51, 20, 20, 20, 4))
-    found = Transcript("serial", N200).request(codec.line_request(call, line_terms(N200)))
+    found = WireDecoder("serial", N200).request(codec.encode_serial_request(call, serial_wire_state(N200)))
     assert found["args"] == [51, 20, 20, 20, 4]

@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 
 from nclient.protocol import codec
-from nclient.protocol.client_state import HeldState
+from nclient.protocol.client_state import ClientState
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds, request_bounds
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MOTOR_RANGE_V, N200, volts
-from nclient.protocol.wire_state import Terms, line_terms, tcp_terms
+from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from tests.nclient.protocol.recorded import (
     LINE_SESSIONS,
     LP64,
@@ -43,7 +43,7 @@ def as_the_line_has_it(call: Call) -> Call:
     return Call("ct", (*call.args[:41], 1, *call.args[42:])) if call.name == "ct" else call
 
 
-def check_held(held: HeldState, reply: Reply, decoded: dict[str, Any]) -> None:
+def check_held(held: ClientState, reply: Reply, decoded: dict[str, Any]) -> None:
     assert [value or 0 for value in held.slots] == decoded["State"]
     if "Laser" in decoded and held.laser is not None and held.laser[0]:
         shown = min(len(held.laser), len(decoded["Laser"]))
@@ -79,59 +79,59 @@ def check_values(reply: Reply, decoded: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
 def test_a_tcp_session_both_ways(session: str) -> None:
-    terms, held = tcp_terms(N200), HeldState()
+    wire_state, held = tcp_wire_state(N200), ClientState()
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=False)
     count = 0
     for exchange in exchanges(TCP[session], model=None):
-        built = codec.tcp_request(exchange.call)
+        built = codec.encode_tcp_request(exchange.call)
         assert with_leftovers_of(exchange.call, built, exchange.request) == exchange.request, exchange.call
         (frame,) = requests.receive(exchange.request)
         assert isinstance(frame, TcpFrame)
-        assert codec.tcp_call(frame) == exchange.call
-        codec.note(exchange.call, terms)
+        assert codec.decode_tcp_request(frame) == exchange.call
+        codec.update_from_request(exchange.call, wire_state)
         if exchange.reply:
-            check_tcp_reply(exchange, answers, terms, held)
+            check_tcp_reply(exchange, answers, wire_state, held)
         count += 1
     assert requests.wide is False
     assert count > 20
 
 
-def check_tcp_reply(exchange: Exchange, answers: TcpFramer, terms: Terms, held: HeldState) -> None:
+def check_tcp_reply(exchange: Exchange, answers: TcpFramer, wire_state: WireState, held: ClientState) -> None:
     row = BY_NAME[exchange.call.name]
     (frame,) = answers.receive(exchange.reply)
     assert isinstance(frame, TcpFrame)
-    reply = codec.read_tcp_reply(row, frame, terms)
-    held.absorb(reply)
+    reply = codec.decode_tcp_reply(row, frame, wire_state)
+    held.apply_reply(reply)
     if exchange.decoded:
         check_held(held, reply, exchange.decoded)
-    assert codec.tcp_reply(row, reply, terms) == exchange.reply
+    assert codec.encode_tcp_reply(row, reply, wire_state) == exchange.reply
 
 
 @pytest.mark.parametrize("session", LINE_SESSIONS)
 def test_a_session_on_the_robots_own_line_both_ways(session: str) -> None:
     model = model_of(session)
-    terms, held = line_terms(model), HeldState()
+    wire_state, held = serial_wire_state(model), ClientState()
     host, robot = SerialFramer(), SerialFramer()
     count = 0
     for exchange in exchanges(SERIAL[session], model):
-        assert codec.line_request(exchange.call, terms) == exchange.request, exchange.call
+        assert codec.encode_serial_request(exchange.call, wire_state) == exchange.request, exchange.call
         (frame,) = host.receive(exchange.request)
-        assert codec.line_call(frame, terms) == as_the_line_has_it(exchange.call)
-        codec.note(exchange.call, terms)
+        assert codec.decode_serial_request(frame, wire_state) == as_the_line_has_it(exchange.call)
+        codec.update_from_request(exchange.call, wire_state)
         (answer,) = robot.receive(exchange.reply)
-        reply = codec.read_line_reply(answer, terms)
+        reply = codec.decode_serial_reply(answer, wire_state)
         assert (reply.kind == "nak") == ("Nak" in exchange.prints)
-        held.absorb(reply)
+        held.apply_reply(reply)
         if exchange.decoded:
             check_held(held, reply, exchange.decoded)
-        assert codec.line_reply(BY_NAME[exchange.call.name], reply, terms) == exchange.reply
+        assert codec.encode_serial_reply(BY_NAME[exchange.call.name], reply, wire_state) == exchange.reply
         count += 1
     assert count > 4
 
 
 def test_a_64_bit_client_both_ways() -> None:
-    terms, held = tcp_terms(N200), HeldState(wide=True)
-    terms.wide = True
+    wire_state, held = tcp_wire_state(N200), ClientState(wide=True)
+    wire_state.wide = True
     requests, answers = TcpFramer(request_bounds), TcpFramer(reply_bounds, wide=True)
     wire = [(bytes.fromhex(e["request"]), bytes.fromhex(e.get("reply", ""))) for e in LP64["exchanges"]]
     calls = [
@@ -143,16 +143,16 @@ def test_a_64_bit_client_both_ways() -> None:
     ]
     decoded = [None, LP64["decoded"][0], *LP64["decoded"][1:]]
     for call, (request, answer), after in zip(calls, wire, decoded, strict=True):
-        assert codec.tcp_request(call, wide=True) == request
+        assert codec.encode_tcp_request(call, wide=True) == request
         (frame,) = requests.receive(request)
         assert isinstance(frame, TcpFrame)
-        assert codec.tcp_call(frame) == call
+        assert codec.decode_tcp_request(frame) == call
         if answer:
             (frame,) = answers.receive(answer)
             assert isinstance(frame, TcpFrame)
-            reply = codec.read_tcp_reply(BY_NAME[call.name], frame, terms)
-            held.absorb(reply)
-            assert codec.tcp_reply(BY_NAME[call.name], reply, terms) == answer
+            reply = codec.decode_tcp_reply(BY_NAME[call.name], frame, wire_state)
+            held.apply_reply(reply)
+            assert codec.encode_tcp_reply(BY_NAME[call.name], reply, wire_state) == answer
         if after:
             assert [value or 0 for value in held.slots] == after["State"]
             assert held.clock == after["time"]

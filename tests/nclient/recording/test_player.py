@@ -7,15 +7,16 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, Robot, connect
+from nclient.connect import Connector
 from nclient.protocol import codec
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import EVERYTHING, N150, N200
-from nclient.protocol.wire_state import line_terms, tcp_terms
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
 from nclient.recording.format import Entry, Recording
-from nclient.recording.replayer import LOOSE, STRICT, Asked, Piece, PlayedPeer, Player, script_of
-from nclient.schemes import Wanted, opening_of
+from nclient.recording.replayer import LOOSE, STRICT, Piece, Player, ReplayPeer, RequestKey, load_exchanges
+from nclient.url import parse_address
 from tests.nclient.protocol.recorded import LP64
 
 SIM = "sim:thesis_room?noisy=1&seed=8"
@@ -62,16 +63,16 @@ def recording(*entries: Entry, **header: str) -> Recording:
 
 
 def ask(name: str, *args: int, at: float = 0.0, connection: str = "") -> Entry:
-    return Entry(at, "out", connection, codec.tcp_request(Call(name, args)), line=round(10 * at) + 2)
+    return Entry(at, "out", connection, codec.encode_tcp_request(Call(name, args)), line=round(10 * at) + 2)
 
 
 def answer(name: str, x: int, at: float = 0.0, connection: str = "") -> Entry:
     reply = Reply("state", {34: x}) if BY_NAME[name].tcp_reply.kind == "state" else Reply("simple", values=(x,))
-    return Entry(at, "in", connection, codec.tcp_reply(BY_NAME[name], reply, tcp_terms(N150)))
+    return Entry(at, "in", connection, codec.encode_tcp_reply(BY_NAME[name], reply, tcp_wire_state(N150)))
 
 
 def asked(player: Player, name: str, *args: int) -> bytes:
-    return b"".join(piece.data for piece in player.answers(codec.tcp_request(Call(name, args))))
+    return b"".join(piece.data for piece in player.answers(codec.encode_tcp_request(Call(name, args))))
 
 
 FED = recording(
@@ -81,10 +82,10 @@ FED = recording(
 
 
 def test_what_kept_the_robot_fed_may_be_left_out() -> None:
-    player = Player(script_of(FED))
+    player = Player(load_exchanges(FED))
     assert asked(player, "vm", 1, 2, 3) == answer("vm", 1).data
     assert asked(player, "gs") == answer("gs", 2).data
-    assert player.answers(codec.tcp_request(Call("st"))) == [Piece(0.25, answer("st", 4).data)]
+    assert player.answers(codec.encode_tcp_request(Call("st"))) == [Piece(0.25, answer("st", 4).data)]
     assert player.left == 1
     with pytest.raises(RecordingError, match=r"run.log, line 2: recorded was `gs`, the program asks `st`"):
         asked(player, "st")
@@ -96,13 +97,13 @@ def test_what_kept_the_robot_fed_may_be_left_out() -> None:
 
 def test_strict_leaves_nothing_else_out() -> None:
     with pytest.raises(RecordingError, match="line 2: recorded was `vm 1 2 3`, the program asks `vm 1 2 4`"):
-        asked(Player(script_of(FED)), "vm", 1, 2, 4)
+        asked(Player(load_exchanges(FED)), "vm", 1, 2, 4)
     with pytest.raises(RecordingError, match="recorded was `vm 1 2 3`, the program asks `st`"):
-        asked(Player(script_of(FED)), "st")
+        asked(Player(load_exchanges(FED)), "st")
 
 
 def test_loose_answers_as_the_next_like_it() -> None:
-    player = Player(script_of(FED), LOOSE)
+    player = Player(load_exchanges(FED), LOOSE)
     assert asked(player, "gs") == answer("gs", 2).data
     assert asked(player, "st") == answer("st", 4).data
     with pytest.raises(RecordingError, match=r"run.log: `vm 1 2 3` was not asked again from line 2 on"):
@@ -110,19 +111,19 @@ def test_loose_answers_as_the_next_like_it() -> None:
 
 
 def test_process_ids_do_not_count_and_pieces_do_not_matter() -> None:
-    player = Player(script_of(recording(ask("connect_robot", 3, 4711), answer("connect_robot", 7019))))
-    request = codec.tcp_request(Call("connect_robot", (3, 5)))
+    player = Player(load_exchanges(recording(ask("connect_robot", 3, 4711), answer("connect_robot", 7019))))
+    request = codec.encode_tcp_request(Call("connect_robot", (3, 5)))
     assert player.answers(request[:5]) == []
     assert player.answers(request[5:])[0].data == answer("connect_robot", 7019).data
-    assert script_of(recording(ask("connect_robot", 3, 4711))).robot_id == 3
-    assert script_of(FED).robot_id == 1
+    assert load_exchanges(recording(ask("connect_robot", 3, 4711))).robot_id == 3
+    assert load_exchanges(FED).robot_id == 1
 
 
 def test_a_program_that_piled_up_its_questions_is_played_one_by_one() -> None:
     piled = Entry(0.0, "out", "", ask("gs").data + ask("disconnect_robot", 1, 1).data + ask("st").data, line=2)
     both = Entry(0.5, "in", "", answer("gs", 1).data + answer("st", 2).data[:9])
     rest = Entry(0.7, "in", "", answer("st", 2).data[9:])
-    player = Player(script_of(recording(piled, both, rest)))
+    player = Player(load_exchanges(recording(piled, both, rest)))
     assert player.answers(ask("gs").data) == [Piece(0.5, answer("gs", 1).data)]
     assert asked(player, "disconnect_robot", 1, 1) == b""
     assert player.answers(ask("st").data) == [Piece(0.7, answer("st", 2).data)]
@@ -130,9 +131,9 @@ def test_a_program_that_piled_up_its_questions_is_played_one_by_one() -> None:
 
 def test_what_was_refused_is_refused_again() -> None:
     unknown = b"\x00\x63\x00\x00"
-    refusal = codec.tcp_reply(BY_NAME["gs"], Reply("error", values=(1,)), tcp_terms(N150))
+    refusal = codec.encode_tcp_reply(BY_NAME["gs"], Reply("error", values=(1,)), tcp_wire_state(N150))
     bad = b"\x00\x27\x00\x04" + bytes(16)
-    script = script_of(recording(
+    script = load_exchanges(recording(
         Entry(0, "out", "", unknown, line=2), Entry(0, "in", "", refusal),
         Entry(0, "out", "", bad, line=4), Entry(0, "in", "", answer("gs", 1).data),
     ))
@@ -140,32 +141,32 @@ def test_what_was_refused_is_refused_again() -> None:
     assert player.answers(unknown) == [Piece(0, refusal)]
     with pytest.raises(RecordingError, match=r"line 4: recorded was `ws 0 0 0 0`, the program asks bytes that are no"):
         player.answers(unknown)
-    assert str(Asked("ct", tuple(EVERYTHING.smask))) == "`ct`"
+    assert str(RequestKey("ct", tuple(EVERYTHING.smask))) == "`ct`"
 
 
 def test_calls_that_make_no_sense_are_told_apart_by_their_bytes() -> None:
     def odd(mark: int) -> bytes:
         return b"\x01\x2c\x00\x04" + bytes((0xFF, 0xFF, 0xFF, 0xFF)) * 3 + bytes((0, 0, 0, mark))
 
-    (found,) = script_of(recording(Entry(0, "out", "", odd(1), line=2))).exchanges
+    (found,) = load_exchanges(recording(Entry(0, "out", "", odd(1), line=2))).exchanges
     assert found.asked.wrong
     with pytest.raises(RecordingError, match="bytes that are no call"):
-        Player(script_of(recording(Entry(0, "out", "", odd(1), line=2)))).answers(odd(2))
+        Player(load_exchanges(recording(Entry(0, "out", "", odd(1), line=2)))).answers(odd(2))
 
 
 def test_a_client_of_64_bits() -> None:
     wire = [(bytes.fromhex(e["request"]), bytes.fromhex(e.get("reply", ""))) for e in LP64["exchanges"]]
     entries = [Entry(0, kind, "", data) for pair in wire for kind, data in zip(("out", "in"), pair, strict=True)]
-    player = Player(script_of(recording(*entries)))
+    player = Player(load_exchanges(recording(*entries)))
     assert [b"".join(p.data for p in player.answers(request)) for request, _ in wire] == [reply for _, reply in wire]
 
 
-LINE_STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}), line_terms(N150))
-LINE_GS = codec.line_request(Call("gs"), line_terms(N150))
+LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}), serial_wire_state(N150))
+LINE_GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
 
 
 def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> None:
-    player = Player(script_of(recording(
+    player = Player(load_exchanges(recording(
         ask("connect_robot", 1, 1), answer("connect_robot", 1), ask("gs"), answer("gs", 3), ask("st"), answer("st", 4),
     )))
     assert asked(player, "conf_tm", 5) == answer("gs", 3).data, "the first to come, before there was any"
@@ -173,22 +174,22 @@ def test_a_time_out_that_was_not_set_then_is_answered_with_the_last_state() -> N
     asked(player, "gs")
     asked(player, "st")
     assert asked(player, "conf_tm", 5) == answer("st", 4).data
-    silent = Player(script_of(recording(ask("connect_robot", 1, 1), answer("connect_robot", 1))))
+    silent = Player(load_exchanges(recording(ask("connect_robot", 1, 1), answer("connect_robot", 1))))
     with pytest.raises(RecordingError, match="the program asks `conf_tm 5`"):
         asked(silent, "conf_tm", 5)
 
 
 def test_a_time_out_on_a_robots_line_too() -> None:
-    conf_tm = codec.line_request(Call("conf_tm", (5,)), line_terms(N150))
-    told = codec.line_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), line_terms(N150))
+    conf_tm = codec.encode_serial_request(Call("conf_tm", (5,)), serial_wire_state(N150))
+    told = codec.encode_serial_reply(BY_NAME["conf_tm"], Reply("state", {34: 7}), serial_wire_state(N150))
     line = {"wire": "serial"}
     entries = [Entry(0, "out", "", LINE_GS, line=2), Entry(0, "in", "", LINE_STATE[:8]),
                Entry(1, "out", "", LINE_GS), Entry(1, "in", "", b"\x55" + LINE_STATE)]
-    assert Player(script_of(recording(*entries, **line))).answers(conf_tm) == [Piece(0.0, told)]
-    sonars = Entry(0, "out", "", codec.line_request(Call("get_sn"), line_terms(N150)), line=2)
+    assert Player(load_exchanges(recording(*entries, **line))).answers(conf_tm) == [Piece(0.0, told)]
+    sonars = Entry(0, "out", "", codec.encode_serial_request(Call("get_sn"), serial_wire_state(N150)), line=2)
     for nothing in ((*entries[:2],), (sonars, Entry(0, "in", "", LINE_STATE))):
         with pytest.raises(RecordingError):
-            Player(script_of(recording(*nothing, **line))).answers(conf_tm)
+            Player(load_exchanges(recording(*nothing, **line))).answers(conf_tm)
 
 
 def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() -> None:
@@ -198,7 +199,7 @@ def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() 
         Entry(1.3, "in", "1", LINE_STATE[10:]), Entry(2.0, "out", "1", LINE_GS), Entry(3.0, "out", "1", LINE_GS),
         Entry(3.1, "in", "1", LINE_STATE), Entry(4, "close", "1"),
     ]
-    player = Player(script_of(recording(*entries)))
+    player = Player(load_exchanges(recording(*entries)))
     assert player.greeting == [Piece(0.0, b"\xee\xee")]
     first, second = player.answers(LINE_GS)
     assert (first.data, second.data) == (LINE_STATE[:9], LINE_STATE[10:])
@@ -209,11 +210,11 @@ def test_on_a_robots_line_stray_bytes_half_answers_and_silence_are_played_too() 
 
 
 def test_eleven_bytes_come_first() -> None:
-    hello = build_hello(Hello(EVERYTHING, 51))
+    hello = build_handshake(Handshake(EVERYTHING, 51))
     header = {"wire": "hello", "model": "n200"}
-    script = script_of(recording(Entry(0, "in", "", hello), Entry(1, "out", "", LINE_GS), **header))
+    script = load_exchanges(recording(Entry(0, "in", "", hello), Entry(1, "out", "", LINE_GS), **header))
     assert script.model is N200
-    peer = PlayedPeer(Player(script))
+    peer = ReplayPeer(Player(script))
     assert peer.receive() == hello
     assert peer.receive() == b""
     peer.send(LINE_GS)
@@ -226,8 +227,8 @@ def test_one_of_several_connections(tmp_path: Path) -> None:
         ask("gs", connection="a"), ask("gs", connection="b"), answer("gs", 2, connection="b"),
         answer("gs", 1, connection="a"),
     )
-    assert asked(Player(script_of(both)), "gs") == answer("gs", 1).data
-    assert asked(Player(script_of(both, "b"), STRICT), "gs") == answer("gs", 2).data
+    assert asked(Player(load_exchanges(both)), "gs") == answer("gs", 1).data
+    assert asked(Player(load_exchanges(both, "b"), STRICT), "gs") == answer("gs", 2).data
     for _ in range(2):
         run(connect(f"{SIM}&record={tmp_path}/run.log"))
     assert run(connect(f"replay:{tmp_path}/run.log?connection=1"))
@@ -242,19 +243,19 @@ def test_one_of_several_connections(tmp_path: Path) -> None:
 ])
 def test_recordings_that_cannot_be_played(broken: Recording, told: str) -> None:
     with pytest.raises(RecordingError, match=told):
-        script_of(broken)
+        load_exchanges(broken)
 
 
 def test_each_time_it_is_opened_the_next_connection_is_played(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
-    taped = opening_of(f"{SIM}&record={path}", Wanted())
+    taped = Connector(parse_address(f"{SIM}&record={path}"))
     for turn in (1, 2):
-        backend = taped.backend()
+        backend = taped.open()
         backend.execute(Call("vm", (turn, 0, 0)))
         backend.close()
-    played = opening_of(f"replay:{path}", Wanted())
+    played = Connector(parse_address(f"replay:{path}"))
     for turn in (1, 2, 2):
-        backend = played.backend()
+        backend = played.open()
         backend.execute(Call("vm", (turn, 0, 0)))
         backend.close()
 

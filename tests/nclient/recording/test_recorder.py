@@ -8,29 +8,29 @@ import pytest
 
 from nclient.errors import ConnectionLost, ReplyTimeout
 from nclient.protocol import codec
-from nclient.protocol.client_state import Hello, build_hello
+from nclient.protocol.client_state import Handshake, build_handshake
 from nclient.protocol.commands import BY_NAME, Call
-from nclient.protocol.decode import Transcript
+from nclient.protocol.decode import WireDecoder
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import build_frame
 from nclient.protocol.types import EVERYTHING, N150, N200
-from nclient.protocol.wire_state import line_terms, tcp_terms
-from nclient.recording.format import LogWriter, Recording, read_recording
-from nclient.recording.recorder import OFF, Follower, Recorder, RecordingStream
+from nclient.protocol.wire_state import serial_wire_state, tcp_wire_state
+from nclient.recording.format import Recording, RecordingWriter, read_recording
+from nclient.recording.recorder import NULL_RECORDER, FrameDecoder, Recorder, RecordingStream
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from tests.nclient.protocol.recorded import LINE_SESSIONS, LP64, SERIAL, TCP, TCP_SESSIONS, exchanges, model_of
 
-GS = codec.tcp_request(Call("gs"))
-LINE_GS = codec.line_request(Call("gs"), line_terms(N150))
-STATE = codec.tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_terms(N150))
-LINE_STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), line_terms(N150))
+GS = codec.encode_tcp_request(Call("gs"))
+LINE_GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
+STATE = codec.encode_tcp_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), tcp_wire_state(N150))
+LINE_STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=1500), serial_wire_state(N150))
 
 
 @pytest.mark.parametrize("session", TCP_SESSIONS)
 @pytest.mark.parametrize("piece", [1, 7, 100_000])
 def test_recorded_sessions_in_any_pieces_are_told_as_the_wire_tool_tells_them(session: str, piece: int) -> None:
-    follower, transcript = Follower("tcp", N150), Transcript("tcp", N150)
+    follower, transcript = FrameDecoder("tcp", N150), WireDecoder("tcp", N150)
     for exchange in exchanges(TCP[session], None):
         for data, follow, tell in ((exchange.request, follower.to_robot, transcript.request),
                                    (exchange.reply, follower.to_host, transcript.reply)):
@@ -41,7 +41,7 @@ def test_recorded_sessions_in_any_pieces_are_told_as_the_wire_tool_tells_them(se
 @pytest.mark.parametrize("session", LINE_SESSIONS)
 def test_recorded_lines(session: str) -> None:
     model = model_of(session)
-    follower, transcript = Follower("serial", model), Transcript("serial", model)
+    follower, transcript = FrameDecoder("serial", model), WireDecoder("serial", model)
     whole = [exchange for exchange in exchanges(SERIAL[session], model) if exchange.request]
     assert len(whole) >= 5
     for exchange in whole:
@@ -53,10 +53,10 @@ def test_recorded_lines(session: str) -> None:
 
 
 def test_a_client_of_64_bits_is_known_by_its_first_request() -> None:
-    follower, transcript = Follower("tcp", N150), Transcript("tcp64", N150)
+    follower, transcript = FrameDecoder("tcp", N150), WireDecoder("tcp64", N150)
     assert follower.to_robot(bytes.fromhex(LP64["exchanges"][0]["request"])[:3]) == []
     assert follower.clock_s == 0.0
-    follower = Follower("tcp", N150)
+    follower = FrameDecoder("tcp", N150)
     for exchange in LP64["exchanges"]:
         request, reply = bytes.fromhex(exchange["request"]), bytes.fromhex(exchange.get("reply", ""))
         assert follower.to_robot(request) == [transcript.request(request)]
@@ -64,7 +64,7 @@ def test_a_client_of_64_bits_is_known_by_its_first_request() -> None:
 
 
 def test_stray_and_lost_bytes_are_told() -> None:
-    follower = Follower("serial", N150)
+    follower = FrameDecoder("serial", N150)
     assert follower.to_robot(b"\xee\xee" + LINE_GS)[0] == {"error": "2 bytes that are no frame"}
     stray, state = follower.to_host(b"\x77" + LINE_STATE)
     assert stray == {"error": "1 bytes that are no frame"}
@@ -74,13 +74,13 @@ def test_stray_and_lost_bytes_are_told() -> None:
     assert cut == {"error": f"{len(LINE_STATE) - 5} bytes of an answer that never became whole"}
     assert call["call"] == "gs"
     assert follower.clock_s == 1.5
-    assert "type 99" in Follower("tcp", N150).to_robot(b"\x00\x63\x00\x00")[0]["error"]
+    assert "type 99" in FrameDecoder("tcp", N150).to_robot(b"\x00\x63\x00\x00")[0]["error"]
 
 
 @pytest.mark.parametrize("cut", [0, 4, 11, 13])
 def test_the_eleven_bytes_that_come_first(cut: int) -> None:
-    hello = build_hello(Hello(EVERYTHING, 51)) + build_frame(8)
-    follower = Follower("hello", N200)
+    hello = build_handshake(Handshake(EVERYTHING, 51)) + build_frame(8)
+    follower = FrameDecoder("hello", N200)
     found = follower.to_host(hello[:cut]) + follower.to_host(hello[cut:])
     assert [item["reply"] for item in found] == ["hello", "nak"]
 
@@ -91,7 +91,7 @@ def recorded_by(path: Path, recorder: Recorder) -> Recording:
 
 
 def test_the_robots_own_clock_where_none_is_handed_in(tmp_path: Path) -> None:
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}))
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}))
     tape = recorder.open("", "tcp", N150)
     tape.to_robot(GS)
     tape.to_host(STATE)
@@ -107,14 +107,14 @@ def test_the_robots_own_clock_where_none_is_handed_in(tmp_path: Path) -> None:
 
 def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> None:
     ticks = iter(range(100))
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}), lambda: next(ticks) / 3)
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}), lambda: next(ticks) / 3)
     for step in (0.1, 0.1, 0.05):
-        recorder.stepped(step)
+        recorder.record_step(step)
     one, two = recorder.open("one", "tcp", N150), recorder.open("two", "serial", N150)
     one.to_robot(GS)
-    recorder.stepped(0.2)
+    recorder.record_step(0.2)
     two.to_robot(LINE_GS)
-    recorder.stepped(0.4)
+    recorder.record_step(0.4)
     found = recorded_by(tmp_path / "a.log", recorder)
     assert [(entry.kind, entry.connection, entry.more.get("steps")) for entry in found.entries] == [
         ("open", "one", [[0.1, 2], [0.05, 1]]), ("open", "two", None), ("out", "one", None),
@@ -125,9 +125,9 @@ def test_time_that_passed_stands_with_the_entry_that_follows(tmp_path: Path) -> 
 
 
 def test_a_daemon_that_nobody_visits_fills_no_memory(tmp_path: Path) -> None:
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}), lambda: 0.0)
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}), lambda: 0.0)
     for number in range(1001):
-        recorder.stepped(0.01 + number * 1e-6)
+        recorder.record_step(0.01 + number * 1e-6)
     found = recorded_by(tmp_path / "a.log", recorder)
     assert [len(entry.more["steps"]) for entry in found.entries] == [1000, 1]
 
@@ -150,7 +150,7 @@ class Echo:
 
 
 def test_a_recorded_stream_is_the_stream(tmp_path: Path) -> None:
-    recorder = Recorder(LogWriter(tmp_path / "a.log", {}))
+    recorder = Recorder(RecordingWriter(tmp_path / "a.log", {}))
     stream = RecordingStream(MemoryStream(Echo()), recorder.open("", "tcp", N150))
     stream.send(GS)
     assert stream.receive(Deadline.after(1)) == GS
@@ -167,9 +167,9 @@ def test_a_recorded_stream_is_the_stream(tmp_path: Path) -> None:
 
 
 def test_off_is_nothing() -> None:
-    tape = OFF.open("a", "tcp", N150)
+    tape = NULL_RECORDER.open("a", "tcp", N150)
     tape.to_robot(GS)
     tape.to_host(GS)
     tape.close()
-    OFF.stepped(0.1)
-    OFF.close()
+    NULL_RECORDER.record_step(0.1)
+    NULL_RECORDER.close()

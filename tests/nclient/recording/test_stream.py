@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 
 from nclient import RecordingError, connect
+from nclient.connect import Connector
 from nclient.protocol.types import N150
 from nclient.recording.format import read_recording
-from nclient.recording.recorder import ProgramsRecording, Recorded
-from nclient.schemes import Wanted, opening_of
+from nclient.recording.recorder import ClientRecording, RecordingTarget
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
+from nclient.url import parse_address
 from tests.nclient.answering import ScriptedServer, by_script, on_socket
 
 
@@ -65,9 +66,9 @@ def test_a_disk_that_is_full_costs_the_recording_and_not_the_run(caplog: pytest.
 
 
 def test_a_connection_made_anew_goes_on_in_the_same_file(tmp_path: Path) -> None:
-    opening = opening_of(f"sim:thesis_room?record={tmp_path}/run.log", Wanted())
+    connector = Connector(parse_address(f"sim:thesis_room?record={tmp_path}/run.log"))
     for _ in range(2):
-        opening.backend().close()
+        connector.open().close()
     entries = read_recording(tmp_path / "run.log").entries
     assert [(entry.kind, entry.connection) for entry in entries if entry.kind in ("open", "close")] == [
         ("open", "1"), ("close", "1"), ("open", "2"), ("close", "2")
@@ -89,11 +90,11 @@ class Silent:
 def test_a_file_that_can_no_longer_be_opened_costs_nothing_but_the_recording(tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
-    recording = ProgramsRecording(folder / "run.log", Recorded("here", "serial", N150))
-    recording.around(MemoryStream(Silent())).close()
+    recording = ClientRecording(folder / "run.log", RecordingTarget("here", "serial", N150))
+    recording.wrap(MemoryStream(Silent())).close()
     (folder / "run.log").unlink()
     folder.rmdir()
-    stream = recording.around(MemoryStream(Silent()))
+    stream = recording.wrap(MemoryStream(Silent()))
     stream.send(b"\x00")
     assert stream.receive(Deadline.after(0)) == b"\x01"
     stream.close()

@@ -19,7 +19,7 @@ NOW = Deadline.after(0)
 
 def test_bytes_go_to_the_peer_and_back() -> None:
     stream = MemoryStream(ScriptedServer())
-    stream.send(codec.tcp_request(Call("connect_robot", (1, 2))))
+    stream.send(codec.encode_tcp_request(Call("connect_robot", (1, 2))))
     assert stream.receive(NOW) == bytes.fromhex("0052000100001b6b")
 
 

@@ -17,7 +17,7 @@ from nserver_emu.control import cli as ctl
 from nserver_emu.control import cli as ctl_answers
 from nserver_emu.control.commands import COMMANDS
 from nserver_emu.control.socket import default_path
-from worlds.files import SHIPPED
+from worlds.io import SHIPPED
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Who may move a real robot: the first that moves it, until it leaves or lets it go; everybody may stop it."""
+"""Ownership of a real robot: the first client that moves it, until it disconnects or sends lp; all may stop it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from nclient.protocol.commands import COMMANDS, Call
 from nserver_emu.gateway.gateway import Ownership, changes
 from nserver_emu.server.ownership import moves
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 
 VM = Call("vm", (100, 0, 0))
 
@@ -16,13 +16,13 @@ VM = Call("vm", (100, 0, 0))
     ("modes", "moving", "changing"),
     [((0, 0, 0), False, False), ((4, 0, 5), False, True), ((0, 1, 0), True, True), ((0, 0, 3), True, True)],
 )
-def test_an_mv_is_what_its_modes_are(modes: tuple[int, int, int], moving: bool, changing: bool) -> None:
+def test_mv_changes_the_robot_by_its_modes(modes: tuple[int, int, int], moving: bool, changing: bool) -> None:
     call = Call("mv", tuple(number for mode in modes for number in (mode, 50)))
     assert (moves(call), changes(call)) == (moving, changing)
 
 
-def test_whoever_moves_it_first_owns_it_and_the_others_watch_and_stop() -> None:
-    owner, other, ownership = Visit(), Visit(), Ownership()
+def test_the_first_to_move_becomes_the_owner() -> None:
+    owner, other, ownership = ConnectionContext(), ConnectionContext(), Ownership()
     assert ownership.allows(Call("sp", (1, 1, 1)), other)
     assert ownership.is_free_for(owner)
     assert ownership.allows(VM, owner)
@@ -37,17 +37,17 @@ def test_whoever_moves_it_first_owns_it_and_the_others_watch_and_stop() -> None:
     assert ownership.owner is owner
 
 
-def test_the_owner_lets_it_go_with_lp() -> None:
-    owner, other, ownership = Visit(), Visit(), Ownership()
+def test_lp_removes_the_owner() -> None:
+    owner, other, ownership = ConnectionContext(), ConnectionContext(), Ownership()
     assert ownership.allows(VM, owner)
     assert ownership.allows(Call("lp"), owner)
     assert ownership.allows(VM, other)
     assert ownership.owner is other
 
 
-def test_read_only_is_for_everybody_and_st_is_not_refused() -> None:
-    visit, ownership = Visit(), Ownership(read_only=True)
-    refused = {row.name for row in COMMANDS if not ownership.allows(Call(row.name, (1, 1, 1, 1, 1, 1)), visit)}
+def test_read_only_refuses_all_changes_but_st() -> None:
+    context, ownership = ConnectionContext(), Ownership(read_only=True)
+    refused = {row.name for row in COMMANDS if not ownership.allows(Call(row.name, (1, 1, 1, 1, 1, 1)), context)}
     assert ownership.owner is None
     assert refused == {
         "ac", "sp", "pr", "pa", "vm", "mv", "lp", "zr", "dp", "da", "conf_ir", "conf_sn", "conf_cp", "conf_ls",

@@ -11,8 +11,7 @@ import pytest
 
 from nclient.errors import RecordingError
 from nclient.protocol.types import N150, N200, SCOUT
-from nserver_emu.gateway import shadow as report
-from nserver_emu.gateway.shadow import ALL_SONARS, Running, Shadow, short_way_deg
+from nserver_emu.gateway.shadow import ALL_SONARS, RunningStatistics, ShadowReport, angle_difference_deg
 
 
 def state(**slots: int) -> list[int]:
@@ -23,9 +22,9 @@ def state(**slots: int) -> list[int]:
     return whole
 
 
-def test_running_numbers_are_those_of_numpy() -> None:
+def test_running_statistics_agree_with_numpy() -> None:
     numbers = np.random.default_rng(5).normal(1e6, 0.01, 1000)
-    running = Running()
+    running = RunningStatistics()
     assert running.std == 0.0
     for number in numbers.tolist():
         running.add(number)
@@ -38,12 +37,12 @@ def test_running_numbers_are_those_of_numpy() -> None:
 
 
 @pytest.mark.parametrize(("tenths", "degrees"), [(5, 0.5), (3595, -0.5), (-3595, 0.5), (1800, -180.0), (-7, -0.7)])
-def test_angles_differ_by_the_short_way(tenths: int, degrees: float) -> None:
-    assert short_way_deg(tenths) == pytest.approx(degrees)
+def test_angle_differences_are_wrapped(tenths: int, degrees: float) -> None:
+    assert angle_difference_deg(tenths) == pytest.approx(degrees)
 
 
-def test_a_state_differs_quantity_by_quantity() -> None:
-    shadow = Shadow(N200)
+def test_states_are_compared_by_quantity() -> None:
+    shadow = ShadowReport(N200)
     shadow.compare(
         state(s34=105, s35=-20, s36=5, s37=3599, s38=100, s43=10, s33=0b101, s3=4, s20=110, s21=255, s22=0, s23=255),
         state(s34=100, s35=20, s36=3595, s37=1, s38=90, s43=0, s33=0b110, s3=1, s20=107, s21=90, s22=80, s23=255),
@@ -58,35 +57,35 @@ def test_a_state_differs_quantity_by_quantity() -> None:
     assert shadow.quantities["sonar_4_in"].one_sided == shadow.quantities["sonar_5_in"].one_sided == 1
     assert shadow.quantities["sonar_6_in"].one_sided == 0
     assert "1 states: x_in +0.50 ± 0.00" in shadow.summary()
-    assert "2 echoes heard by one alone" in shadow.summary()
+    assert "2 echoes measured by one alone" in shadow.summary()
 
 
-def test_models_have_the_quantities_of_their_axes_and_sensors() -> None:
-    assert "infrared_0" not in Shadow(N150).quantities
-    scout = Shadow(SCOUT)
+def test_quantities_follow_the_models_axes_and_sensors() -> None:
+    assert "infrared_0" not in ShadowReport(N150).quantities
+    scout = ShadowReport(SCOUT)
     scout.compare(state(s38=30, s39=10), state(s38=10, s39=40))
     assert scout.quantities["right_wheel_in_s"].last == 2.0
     assert scout.quantities["left_wheel_in_s"].last == -3.0
     assert "turret_deg_s" not in scout.quantities
 
 
-def test_a_report_is_json_or_csv_by_its_name(tmp_path: Path) -> None:
-    shadow = Shadow(N150)
+def test_the_file_name_selects_json_or_csv(tmp_path: Path) -> None:
+    shadow = ShadowReport(N150)
     for x in (10, 14, 30):
         shadow.compare(state(s34=x), state(s34=2))
-    report.write(shadow, "sim:thesis_room", tmp_path / "shadow.json")
+    shadow.write("sim:thesis_room", tmp_path / "shadow.json")
     whole = json.loads((tmp_path / "shadow.json").read_text())
     assert (whole["robot"], whole["model"], whole["states"]) == ("sim:thesis_room", "n150", 3)
     differences = np.array([0.8, 1.2, 2.8])
     expected = {"count": 3, "mean": differences.mean(), "std": differences.std(ddof=1), "max": 2.8, "last": 2.8,
                 "one_sided": 0}  # fmt: skip
     assert whole["quantities"]["x_in"] == pytest.approx(expected)
-    report.write(shadow, "sim:thesis_room", tmp_path / "shadow.CSV")
+    shadow.write("sim:thesis_room", tmp_path / "shadow.CSV")
     rows = list(csv.DictReader((tmp_path / "shadow.CSV").read_text().splitlines()))
     assert [row["quantity"] for row in rows] == list(shadow.quantities)
     assert {name: float(rows[0][name]) for name in expected} == pytest.approx(expected)
     with pytest.raises(RecordingError, match="cannot be written"):
-        report.write(shadow, "", tmp_path)
+        shadow.write("", tmp_path)
     full = "/dev/full: the report of the shadow cannot be written: No space left on device; make room on that disk"
     with pytest.raises(RecordingError, match=full):
-        report.write(shadow, "", Path("/dev/full"))
+        shadow.write("", Path("/dev/full"))

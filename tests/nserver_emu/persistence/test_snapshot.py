@@ -18,7 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.config import Setting
+from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.graphics import MOST_POINTS, Figure
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
@@ -36,7 +36,7 @@ def busy() -> tuple[Emulator, WireClient]:
     client.ask("add_obstacle", *BOX)
     client.ask("draw_robot", 1, 2, 3, 4, 2)
     client.ask("refresh_all")
-    client.send("tk", codec.tcp_request(Call("tk", ("hello",))))
+    client.send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
     client.ask("conf_tm", 4)
     client.ask("create_robot", 2, 1)
     client.ask("vm", 20, 100, 0)
@@ -121,7 +121,7 @@ def test_tracks_are_kept_alike_by_machines_of_either_byte_order(monkeypatch: pyt
 @pytest.mark.parametrize("setup", ["ideal", "noisy", "measured", "worn"])
 def test_three_models_with_all_their_senses_and_an_arm_go_on_bit_for_bit(setup: str) -> None:
     others = (("n200", StartPose(70.0, 70.0, 1.0)), ("scout", StartPose(75.0, 25.0, 2.0)))
-    setting = Setting(start=StartPose(20.0, 20.0, 0.5), seed=6, setup=setup, others=others)
+    setting = SimulationConfig(start=StartPose(20.0, 20.0, 0.5), seed=6, setup=setup, others=others)
 
     def clients(emulator: Emulator) -> list[WireClient]:
         met = [meet(emulator)[0] for _ in range(3)]
@@ -139,7 +139,7 @@ def test_three_models_with_all_their_senses_and_an_arm_go_on_bit_for_bit(setup: 
             if number == 6:
                 clients[2].ask("vm", -80, 50, 0)
             arm = emulator.arms[2]
-            replies += [arm.lift.position_in, arm.grip.position_in, arm.still()]
+            replies += [arm.lift.position_in, arm.grip.position_in, arm.is_still()]
         return replies
 
     emulator = Emulator(setting.simulation())
@@ -153,7 +153,7 @@ def test_three_models_with_all_their_senses_and_an_arm_go_on_bit_for_bit(setup: 
     first[1].ask("conf_cp", 2)
     first[1].ask("arm_mv", 2, 1000, 1, 50)
     emulator.pass_time(1.37)
-    restored = Emulator(Setting().simulation())
+    restored = Emulator(SimulationConfig().simulation())
     snapshot.loads(restored, snapshot.dumps(emulator))
     again = clients(restored)
     for client in again:

@@ -1,4 +1,4 @@
-"""A daemon on real sockets in the test's own loop, and plain clients that visit it."""
+"""A daemon on real sockets in the test's own loop, and plain clients for it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import simulation
@@ -24,14 +24,14 @@ class Client:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
         self.transport = cast(asyncio.Transport, writer.transport)
-        self.terms = tcp_terms(N150)
+        self.wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._frames: list[TcpFrame] = []
 
     async def ask(self, name: str, *args: int) -> Reply:
         call = Call(name, args)
-        codec.note(call, self.terms)
-        self.writer.write(codec.tcp_request(call))
+        codec.update_from_request(call, self.wire_state)
+        self.writer.write(codec.encode_tcp_request(call))
         return await self.reply(name)
 
     async def reply(self, name: str) -> Reply:
@@ -39,7 +39,7 @@ class Client:
             data = await self.reader.read(65536)
             assert data, "the daemon closed the connection"
             self._frames += [f for f in self._framer.receive(data) if isinstance(f, TcpFrame)]
-        return codec.read_tcp_reply(BY_NAME[name], self._frames.pop(0), self.terms)
+        return codec.decode_tcp_reply(BY_NAME[name], self._frames.pop(0), self.wire_state)
 
 
 class House:
@@ -79,21 +79,21 @@ async def serving(daemon: Daemon, within_s: float = 30.0) -> AsyncIterator[None]
         await served
 
 
-Visit = Callable[[House], Awaitable[None]]
+Scenario = Callable[[House], Awaitable[None]]
 
 
 def with_daemon(
-    visit: Visit, speed: float | None = 1.0, emulator: Emulator | None = None,
+    scenario: Scenario, speed: float | None = 1.0, emulator: Emulator | None = None,
     before: Callable[[House], None] = lambda _: None,
 ) -> None:
-    """A visit to a daemon of its own; `before`: what is to be done to that before time passes."""
+    """A scenario to a daemon of its own; `before`: what is to be done to that before time passes."""
     async def evening() -> None:
         daemon = Daemon(emulator or Emulator(simulation()), speed)
         house = House(daemon, await daemon.listen("127.0.0.1", 0))
         before(house)
         try:
             async with serving(daemon, 120):  # no verdict on speed: a busy machine may take its time
-                await visit(house)
+                await scenario(house)
         finally:
             await house.see_out()
         assert not daemon.connections

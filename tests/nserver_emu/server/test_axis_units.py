@@ -11,7 +11,7 @@ from nserver_emu.server.state_encoder import axis_tenths, axis_values
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import meet
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 

@@ -17,7 +17,7 @@ from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.daemon_house import serving
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 
 REQUEST = frozenset({Direction.REQUEST})
 
@@ -31,7 +31,7 @@ class Client:
         self._frames: list[TcpFrame] = []
 
     def send(self, *calls: Call) -> None:
-        self._writer.write(b"".join(codec.tcp_request(call, wide=self._wide) for call in calls))
+        self._writer.write(b"".join(codec.encode_tcp_request(call, wide=self._wide) for call in calls))
 
     async def types(self, count: int) -> list[int]:
         while len(self._frames) < count:
@@ -50,7 +50,7 @@ Knock = Callable[..., Awaitable[Client]]
 
 
 def with_daemon(
-    plan: Plan | None, visit: Callable[[Daemon, Knock], Awaitable[None]], world: Simulation | None = None
+    plan: Plan | None, scenario: Callable[[Daemon, Knock], Awaitable[None]], world: Simulation | None = None
 ) -> None:
     async def evening() -> None:
         daemon = Daemon(Emulator(world or simulation()))
@@ -67,7 +67,7 @@ def with_daemon(
 
         try:
             async with serving(daemon):
-                await visit(daemon, knock)
+                await scenario(daemon, knock)
         finally:
             for client in clients:
                 await client.close()
@@ -78,7 +78,7 @@ def with_daemon(
 def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> None:
     late, count = Plan((Rule("late", (Delay(0.3),), commands=("gs", "get_rc")),)), 1200
 
-    async def visit(daemon: Daemon, knock: Knock) -> None:
+    async def scenario(daemon: Daemon, knock: Knock) -> None:
         flooding, other = await knock(), await knock()
         flooding.send(*[Call("gs"), Call("get_rc")] * count)
         other.send(Call("st"))
@@ -86,7 +86,7 @@ def test_a_flood_of_late_answers_comes_whole_in_order_and_the_others_go_on() -> 
         assert await flooding.types(2 * count) == [80, 88] * count
         assert daemon.faults.counts()["nserver"]["late"] == {"seen": 2 * count, "delay": 2 * count}
 
-    with_daemon(late, visit)
+    with_daemon(late, scenario)
 
 
 def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_being_read() -> None:
@@ -95,7 +95,7 @@ def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_bein
     laser = Simulation(load_world("thesis_room"))
     laser.add_robot(1, ORIGIN, N200)
 
-    async def visit(daemon: Daemon, knock: Knock) -> None:
+    async def scenario(daemon: Daemon, knock: Knock) -> None:
         client = await knock()
         client.send(*[Call("gs")] * 20)
         assert await client.types(20) == [80] * 20
@@ -105,30 +105,30 @@ def test_answers_that_filled_the_cable_and_left_it_at_once_stop_nobody_from_bein
         while daemon.connections:
             await asyncio.sleep(0.005)
 
-    with_daemon(plan, visit, laser)
+    with_daemon(plan, scenario, laser)
 
 
 @pytest.mark.parametrize("wide", [False, True])
 def test_a_client_of_any_width_is_refused_and_goes_on(wide: bool) -> None:
     plan = Plan((Rule("no", (Nak(),), When(every=2), ("vm",), REQUEST),))
 
-    async def visit(daemon: Daemon, knock: Knock) -> None:
+    async def scenario(daemon: Daemon, knock: Knock) -> None:
         client = await knock(wide)
         for answer in (80, 91, 80, 91):
             client.send(Call("vm", (1, 2, 3)))
             assert await client.types(1) == [answer]
         client.send(Call("get_rc"))
         assert await client.types(1) == [88]
-        assert [visitor["refused"] for visitor in daemon.visitors()] == [0]
+        assert [visitor["refused"] for visitor in daemon.connected_clients()] == [0]
 
-    with_daemon(plan, visit)
+    with_daemon(plan, scenario)
 
 
 @pytest.mark.parametrize("wide", [False, True])
 def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
     plan = Plan((Rule("lost", (Drop(),), commands=("get_rc",)),))
 
-    async def visit(daemon: Daemon, knock: Knock) -> None:
+    async def scenario(daemon: Daemon, knock: Knock) -> None:
         client = await knock(wide)
         for in_force, answered in ((False, [88, 80]), (True, [80]), (False, [88, 80]), (True, [80])):
             if in_force:
@@ -138,15 +138,15 @@ def test_a_plan_comes_and_goes_under_a_connection(wide: bool) -> None:
             client.send(Call("get_rc"), Call("gs"))
             assert await client.types(len(answered)) == answered
 
-    with_daemon(None, visit)
+    with_daemon(None, scenario)
 
 
 def test_a_corrupted_type_is_refused_by_the_session_itself() -> None:
     plan = Plan((Rule("odd", (Corrupt(place=0),), When(at=(1,)), ("gs",), REQUEST),))
 
-    async def visit(_: Daemon, knock: Knock) -> None:
+    async def scenario(_: Daemon, knock: Knock) -> None:
         client = await knock()
         client.send(Call("gs"), Call("gs"))
         assert await client.types(2) == [91, 80]
 
-    with_daemon(plan, visit)
+    with_daemon(plan, scenario)

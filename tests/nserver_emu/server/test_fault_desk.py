@@ -6,19 +6,19 @@ import pytest
 
 from nclient.errors import FaultPlanError
 from nclient.faults.plan import Direction, Drop, Plan, Rule, When
-from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.link import FaultController
 
 LINES = ("nserver", "serial:1", "robotd:2")
 
 
-def desk_with(*rules: Rule) -> FaultDesk:
-    desk = FaultDesk(lambda: 100.0)
+def desk_with(*rules: Rule) -> FaultController:
+    desk = FaultController(lambda: 100.0)
     desk.put(Plan(rules), LINES)
     return desk
 
 
 def test_without_a_plan_nothing_happens_anywhere() -> None:
-    desk = FaultDesk(lambda: 0.0)
+    desk = FaultController(lambda: 0.0)
     assert not desk.acts_on("serial:1")
     assert desk.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)[0].data == b"x"
     assert desk.counts() == {}

@@ -15,7 +15,7 @@ from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import MEASURED
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import meet, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 

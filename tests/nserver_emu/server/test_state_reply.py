@@ -15,7 +15,7 @@ from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
 from tests.nserver_emu.server.wire_client import WireClient, meet
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 

@@ -9,13 +9,13 @@ from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import TcpFrame, TcpFramer, reply_bounds
 from nclient.protocol.types import N150
-from nclient.protocol.wire_state import tcp_terms
+from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import N150 as SIMULATED_N150
 from nserver_emu.simulation.noise import IDEAL, NOISY
 from nserver_emu.simulation.simulation import Simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 ORIGIN = StartPose(0.0, 0.0, 0.0, 0.0)
@@ -25,16 +25,16 @@ class WireClient:
     """`exchange` sends bytes and gives back what has been answered."""
 
     def __init__(self, exchange: Callable[[bytes], bytes], wide: bool = False) -> None:
-        self.terms = tcp_terms(N150)
-        self.terms.wide = wide
+        self.wire_state = tcp_wire_state(N150)
+        self.wire_state.wide = wide
         self._exchange = exchange
         self._framer = TcpFramer(reply_bounds, wide=wide)
 
     def ask(self, name: str, *args: int) -> Reply:
         """One call, one reply."""
         call = Call(name, args)
-        codec.note(call, self.terms)
-        (reply,) = self.send(name, codec.tcp_request(call, wide=self.terms.wide))
+        codec.update_from_request(call, self.wire_state)
+        (reply,) = self.send(name, codec.encode_tcp_request(call, wide=self.wire_state.wide))
         return reply
 
     def send(self, name: str, data: bytes) -> list[Reply]:
@@ -46,7 +46,7 @@ class WireClient:
         found = self._framer.receive(data)
         frames = [frame for frame in found if isinstance(frame, TcpFrame)]
         assert len(frames) == len(found)
-        return [codec.read_tcp_reply(BY_NAME[name], frame, self.terms) for frame in frames]
+        return [codec.decode_tcp_reply(BY_NAME[name], frame, self.wire_state) for frame in frames]
 
 
 def simulation(world: str = "thesis_room", start: StartPose = ORIGIN, noisy: bool = False, seed: int = 0) -> Simulation:
@@ -62,7 +62,7 @@ def meet(emulator: Emulator) -> tuple[WireClient, Session]:
 
     def exchange(data: bytes) -> bytes:
         session.receive(data)
-        return session.answers(most=100)
+        return session.process_requests(most=100)
 
     client = WireClient(exchange)
     client.ask("connect_robot", 1, 4711)

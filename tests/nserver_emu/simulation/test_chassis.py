@@ -10,7 +10,7 @@ import pytest
 from nserver_emu.simulation.collision import WallSet
 from nserver_emu.simulation.drive import Chassis
 from nserver_emu.simulation.segments import ConstantAccelerationSegment
-from worlds.bodies import N150
+from worlds.robots import N150
 
 WALLS = np.array(
     [[50.0, -40.0, 50.0, 40.0], [50.0, 40.0, -50.0, 40.0], [-50.0, 40.0, -50.0, -40.0], [-50.0, -40.0, 50.0, -40.0]]
@@ -27,7 +27,9 @@ def test_the_cached_room_changes_no_contact() -> None:
     contacts = 0
     for _ in range(400):
         steering = rng.uniform(-pi, pi)
-        segment = ConstantAccelerationSegment(rng.uniform(0.01, 0.6), rng.uniform(-20.0, 20.0), 0.0, rng.uniform(-0.7, 0.7), 0.0)
+        segment = ConstantAccelerationSegment(
+            rng.uniform(0.01, 0.6), rng.uniform(-20.0, 20.0), 0.0, rng.uniform(-0.7, 0.7), 0.0
+        )
         fresh = chassis(*kept.pose(0.0, 0.0)[:2])
         found = kept.first_contact(segment, steering)
         assert found == fresh.first_contact(segment, steering)
@@ -47,7 +49,7 @@ def test_bumpers_turn_with_the_body_and_see_both_walls_of_a_corner() -> None:
     robot.turn(radians(18.0))
     assert robot.bumpers(0.0) == 1 << 19 | 1 << 4
     assert robot.bumpers(radians(-18.0)) == 1 << 0 | 1 << 5
-    robot.put(0.0, 0.0)
+    robot.place(0.0, 0.0)
     assert robot.bumpers(0.0) == 0
     assert robot.pose(0.5, -0.5) == pytest.approx((0.0, 0.0, 0.5, 2.0 * pi - 0.5))
 
@@ -66,7 +68,7 @@ def test_a_new_ground_is_seen_at_once() -> None:
     assert contact is not None
     assert contact.time_s == pytest.approx((20.0 - 8.0 - N150.radius_in) / 5.0)
     robot.set_obstacles(())
-    assert robot.alone
+    assert not robot.has_obstacles
     assert robot.first_contact(ahead, 0.0) is None
     robot.set_walls(WallSet(WALLS * 0.25))
     assert robot.first_contact(ahead, 0.0) is not None

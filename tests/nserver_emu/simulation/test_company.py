@@ -13,7 +13,7 @@ import pytest
 
 from nclient.errors import StartError
 from nserver_emu.simulation.models import N150, N200, SCOUT, RobotModel
-from nserver_emu.simulation.multi_robot import SLACK_IN, TICK_PS, discs_of, near, neighbours
+from nserver_emu.simulation.multi_robot import SLACK_IN, TICK_PS, candidate_pairs, discs_of, neighbours
 from nserver_emu.simulation.noise import IDEAL, NOISY, MotionNoise, RobotSetup
 from nserver_emu.simulation.odometry import Odometry
 from nserver_emu.simulation.simulation import Simulation
@@ -29,9 +29,9 @@ TOUCHING_N200 = N150.body.radius_in + N200.body.radius_in
 def two(room: World, gap_in: float, setup: RobotSetup = IDEAL) -> Simulation:
     """Two N150 on the x axis, face to face, so far apart."""
     simulation = Simulation(room)
-    away = 0.5 * (gap_in + TOUCHING)
-    simulation.add_robot(1, StartPose(-away, 0.0), setup=setup)
-    simulation.add_robot(2, StartPose(away, 0.0, pi, pi), setup=setup)
+    distance = 0.5 * (gap_in + TOUCHING)
+    simulation.add_robot(1, StartPose(-distance, 0.0), setup=setup)
+    simulation.add_robot(2, StartPose(distance, 0.0, pi, pi), setup=setup)
     return simulation
 
 
@@ -77,7 +77,7 @@ def test_two_that_meet_stop_in_the_middle_and_never_overlap(room: World, step_s:
 
 
 def test_a_crowd_never_overlaps_and_runs_the_same_twice(room: World) -> None:
-    def run() -> list[tuple[float, ...]]:
+    def motion() -> list[tuple[float, ...]]:
         simulation, rng = Simulation(room, 3), np.random.default_rng(4)
         for number in range(6):
             model = (N150, N200, SCOUT)[number % 3]
@@ -90,7 +90,7 @@ def test_a_crowd_never_overlaps_and_runs_the_same_twice(room: World) -> None:
             assert apart(simulation) >= -1e-6
         return [robot.actual for robot in simulation.robots.values()]
 
-    assert run() == run()
+    assert motion() == motion()
 
 
 def test_sonars_see_the_others(room: World) -> None:
@@ -158,10 +158,10 @@ def test_who_may_meet_depends_on_how_fast_they_go(room: World, model: RobotModel
     robots = [simulation.add_robot(number, StartPose(35.0 * number, 0.0), model) for number in (0, 1)]
     gap = 35.0 - 2.0 * model.body.radius_in
     second = 100 * TICK_PS
-    assert near(robots, second) == []
+    assert candidate_pairs(robots, second) == []
     robots[0].set_velocities(15.0, 15.0, 0.0)
-    assert near(robots, round(second * (gap - 2.0 * SLACK_IN) / 15.0)) == []
-    assert near(robots, round(second * gap / 15.0)) == [(0, 1)]
+    assert candidate_pairs(robots, round(second * (gap - 2.0 * SLACK_IN) / 15.0)) == []
+    assert candidate_pairs(robots, round(second * gap / 15.0)) == [(0, 1)]
 
 
 @pytest.mark.parametrize("model", [N150, SCOUT])

@@ -58,8 +58,8 @@ def test_a_disc_is_another_robot() -> None:
     contact = first_contact(PlacedSegment(0.0, 0.0, 0.0, straight(10.0, 10.0)), RADIUS, (disc,))
     assert contact is not None
     assert contact.time_s == pytest.approx((40.0 - 9.0 - RADIUS) / 10.0)
-    assert disc.away(RADIUS, 0.0, 0.0) == pytest.approx((31.0 - RADIUS, -1.0, 0.0))
-    assert disc.away(RADIUS, 40.0, 20.0) == pytest.approx((11.0 - RADIUS, 0.0, 1.0))
+    assert disc.gap_to(RADIUS, 0.0, 0.0) == pytest.approx((31.0 - RADIUS, -1.0, 0.0))
+    assert disc.gap_to(RADIUS, 40.0, 20.0) == pytest.approx((11.0 - RADIUS, 0.0, 1.0))
 
 
 def test_an_accelerated_approach() -> None:
@@ -76,33 +76,42 @@ def test_an_arc_into_a_wall() -> None:
     assert contact is not None
     turn = rate * contact.time_s
     assert radius * sin(turn) == pytest.approx(50.0 - RADIUS, abs=1e-9)
-    assert placed.place(contact.time_s) == pytest.approx((50.0 - RADIUS, -radius * cos(turn)))
+    assert placed.position(contact.time_s) == pytest.approx((50.0 - RADIUS, -radius * cos(turn)))
 
 
 scenes: st.SearchStrategy[np.ndarray] = st.lists(st.tuples(*[st.floats(-60.0, 60.0)] * 4), min_size=1, max_size=4).map(
     np.array
 )
 turns = st.one_of(st.just(0.0), st.floats(-0.8, 0.8))
-runs = st.builds(
-    ConstantAccelerationSegment, st.floats(0.5, 4.0), st.floats(0.5, 20.0), st.one_of(st.just(0.0), st.floats(0.0, 20.0)), turns, turns
+motions = st.builds(
+    ConstantAccelerationSegment,
+    st.floats(0.5, 4.0),
+    st.floats(0.5, 20.0),
+    st.one_of(st.just(0.0), st.floats(0.0, 20.0)),
+    turns,
+    turns,
 )
 
 
 @settings(max_examples=60)
-@given(scenes, runs, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
+@given(scenes, motions, st.floats(-pi, pi), st.sampled_from((1.0, -1.0)))
 @example(np.array([[0.0, 11.0, 6.0, 9.0]]), ConstantAccelerationSegment(3.0, 1.0, 9.0, 0.0, 0.0), 0.0, 1.0)
-def test_a_slow_march_finds_the_same(capsules: np.ndarray, run: ConstantAccelerationSegment, heading: float, way: float) -> None:
-    run = run._replace(speed=way * run.speed, acceleration=way * run.acceleration)
+def test_a_slow_march_finds_the_same(
+    capsules: np.ndarray, motion: ConstantAccelerationSegment, heading: float, way: float
+) -> None:
+    motion = motion._replace(speed=way * motion.speed, acceleration=way * motion.acceleration)
     if gap(capsules, 0.0, 0.0) < 0.5:
         return
-    placed = PlacedSegment(0.0, 0.0, heading, run)
+    placed = PlacedSegment(0.0, 0.0, heading, motion)
     contact = first_contact(placed, RADIUS, all_of(capsules))
-    end = run.duration_s if contact is None else contact.time_s
-    gaps = [gap(capsules, *placed.place(end * number / 60.0)) for number in range(61)]
+    end = motion.duration_s if contact is None else contact.time_s
+    gaps = [gap(capsules, *placed.position(end * number / 60.0)) for number in range(61)]
     assert min(gaps) > -2e-4
     if contact is not None:
         assert gaps[-1] < 1e-3
-        assert contact.pressed_by(placed.heading_rad + run.turn_at(end), run.velocity_at(end) or run.acceleration)
+        assert contact.pressed_by(
+            placed.heading_rad + motion.turn_at(end), motion.velocity_at(end) or motion.acceleration
+        )
 
 
 def test_a_robot_that_touches_may_leave_and_slide_but_not_press_on() -> None:
@@ -132,10 +141,12 @@ def test_a_path_that_leaves_one_wall_may_meet_another() -> None:
 def test_a_grazing_arc_is_found_within_the_chord_error() -> None:
     radius, rate = 30.0, 0.3
     graze = 5e-5
-    placed = PlacedSegment(50.0 - RADIUS - radius + graze, -radius, 0.0, ConstantAccelerationSegment(12.0, radius * rate, 0.0, rate, 0.0))
+    placed = PlacedSegment(
+        50.0 - RADIUS - radius + graze, -radius, 0.0, ConstantAccelerationSegment(12.0, radius * rate, 0.0, rate, 0.0)
+    )
     contact = first_contact(placed, RADIUS, all_of(LONG_WALL))
     end = 12.0 if contact is None else contact.time_s
-    deepest = max(placed.place(end * number / 500)[0] for number in range(501)) + RADIUS - 50.0
+    deepest = max(placed.position(end * number / 500)[0] for number in range(501)) + RADIUS - 50.0
     assert deepest < TOUCH_IN / 5.0
 
 
@@ -143,7 +154,9 @@ def test_an_arc_around_a_post_that_its_chords_cut_is_no_worse_than_its_chords() 
     post = (Capsule.disc(0.0, 0.0, 5.0),)
     for extra, way in ((2e-5, 1.0), (2e-5, -1.0), (1e-3, 1.0)):
         radius = RADIUS + 5.0 + extra
-        placed = PlacedSegment(radius, 0.0, way * pi / 2, ConstantAccelerationSegment(2.0, 10.0, 0.0, way * 10.0 / radius, 0.0))
+        placed = PlacedSegment(
+            radius, 0.0, way * pi / 2, ConstantAccelerationSegment(2.0, 10.0, 0.0, way * 10.0 / radius, 0.0)
+        )
         contact = first_contact(placed, RADIUS, post)
         assert (contact is None) == (extra > 2e-4)
 
@@ -151,16 +164,16 @@ def test_an_arc_around_a_post_that_its_chords_cut_is_no_worse_than_its_chords() 
 def test_a_centre_on_the_wall_may_go_anywhere() -> None:
     placed = PlacedSegment(50.0, 0.0, 0.3, straight(10.0, 1.0))
     assert first_contact(placed, RADIUS, all_of(WALL)) is None
-    assert all_of(WALL)[0].away(0.0, 50.0, 0.0) == (0.0, 0.0, 0.0)
-    assert Capsule.disc(50.0, 0.0, 9.0).away(1.0, 50.0, 0.0) == (-10.0, 0.0, 0.0)
+    assert all_of(WALL)[0].gap_to(0.0, 50.0, 0.0) == (0.0, 0.0, 0.0)
+    assert Capsule.disc(50.0, 0.0, 9.0).gap_to(1.0, 50.0, 0.0) == (-10.0, 0.0, 0.0)
 
 
 def test_the_ground_tells_the_walls_near_and_how_far_the_others_are() -> None:
-    capsules, rest = WallSet(np.concatenate((WALL, LONG_WALL + 30.0))).near(0.0, 0.0, 50.0)
+    capsules, rest = WallSet(np.concatenate((WALL, LONG_WALL + 30.0))).within(0.0, 0.0, 50.0)
     assert (capsules, rest) == (all_of(WALL), 80.0)
-    assert WallSet(WALL).near(0.0, 0.0, 50.0) == (all_of(WALL), inf)
-    assert WallSet(WALL).near(0.0, 0.0, 49.9) == ((), 50.0)
-    assert WallSet(np.empty((0, 4))).near(0.0, 0.0, 1e4) == ((), inf)
+    assert WallSet(WALL).within(0.0, 0.0, 50.0) == (all_of(WALL), inf)
+    assert WallSet(WALL).within(0.0, 0.0, 49.9) == ((), 50.0)
+    assert WallSet(np.empty((0, 4))).within(0.0, 0.0, 1e4) == ((), inf)
 
 
 def test_pressing_knows_forward_from_backward() -> None:

@@ -14,8 +14,8 @@ from nserver_emu.simulation.models import N150 as N150_MODEL
 from nserver_emu.simulation.noise import MEASURED, NO_NOISE
 from nserver_emu.simulation.segments import to_ps
 from nserver_emu.simulation.simulation import Simulation
-from worlds.bodies import N150
 from worlds.geometry import FloatArray
+from worlds.robots import N150
 from worlds.world import StartPose, World
 
 pytestmark = pytest.mark.long
@@ -46,7 +46,7 @@ def first(
     discs: FloatArray, model: Polaroid = MODEL, walls: FloatArray = NO_WALLS, now: Ping | None = None,
     earlier: tuple[Ping, ...] = (),
 ) -> float:  # fmt: skip
-    return model.first_in(now or ping(), earlier, ReflectorMap(walls), N150, discs)
+    return model.first_echo_in(now or ping(), earlier, ReflectorMap(walls), N150, discs)
 
 
 def rays(count: int) -> tuple[FloatArray, FloatArray]:
@@ -95,33 +95,33 @@ def test_the_nearest_loud_point_of_the_robots_in_the_cone_is_heard(seed: int) ->
         ours = np.abs(np.hypot(FACE + ranges * ways[:, 0] - x, ranges * ways[:, 1] - y) - radius) < 1e-6
         loud |= ours & (cosines > 1.0 - 1e-5) & (rim_db + spread_db <= MODEL.margin_db)
     expected = ranges[loud].min(initial=inf)
-    off_the_wall = model.first_in(ping(), (), ReflectorMap(walls), N150)
+    off_the_wall = model.first_echo_in(ping(), (), ReflectorMap(walls), N150)
     heard = first(discs, model, walls)
     assert heard == pytest.approx(min(expected - MODEL.recess_in, off_the_wall), abs=0.5)
 
 
-@pytest.mark.parametrize("away", [12.0, 40.0, 90.0, 250.0])
-def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(away: float) -> None:
+@pytest.mark.parametrize("distance", [12.0, 40.0, 90.0, 250.0])
+def test_a_round_robot_spreads_the_sound_as_a_bundle_of_rays(distance: float) -> None:
     """Two rays close together come back so much farther apart than off a wall; the reach is where that is too soft."""
     angle = 1e-5
-    sideways = away * sin(angle) / RADIUS
+    sideways = distance * sin(angle) / RADIUS
     struck = asin(sideways)
-    range_in = away * cos(angle) - RADIUS * sqrt(1.0 - sideways**2)
+    range_in = distance * cos(angle) - RADIUS * sqrt(1.0 - sideways**2)
     turned = pi + angle - 2.0 * struck
     back = np.array([range_in * cos(angle), range_in * sin(angle)])
     apart = abs(back[1] + (-back[0] / cos(turned)) * sin(turned))
-    gap = away - RADIUS
+    gap = distance - RADIUS
     spread_db = 10.0 * log10(apart / (2.0 * gap * angle))
     needed_db = spread_db + MODEL.absorption_db_in * gap
-    assert first(disc(away), replace(ROUND, margin_db=needed_db + 0.01)) == pytest.approx(gap - MODEL.recess_in)
-    assert first(disc(away), replace(ROUND, margin_db=needed_db - 0.01)) == inf
+    assert first(disc(distance), replace(ROUND, margin_db=needed_db + 0.01)) == pytest.approx(gap - MODEL.recess_in)
+    assert first(disc(distance), replace(ROUND, margin_db=needed_db - 0.01)) == inf
 
 
-@pytest.mark.parametrize(("bearing_deg", "away"), [(5.0, 50.0), (11.25, 80.0), (16.0, 30.0)])
-def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearing_deg: float, away: float) -> None:
+@pytest.mark.parametrize(("bearing_deg", "distance"), [(5.0, 50.0), (11.25, 80.0), (16.0, 30.0)])
+def test_a_neighbour_hears_off_the_round_what_obeys_the_law_of_reflection(bearing_deg: float, distance: float) -> None:
     """The shortest way by the rim, sought over 200,001 of its points, is the mirror's."""
     one, other = ping(0.0), ping(radians(22.5), 0.001)
-    target = disc(away, radians(bearing_deg))
+    target = disc(distance, radians(bearing_deg))
     x, y, radius = target[0]
     around = np.linspace(0.0, 2.0 * pi, 200_001)
     rim = np.stack((x + radius * np.cos(around), y + radius * np.sin(around)), axis=1)

@@ -7,10 +7,10 @@ from math import cos, radians, sqrt
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.infrared import CLEAR_SIGHT, INTERVAL_PS, InfraredNoise, InfraredRing
+from nserver_emu.simulation.infrared import INTERVAL_PS, NO_INFRARED_NOISE, InfraredNoise, InfraredRing
 from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp
 from nserver_emu.simulation.visibility import RobotPositions, SensorPose
-from worlds.bodies import N200
+from worlds.robots import N200
 
 pytestmark = pytest.mark.long
 
@@ -28,7 +28,7 @@ def wall(gap: float, slant_rad: float = 0.0) -> np.ndarray:
     return np.array([[*(middle - way), *(middle + way)]])
 
 
-def ring(walls: np.ndarray, noise: InfraredNoise = CLEAR_SIGHT) -> InfraredRing:
+def ring(walls: np.ndarray, noise: InfraredNoise = NO_INFRARED_NOISE) -> InfraredRing:
     return InfraredRing(N200, noise, walls, 0, np.random.default_rng(5))
 
 

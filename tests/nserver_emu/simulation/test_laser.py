@@ -7,9 +7,9 @@ from math import asin, atan2, cos, hypot, inf, pi, radians, sin
 import numpy as np
 import pytest
 
-from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, thinned
+from nserver_emu.simulation.laser import ANGLES_RAD, COLUMNS, LineFit, lines, pixels, points, ranges, select_columns
 from nserver_emu.simulation.visibility import RobotPositions, SensorPose
-from worlds.bodies import N200
+from worlds.robots import N200
 
 RADIUS = N200.radius_in
 HERE = SensorPose(0.0, 0.0, 0.0)
@@ -54,8 +54,8 @@ def test_another_robot_shows_its_arc_and_hides_the_wall_behind_it() -> None:
     off_rim = np.hypot(found[:, 0] - 70.0, found[:, 1] - 5.0)
     on_arc = np.isclose(off_rim, 9.72, atol=1e-9)
     assert found[~on_arc, 0] == pytest.approx(np.full((~on_arc).sum(), 109.0))
-    away, middle = hypot(70.0 - RADIUS, 5.0), atan2(5.0, 70.0 - RADIUS)
-    assert (on_arc == (np.abs(ANGLES_RAD - middle) < asin(9.72 / away))).all()
+    distance, middle = hypot(70.0 - RADIUS, 5.0), atan2(5.0, 70.0 - RADIUS)
+    assert (on_arc == (np.abs(ANGLES_RAD - middle) < asin(9.72 / distance))).all()
 
 
 def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:
@@ -64,8 +64,8 @@ def test_pixels_grow_towards_the_robot_and_columns_can_be_thinned() -> None:
     assert rows[0] == 0
     seen = ranges(HERE, ahead(60.0), N200)
     for most in (1, 7, 100, 481):
-        assert (thinned(seen, most) < inf).sum() == most
-    assert thinned(seen, 0) is seen
+        assert (select_columns(seen, most) < inf).sum() == most
+    assert select_columns(seen, 0) is seen
 
 
 def test_a_room_corner_and_a_gap_become_three_lines() -> None:

@@ -18,11 +18,11 @@ def strays(segment: ConstantAccelerationSegment, draws: int, pieces: int = 1) ->
     result = np.zeros((draws, 2))
     for draw in range(draws):
         for _ in range(pieces):
-            driven = NOISE.disturbed(piece, rng)
+            disturbed = NOISE.disturbed(piece, rng)
             time = piece.duration_s
             result[draw] += (
-                driven.distance_at(time) - piece.distance_at(time),
-                driven.turn_at(time) - piece.turn_at(time),
+                disturbed.distance_at(time) - piece.distance_at(time),
+                disturbed.turn_at(time) - piece.turn_at(time),
             )
     return result
 
@@ -52,8 +52,8 @@ def test_the_settings_of_the_experiments_in_the_names_of_other_localizers() -> N
 def test_each_alpha_has_its_role(way: float, turn: float) -> None:
     alphas, draws, rng = MotionNoise(0.01, 0.002, 0.03, 0.5), 4000, np.random.default_rng(5)
     segment = ConstantAccelerationSegment(2.0, way / 2.0, 0.0, turn / 2.0, 0.0)
-    driven = [alphas.disturbed(segment, rng) for _ in range(draws)]
-    ways, turns = [one.distance_at(2.0) for one in driven], [one.turn_at(2.0) for one in driven]
+    disturbed = [alphas.disturbed(segment, rng) for _ in range(draws)]
+    ways, turns = [one.distance_at(2.0) for one in disturbed], [one.turn_at(2.0) for one in disturbed]
     error_of_variance = 4.0 * np.sqrt(2.0 / draws)
     assert np.var(turns) == pytest.approx(0.01 * abs(turn) + 0.002 * abs(way), rel=error_of_variance)
     assert np.var(ways) == pytest.approx(0.03 * abs(way) + 0.5 * abs(turn), rel=error_of_variance)
@@ -61,10 +61,10 @@ def test_each_alpha_has_its_role(way: float, turn: float) -> None:
 
 def test_an_accelerated_stretch_keeps_its_time_and_shape() -> None:
     segment = ConstantAccelerationSegment(0.5, 2.0, 8.0, 0.1, 0.2)
-    driven = NOISE.disturbed(segment, np.random.default_rng(1))
-    assert driven.duration_s == 0.5
-    assert driven.acceleration / driven.speed == pytest.approx(4.0)
-    assert driven.turn_acceleration == 0.2
+    disturbed = NOISE.disturbed(segment, np.random.default_rng(1))
+    assert disturbed.duration_s == 0.5
+    assert disturbed.acceleration / disturbed.speed == pytest.approx(4.0)
+    assert disturbed.turn_acceleration == 0.2
 
 
 def test_rest_and_no_noise_change_nothing() -> None:

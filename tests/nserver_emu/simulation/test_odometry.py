@@ -43,7 +43,7 @@ def square(
         for motion in (legs, turns):
             robot.move_relative(*motion)
             simulation.step(12.0)
-            assert robot.still((0, 1, 2))
+            assert robot.is_still((0, 1, 2))
     assert robot.encoder[:2] == pytest.approx((corner.x_in, corner.y_in), abs=1e-9)
     actual = robot.actual
     return complex(actual.x_in - corner.x_in, actual.y_in - corner.y_in), actual.steering_rad
@@ -174,5 +174,5 @@ def test_a_scout_that_turns_astray_on_the_spot_is_held_by_the_wall_but_turns_on(
     assert robot.moving == (True, True, False)
     assert robot.actual.x_in <= start.x_in + 1e-9
     simulation.step(3.0)
-    assert robot.still((0, 1))
+    assert robot.is_still((0, 1))
     assert robot.encoder.steering_rad != pytest.approx(start.steering_rad)

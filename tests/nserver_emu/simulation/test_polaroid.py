@@ -12,8 +12,8 @@ from nserver_emu.simulation.acoustics import Ping, Polaroid, ReflectorMap
 from nserver_emu.simulation.segments import Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import SonarRing
 from nserver_emu.simulation.visibility import SensorPose
-from worlds.bodies import N150
 from worlds.geometry import FloatArray, nearest_points
+from worlds.robots import N150
 
 pytestmark = pytest.mark.long
 
@@ -27,12 +27,12 @@ QUIET = (0.0, 0.0)
 STAMP = Stamp(Pose(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
 
 
-def ping(direction_rad: float = 0.0, instant_s: float = 0.0, noise_draws: tuple[float, ...] = QUIET) -> Ping:
-    return Ping(*MIDDLE, direction_rad, to_ps(instant_s), noise_draws)
+def ping(direction_rad: float = 0.0, instant_s: float = 0.0, noise: tuple[float, ...] = QUIET) -> Ping:
+    return Ping(*MIDDLE, direction_rad, to_ps(instant_s), noise)
 
 
 def first(walls: list[list[float]], now: Ping, model: Polaroid = MODEL, earlier: tuple[Ping, ...] = ()) -> float:
-    return model.first_in(now, earlier, ReflectorMap(np.array(walls)), N150)
+    return model.first_echo_in(now, earlier, ReflectorMap(np.array(walls)), N150)
 
 
 def wall(normal_rad: float, distance_in: float, half_in: float = 500.0) -> list[float]:
@@ -90,7 +90,7 @@ def test_the_first_echo_is_the_shortest_way_that_bouncing_rays_find(seed: int) -
         mine = ping(radians(22.5 * number))
         lengths = traced(walls, mine, mine)
         expected = lengths[0] / 2.0 - MODEL.recess_in if lengths else inf
-        heard = LOUD.first_in(mine, (), ReflectorMap(walls), N150)
+        heard = LOUD.first_echo_in(mine, (), ReflectorMap(walls), N150)
         assert heard == pytest.approx(expected, abs=0.02)
 
 
@@ -126,7 +126,7 @@ def test_edges_are_heard_from_all_sides_but_not_where_a_wall_goes_straight_on() 
 
 def test_walls_without_a_length_reflect_nothing() -> None:
     assert first([[FACE + 30.0, 0.0, FACE + 30.0, 0.0]], ping(), LOUD) == inf
-    assert MODEL.first_in(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
+    assert MODEL.first_echo_in(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Levels
@@ -145,7 +145,7 @@ def test_near_the_limit_echoes_are_lost_as_often_as_the_level_chance_says() -> N
     model = replace(MODEL, edge_loss_db=inf)
     above_db, pings = 2.0, 2000
     reflectors = ReflectorMap(np.array([wall(0.0, (MODEL.margin_db - above_db) / MODEL.absorption_db_in)]))
-    heard = sum(model.first_in(ping(noise_draws=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
+    heard = sum(model.first_echo_in(ping(noise=model.draw(rng)), (), reflectors, N150) < inf for _ in range(pings))
     expected = 0.5 * (1.0 + erf(above_db / MODEL.margin_std_db / sqrt(2.0)))
     assert heard / pings == pytest.approx(expected, abs=4.0 * sqrt(expected * (1.0 - expected) / pings))
 
@@ -154,10 +154,10 @@ def test_a_range_has_one_per_cent_of_noise_and_a_least() -> None:
     rng = np.random.default_rng(4)
     for distance, std in ((100.0, 0.995), (3.0, 0.05)):
         reflectors = ReflectorMap(np.array([wall(0.0, distance)]))
-        heard = [MODEL.measured_ranges(ping(noise_draws=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
+        heard = [MODEL.measured_range(ping(noise=MODEL.draw(rng)), (), reflectors, N150) for _ in range(1500)]
         assert np.mean(heard) == pytest.approx(distance - 0.5, abs=4.0 * std / sqrt(1500))
         assert np.std(heard) == pytest.approx(std, rel=0.08)
-    assert MODEL.measured_ranges(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
+    assert MODEL.measured_range(ping(), (), ReflectorMap(np.empty((0, 4))), N150) == inf
 
 
 # Neighbours
@@ -218,11 +218,11 @@ def test_looking_often_or_late_gives_the_same_readings() -> None:
 
 
 def test_near_walls_read_6_and_dead_sonars_0_for_ever() -> None:
-    near = ring(side=12.0, model=replace(MODEL, dead=(4, 5)))
-    before = near.readings_in
-    near.emit_all(SensorPose(*MIDDLE, 0.0), STAMP)
+    close = ring(side=12.0, model=replace(MODEL, dead=(4, 5)))
+    before = close.readings_in
+    close.emit_all(SensorPose(*MIDDLE, 0.0), STAMP)
     assert (before[4], before[5], before[6]) == (0, 0, 255)
-    readings = near.readings_in
+    readings = close.readings_in
     assert (readings[0], readings[4], readings[5], readings[8]) == (6, 0, 0, 6)
 
 

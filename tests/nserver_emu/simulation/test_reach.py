@@ -33,7 +33,7 @@ def test_no_way_is_longer_than_its_reach(room: World, model: RobotModel, setup: 
             first, second = rng.uniform(-4.0, 4.0, 2).tolist()
             robot.move_relative(first, second, 0.0)
         span_s = rng.uniform(0.02, 0.4)
-        reach, max_travel_in, (x, y, _, _) = robot.reach(span_s), robot.max_travel_in(span_s), robot.actual
+        reach, max_travel_in, (x, y, _, _) = robot.swept_bounds(span_s), robot.max_travel_in(span_s), robot.actual
         for _ in range(8):
             simulation.step(span_s / 8.0)
             dx, dy = robot.actual.x_in - x, robot.actual.y_in - y
@@ -48,16 +48,16 @@ def test_no_way_is_longer_than_its_reach(room: World, model: RobotModel, setup: 
 
 def test_a_robot_that_goes_away_comes_no_nearer(room: World) -> None:
     robot = Simulation(room).add_robot(1, StartPose(0.0, 0.0))
-    assert robot.reach(1.0) is STATIONARY
+    assert robot.swept_bounds(1.0) is STATIONARY
     robot.set_velocities(0.0, 0.5, 0.5)
-    assert robot.reach(1.0) is STATIONARY
+    assert robot.swept_bounds(1.0) is STATIONARY
     robot.set_velocities(10.0, 0.0, 0.0)
-    assert robot.reach(0.5) == SweptBounds(5.0, 0.0, 0.0, 0.0, 0.0)
-    assert robot.reach(0.5).towards(-1.0, 0.0) == 0.0
-    assert robot.reach(0.5).towards(cos(pi / 3), sin(pi / 3)) == pytest.approx(2.5)
+    assert robot.swept_bounds(0.5) == SweptBounds(5.0, 0.0, 0.0, 0.0, 0.0)
+    assert robot.swept_bounds(0.5).towards(-1.0, 0.0) == 0.0
+    assert robot.swept_bounds(0.5).towards(cos(pi / 3), sin(pi / 3)) == pytest.approx(2.5)
     robot.set_velocities(-10.0, 0.2, 0.0)
-    assert robot.reach(0.5) == pytest.approx(SweptBounds(0.0, 0.0, -5.0, 0.0, 0.5))
-    assert robot.reach(0.5).towards(-1.0, 0.0) == pytest.approx(5.5)
+    assert robot.swept_bounds(0.5) == pytest.approx(SweptBounds(0.0, 0.0, -5.0, 0.0, 0.5))
+    assert robot.swept_bounds(0.5).towards(-1.0, 0.0) == pytest.approx(5.5)
 
 
 def test_ramps_that_turn_back_reach_both_ways(room: World) -> None:
@@ -65,4 +65,4 @@ def test_ramps_that_turn_back_reach_both_ways(room: World) -> None:
     robot.set_velocities(10.0, 0.0, 0.0)
     simulation.step(2.0)
     robot.set_velocities(-5.0, 0.0, 0.0)
-    assert robot.reach(1.0) == SweptBounds(10.0, 0.0, -5.0, 0.0, 0.0)
+    assert robot.swept_bounds(1.0) == SweptBounds(10.0, 0.0, -5.0, 0.0, 0.0)

@@ -22,8 +22,8 @@ from nserver_emu.simulation.noise import (
 )
 from nserver_emu.simulation.simulation import Simulation
 from nserver_emu.simulation.sonar import SonarNoise
-from worlds.calibration import Calibration
-from worlds.files import load_world
+from worlds.io import load_world
+from worlds.robots import Calibration
 from worlds.world import StartPose
 
 
@@ -43,12 +43,12 @@ def test_parts_are_called_after_the_first_setup_that_has_them() -> None:
 
 
 def test_what_a_robot_began_with_can_be_chosen_again() -> None:
-    self_index = replace(NOISY, name="room 12", sonar=SonarNoise(range_std_relative=0.3))
-    assert list(part_choices("sensors", N150, self_index)) == ["ideal", "noisy", "measured", "room 12"]
-    assert list(part_choices("motion", N150, self_index)) == ["ideal", "noisy", "worn"]
-    assert part_name("sensors", self_index, N150, self_index) == "room 12"
-    assert part_name("sensors", self_index, N150, IDEAL) == "room 12"
-    called_so = replace(self_index, name="noisy")
+    twin = replace(NOISY, name="room 12", sonar=SonarNoise(range_std_relative=0.3))
+    assert list(part_choices("sensors", N150, twin)) == ["ideal", "noisy", "measured", "room 12"]
+    assert list(part_choices("motion", N150, twin)) == ["ideal", "noisy", "worn"]
+    assert part_name("sensors", twin, N150, twin) == "room 12"
+    assert part_name("sensors", twin, N150, IDEAL) == "room 12"
+    called_so = replace(twin, name="noisy")
     assert part_choices("sensors", N150, called_so)["noisy"] is NOISY
     assert part_choices("sensors", N150, called_so)["noisy as begun"] is called_so
 
@@ -122,10 +122,12 @@ def test_a_sonar_that_is_switched_dead_reads_nothing_at_once_and_hears_again_whe
 
 
 def test_what_a_robot_errs_by_itself_stays_whatever_is_switched() -> None:
-    errs = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
-    self_index = replace(N150, errs=errs)
-    choices = part_choices("sensors", self_index, apply_calibration(self_index, IDEAL))
-    assert {setup.sonar.offsets_in for setup in choices.values()} == {errs.offsets_in}
-    odometries = [setup.odometry.scales[:2] for setup in part_choices("motion", self_index, apply_calibration(self_index, IDEAL)).values()]
+    calibration = Calibration(way_scale=1.02, turn_scale=0.97, offsets_in=tuple(0.1 * number for number in range(16)))
+    twin = replace(N150, calibration=calibration)
+    choices = part_choices("sensors", twin, apply_calibration(twin, IDEAL))
+    assert {setup.sonar.offsets_in for setup in choices.values()} == {calibration.offsets_in}
+    odometries = [
+        setup.odometry.scales[:2] for setup in part_choices("motion", twin, apply_calibration(twin, IDEAL)).values()
+    ]
     assert set(odometries) == {(1.02, 0.97)}
-    assert part_name("sensors", apply_calibration(self_index, NOISY), self_index, apply_calibration(self_index, IDEAL)) == "noisy"
+    assert part_name("sensors", apply_calibration(twin, NOISY), twin, apply_calibration(twin, IDEAL)) == "noisy"

@@ -9,9 +9,9 @@ import pytest
 
 from nserver_emu.simulation.segments import TIME_MAX_PS, Pose, Stamp, to_ps
 from nserver_emu.simulation.sonar import DEFAULT_ORDER, SonarNoise, SonarRing
-from nserver_emu.simulation.visibility import FARTHEST_IN, RobotPositions, SensorPose, on_lines
-from worlds.bodies import N150
+from nserver_emu.simulation.visibility import MAX_ROBOT_RANGE_IN, RobotPositions, SensorPose, robots_on_rays
 from worlds.raycast import cast_discs
+from worlds.robots import N150
 
 OFF = 255
 SQUARE = np.array(
@@ -132,23 +132,25 @@ def test_an_eye_sees_all_others_that_are_not_too_far_and_those_on_a_line_that_a_
     discs = np.column_stack((rng.uniform(-900.0, 900.0, (80, 2)), rng.uniform(5.0, 60.0, 80)))
     sensor_pose = SensorPose(float(discs[7, 0]), float(discs[7, 1]) + 0.2, 0.0, RobotPositions(discs), 7)
     assert len(SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0).others) == 0
-    assert list(on_lines([SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0)], [1j], [inf])) == []
-    far = np.abs(discs[:, :2] - (sensor_pose.x_in, sensor_pose.y_in)).max(axis=1) > FARTHEST_IN
-    np.testing.assert_array_equal(sensor_pose.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]])
+    assert list(robots_on_rays([SensorPose(0.0, 0.0, 0.0, RobotPositions(discs[:1]), 0)], [1j], [inf])) == []
+    far = np.abs(discs[:, :2] - (sensor_pose.x_in, sensor_pose.y_in)).max(axis=1) > MAX_ROBOT_RANGE_IN
+    np.testing.assert_array_equal(
+        sensor_pose.others, [disc for row, disc in enumerate(discs) if row != 7 and not far[row]]
+    )
     assert far.any()
     blind = SensorPose(0.0, 0.0, 0.0, RobotPositions(), 0)
     ways = [complex(cos(angle), sin(angle)) for angle in np.linspace(0.0, 6.0, 13).tolist()]
     met: list[list[list[float]]] = [[] for _ in range(14)]
-    for ray, disc in on_lines([sensor_pose] * 13 + [blind], [*ways, 1j], [inf] * 14):
+    for ray, disc in robots_on_rays([sensor_pose] * 13 + [blind], [*ways, 1j], [inf] * 14):
         met[ray].append(disc)
     assert met[13] == []
     for way, on_line in zip(ways, met[:13], strict=True):
         here, direction = (sensor_pose.x_in, sensor_pose.y_in), (way.real, way.imag)
         of_all = float(cast_discs(here, direction, np.delete(discs, 7, axis=0)))
-        assert float(cast_discs(here, direction, on_line)) == of_all or of_all > FARTHEST_IN - 60.0
+        assert float(cast_discs(here, direction, on_line)) == of_all or of_all > MAX_ROBOT_RANGE_IN - 60.0
     assert 1 < sum(map(len, met)) < 3 * 13
     for wall_in in (0.0, 90.0, 300.0):
-        nearer = list(on_lines([sensor_pose] * 13, ways, [wall_in] * 13))
+        nearer = list(robots_on_rays([sensor_pose] * 13, ways, [wall_in] * 13))
         for ray, way in enumerate(ways):
             hidden = [disc for other, disc in nearer if other == ray]
             here, direction = (sensor_pose.x_in, sensor_pose.y_in), (way.real, way.imag)
@@ -172,7 +174,7 @@ def test_each_reading_keeps_where_it_was_cried_until_the_robot_is_carried_elsewh
         to_y = (100.0 * np.sign(sin(way)) - y) / sin(way)
         assert sonars.readings_in[k] == round(min(to_x, to_y) - 9.06)
     readings = sonars.readings_in
-    sonars.carried()
+    sonars.forget_pings()
     assert (sonars.pings, sonars.readings_in) == ((None,) * 16, readings)
     sonars.emit_due(HERE, stamp())
     assert [k for k, ping in enumerate(sonars.pings) if ping] == [4]

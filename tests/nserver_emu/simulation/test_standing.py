@@ -17,13 +17,13 @@ from worlds.world import StartPose, World
 def test_squares_find_whom_asking_everybody_finds() -> None:
     rng = np.random.default_rng(5)
     discs = np.column_stack((rng.uniform(-300.0, 300.0, (150, 2)), rng.uniform(2.0, 70.0, 150))).tolist()
-    standing = SpatialHash()
+    spatial_hash = SpatialHash()
     for number, (x, y, radius) in enumerate(discs):
-        standing.add(number, (x, y, radius))
+        spatial_hash.add(number, (x, y, radius))
     found = 0
     for x, y in rng.uniform(-400.0, 400.0, (80, 2)).tolist():
         touched = [number for number, (u, v, radius) in enumerate(discs) if hypot(x - u, y - v) <= radius + 9.0]
-        assert [number for number, _ in standing.touched(x, y, 9.0)] == touched
+        assert [number for number, _ in spatial_hash.touched(x, y, 9.0)] == touched
         found += len(touched)
     assert found > 100
     assert SpatialHash().touched(0.0, 0.0, 9.0) == []

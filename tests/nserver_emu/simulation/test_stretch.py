@@ -13,7 +13,9 @@ from scipy.integrate import quad
 from nserver_emu.simulation.segments import GAUSS_POINTS, ConstantAccelerationSegment
 
 rates = st.floats(-2.0, 2.0)
-stretches = st.builds(ConstantAccelerationSegment, st.floats(1e-3, 3.0), st.floats(-20, 20), st.floats(-60, 60), rates, rates)
+stretches = st.builds(
+    ConstantAccelerationSegment, st.floats(1e-3, 3.0), st.floats(-20, 20), st.floats(-60, 60), rates, rates
+)
 
 
 def test_the_gauss_rule_is_numpys() -> None:
@@ -29,7 +31,9 @@ def test_constant_velocities_draw_the_circle() -> None:
         radius * (sin(heading + rate * time) - sin(heading)),
         radius * (cos(heading) - cos(heading + rate * time)),
     )
-    assert ConstantAccelerationSegment(time, speed, 0.0, rate, 0.0).displacement(heading, time) == pytest.approx(expected, abs=1e-12)
+    assert ConstantAccelerationSegment(time, speed, 0.0, rate, 0.0).displacement(heading, time) == pytest.approx(
+        expected, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-12, 1e-6, 1.9e-4, 2.1e-4])

@@ -14,7 +14,7 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.models import N150
 from nserver_emu.simulation.noise import IDEAL
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, Message, Page, served
+from tests.nserver_emu.viewer.viewed_daemon import HOST, Message, Page, serve_viewer
 from worlds.world import StartPose
 
 
@@ -24,9 +24,9 @@ async def a_program(port: int, robot_id: int = 1) -> AsyncIterator[None]:
     reader, writer = await asyncio.open_connection(HOST, port)
 
     async def drive() -> None:
-        writer.write(codec.tcp_request(Call("connect_robot", (robot_id, 1))))
+        writer.write(codec.encode_tcp_request(Call("connect_robot", (robot_id, 1))))
         while True:
-            writer.write(codec.tcp_request(Call("vm", (40, 0, 0))))
+            writer.write(codec.encode_tcp_request(Call("vm", (40, 0, 0))))
             await asyncio.sleep(0.02)
 
     driving, reading = asyncio.create_task(drive()), asyncio.create_task(reader.read())
@@ -55,7 +55,7 @@ async def picture(page: Page, speed: int, held: object = ..., beyond: int = -1) 
 def test_stop_holds_against_a_program_that_drives_on_until_released() -> None:
     async def scenario() -> None:
         emulator = Emulator(simulation())
-        async with served(emulator) as here, here.page() as page, here.page() as other, a_program(emulator.port):
+        async with serve_viewer(emulator) as here, here.page() as page, here.page() as other, a_program(emulator.port):
             robot = emulator.simulation.robots[1]
             hello = await page.until(lambda message: message["type"] == "hello")
             await picture(page, 40, None)
@@ -81,13 +81,13 @@ def test_stop_holds_against_a_program_that_drives_on_until_released() -> None:
 
 def test_the_page_itself_moves_no_robot_that_is_held_and_is_told_so() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page() as page, here.page() as other:
+        async with serve_viewer(Emulator(simulation())) as here, here.page() as page, here.page() as other:
             robot = here.daemon.emulator.simulation.robots[1]
             await other.say(do="drive", id=1, robot=1, args=[50, 0, 0])
             await other.answer(1)
             await page.say(do="stop", id=1, robot=1)
             await page.answer(1)
-            assert robot.still((0, 1, 2))
+            assert robot.is_still((0, 1, 2))
             for who in (page, other):
                 await who.say(do="drive", id=2, robot=1, args=[50, 0, 0])
                 answer = await who.answer(2)
@@ -101,7 +101,7 @@ def test_the_page_itself_moves_no_robot_that_is_held_and_is_told_so() -> None:
                     assert (await who.answer(number))["ok"]
                 await who.say(do="drive", id=8, robot=1, args=[0, 0, 0])
                 assert (await who.answer(8))["ok"]
-            assert robot.still((0, 1, 2))
+            assert robot.is_still((0, 1, 2))
 
     asyncio.run(scenario())
 
@@ -110,15 +110,15 @@ def test_one_robot_may_be_held_and_the_other_go_on_and_all_be_stopped_at_once() 
     async def scenario() -> None:
         emulator = Emulator(simulation())
         emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N150, IDEAL)
-        async with served(emulator) as here, here.page() as page, a_program(emulator.port, 2):
+        async with serve_viewer(emulator) as here, here.page() as page, a_program(emulator.port, 2):
             await page.say(do="stop", id=1, robot=1)
             assert list((await page.answer(1))["held"]) == ["1"]
             async with asyncio.timeout(5):
-                while emulator.simulation.robots[2].still((0,)):
+                while emulator.simulation.robots[2].is_still((0,)):
                     await asyncio.sleep(0.01)
             await page.say(do="stop", id=2)
             assert list((await page.answer(2))["held"]) == ["1", "2"]
-            assert emulator.simulation.robots[2].still((0,))
+            assert emulator.simulation.robots[2].is_still((0,))
             await page.say(do="release", id=3)
             assert (await page.answer(3))["held"] == {}
             await page.say(do="stop", id=4, robot=7)
@@ -129,7 +129,7 @@ def test_one_robot_may_be_held_and_the_other_go_on_and_all_be_stopped_at_once() 
 
 def test_who_stops_and_who_releases_is_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             here.daemon.hold([1], "nserver ctl")
             here.daemon.release([1])
 
@@ -142,19 +142,19 @@ def test_who_stops_and_who_releases_is_in_the_log(caplog: pytest.LogCaptureFixtu
 
 def test_who_only_looks_neither_stops_nor_releases() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here, here.page(here.viewing.watch_token) as page:
+        async with serve_viewer(Emulator(simulation())) as here, here.page(here.viewer_server.watch_token) as page:
             here.daemon.hold([1], "viewer 9")
             for number, word in enumerate(("stop", "release")):
                 await page.say(do=word, id=number)
                 assert (await page.answer(number))["error"] == "this link only looks"
-            assert here.daemon.emulator.holds.told() == {"1": {"by": "viewer 9", "ignored": 0}}
+            assert here.daemon.emulator.estop.told() == {"1": {"by": "viewer 9", "ignored": 0}}
 
     asyncio.run(scenario())
 
 
 def test_a_hold_outlasts_the_page_that_pressed_stop() -> None:
     async def scenario() -> None:
-        async with served(Emulator(simulation())) as here:
+        async with serve_viewer(Emulator(simulation())) as here:
             async with here.page() as page:
                 await page.say(do="stop", id=1)
                 await page.answer(1)

@@ -12,7 +12,7 @@ import aiohttp
 
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.viewer.server import Viewing
+from nserver_emu.viewer.server import ViewerServer
 
 HOST = "127.0.0.1"
 PATIENCE_S = 10.0
@@ -48,7 +48,7 @@ class Served(NamedTuple):
     """A daemon, its page, where it is, and who asks there."""
 
     daemon: Daemon
-    viewing: Viewing
+    viewer_server: ViewerServer
     port: int
     web: aiohttp.ClientSession
 
@@ -60,7 +60,7 @@ class Served(NamedTuple):
     @asynccontextmanager
     async def page(self, token: str = "") -> AsyncIterator[Page]:
         """A page that is open."""
-        query = {"token": token or self.viewing.token}
+        query = {"token": token or self.viewer_server.token}
         async with self.web.ws_connect(f"{self.origin}/ws", params=query, headers={"Origin": self.origin}) as socket:
             yield Page(socket)
 
@@ -71,18 +71,18 @@ def elsewhere() -> aiohttp.ClientSession:
 
 
 @asynccontextmanager
-async def served(emulator: Emulator) -> AsyncIterator[Served]:
+async def serve_viewer(emulator: Emulator) -> AsyncIterator[Served]:
     """Daemon and page, running."""
     daemon = Daemon(emulator)
-    viewing = Viewing(daemon)
+    viewer_server = ViewerServer(daemon)
     await daemon.listen(HOST, 0)
-    port = await viewing.open(HOST, 0)
+    port = await viewer_server.open(HOST, 0)
     stop = asyncio.Event()
     running = asyncio.create_task(daemon.serve(stop))
     try:
         async with aiohttp.ClientSession() as web:
-            yield Served(daemon, viewing, port, web)
+            yield Served(daemon, viewer_server, port, web)
     finally:
-        await viewing.close()
+        await viewer_server.close()
         stop.set()
         await running

@@ -14,7 +14,7 @@ from nserver_emu.simulation.models import N150, N200, SCOUT
 from nserver_emu.simulation.noise import IDEAL, MEASURED, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
-from worlds.files import load_world
+from worlds.io import load_world
 from worlds.world import StartPose
 
 

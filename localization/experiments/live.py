@@ -1,0 +1,281 @@
+"""The matrix in words and files: a table for people, CSV and JSON for programs, a PNG for a page.
+
+Rules: says and draws what it is given. The rows of all are the same, COLUMNS says how each number is told.
+
+Paths in TUM's form, for evo and its like: a line a pose, "time x y z qx qy qz qw", seconds, metres, a quaternion.
+
+Rules: text and files only. A trial has three paths: `truth`, `odometry` (where the encoders say it is), `estimate`; of
+a method that looks back all three are of the instants it tells of.
+
+Results of live trials on disk, a JSON file a trial: what is there already is not driven again.
+
+A file is named by the trial (with its scenario, to the last number) and by the code (kept, fingerprint).
+Rules: names only; files are kept's.
+
+`python -m localization.experiments live`: methods side by side on live robots in simulation, as a table.
+
+Rules: words and files only; trials are matrix's, who runs them is crew's. With --json the rows are alone on stdout.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from localization.cli.options import make_folder
+from localization.experiments import live_trial as matrix
+from localization.experiments.execution import Kept, Tally, code_hash, progress
+from localization.experiments.live_trial import (
+    COMPARED,
+    COURSES,
+    MOST_PERIODS,
+    SCENARIOS,
+    Cell,
+    Done,
+    Job,
+    LiveSummary,
+    Record,
+    Trial,
+    TrialResult,
+    trials,
+)
+from localization.experiments.output import add_shared, executor_for, positive
+from localization.filters.belief import Floats
+from localization.filters.registry import METHODS
+from localization.live.plot import blank, require_matplotlib, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Matrix = Mapping[Cell, LiveSummary]
+Row = dict[str, float | str | None]
+
+RIGHT_NEES, RIGHT_COVERAGE = 3.0, 0.95
+
+
+class Column(NamedTuple):
+    """A number of the matrix: its key in a row, what it is called, how it is written, and how bad a value is (0: best),
+    for the colours."""
+
+    key: str
+    title: str
+    form: str
+    badness: Callable[[float], float] = float
+
+
+COLUMNS: Final = (
+    Column("rmse_position_in", "position RMSE (in)", ".3f"),
+    Column("rmse_heading_deg", "heading RMSE (deg)", ".2f"),
+    Column("nees_mean", "NEES (3 is right)", ".2f", lambda value: abs(math.log(max(value, 1e-9) / RIGHT_NEES))),
+    Column("coverage95", "in the 95 % ellipse", ".1%", lambda value: abs(value - RIGHT_COVERAGE)),
+    Column("jitter", "jitter / odometry's", ".2f"),
+    Column("step_us", "CPU time a step (us)", ".0f"),
+    Column("share_lost", "runs lost", ".0%"),
+    Column("share_reached", "runs that reach all", ".0%", lambda value: 1.0 - value),
+)
+
+
+def rows(matrix: Matrix) -> list[Row]:
+    """A row a cell: its names, then all numbers of its summary, and the shares of runs lost and reached."""
+    return [
+        {
+            **cell._asdict(),
+            "world": cell.world,
+            **{key: value for key, value in summary.items() if isinstance(value, int | float) or value is None},
+            "share_lost": summary["lost"] / summary["seeds"],
+            "share_reached": summary["reached"] / summary["seeds"],
+        }
+        for cell, summary in matrix.items()
+    ]
+
+
+def table(matrix: Matrix) -> str:
+    """For people."""
+    heads = ["scenario", "path", "method", "seeds", *(column.title for column in COLUMNS)]
+    body = [
+        [str(row[key]) for key in ("scenario", "figure", "method", "seeds")]
+        + [_written(row[column.key], column.form) for column in COLUMNS]
+        for row in rows(matrix)
+    ]
+    widths = [max(len(line[k]) for line in (heads, *body)) for k in range(len(heads))]
+    return "\n".join("  ".join(text.rjust(width) for text, width in zip(line, widths, strict=True)) for line in
+                     (heads, *body))
+
+
+def write(matrix: Matrix, folder: Path, *, picture: bool) -> list[Path]:
+    """Write live.csv, live.json and live.png into a folder; where they are."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [folder / "live.csv", folder / "live.json"]
+    found = rows(matrix)
+    with written[0].open("w", encoding="utf-8", newline="") as file:
+        sheet = csv.DictWriter(file, list(found[0]))
+        sheet.writeheader()
+        sheet.writerows(found)
+    written[1].write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if picture:
+        written.append(folder / "live.png")
+        _draw(matrix, written[-1])
+    return written
+
+
+def _draw(matrix: Matrix, path: Path) -> None:
+    """A panel a number: methods down, scenarios and paths across, the better the lighter."""
+    found = dict(zip(matrix, rows(matrix), strict=True))
+    across = list(dict.fromkeys((cell.scenario, cell.figure) for cell in found))
+    down = list(dict.fromkeys(cell.method for cell in found))
+    wide = max(2.4, 0.62 * len(across) + 1.2)
+    picture = blank(4 * wide, 2 * (0.42 * len(down) + 1.5))
+    panels = picture.subplots(2, 4, squeeze=False).ravel()
+    for number, (axes, column) in enumerate(zip(panels, COLUMNS, strict=True)):
+        grid = [
+            [_number(found.get(Cell(scenario, figure, method), {}).get(column.key)) for scenario, figure in across]
+            for method in down
+        ]
+        _panel(axes, column, np.array(grid))
+        axes.set_xticks(range(len(across)), [f"{scenario}\n{figure}" for scenario, figure in across], fontsize=7)
+        axes.set_yticks(range(len(down)), down if number % 4 == 0 else [""] * len(down))
+    runs = next(iter(matrix.values()))["seeds"]
+    picture.suptitle(f"Live localization, {runs} seeds a cell: methods, noise, paths")
+    save(picture, path)
+
+
+def _panel(axes: Axes, column: Column, grid: np.typing.NDArray[np.float64]) -> None:
+    bad = np.array([[column.badness(value) for value in line] for line in grid])
+    worst = max(float(np.nanmax(bad, initial=0.0)), 1e-9)
+    axes.imshow(bad, cmap="OrRd", vmin=0.0, vmax=2.0 * worst, aspect="auto")
+    for (line, place), value in np.ndenumerate(grid):
+        axes.text(place, line, _written(float(value), column.form), ha="center", va="center", fontsize=7)
+    axes.set_title(column.title, fontsize=9)
+    axes.tick_params(length=0)
+
+
+def _number(value: float | str | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _written(value: float | str | None, form: str) -> str:
+    return "-" if value is None or math.isnan(float(value)) else format(float(value), form)
+
+
+METRES_PER_INCH: Final = 0.0254
+
+
+def lines(clock_s: Floats, poses: Floats) -> str:
+    """Poses (T, 3) in inches and radians at instants (T,) as text."""
+    x, y = (METRES_PER_INCH * poses[:, :2]).T
+    half = 0.5 * poses[:, 2]
+    rows = zip(clock_s, x, y, np.sin(half), np.cos(half), strict=True)
+    return "".join(f"{t:.6f} {east:.9f} {north:.9f} 0 0 0 {qz:.12f} {qw:.12f}\n" for t, east, north, qz, qw in rows)
+
+
+def paths(folder: Path, trial: Trial) -> dict[str, Path]:
+    """Where the paths of a trial are written: truth, odometry, estimate."""
+    stem = f"{'_'.join(trial.cell)}_{trial.seed:04d}"
+    return {name: folder / f"{stem}_{name}.tum" for name in ("truth", "odometry", "estimate")}
+
+
+def write_tum(folder: Path, trial: Trial, record: Record) -> None:
+    """Write the paths of a trial, and the folder they stand in."""
+    folder.mkdir(parents=True, exist_ok=True)
+    poses = {"truth": record.truth, "odometry": record.encoders, "estimate": record.mean}
+    for name, path in paths(folder, trial).items():
+        path.write_text(lines(record.clock_s, poses[name]), encoding="utf-8")
+
+
+class Store:
+    """A folder of results of trials run by code of that fingerprint."""
+
+    def __init__(self, folder: Path, code: str) -> None:
+        self._kept = Kept(folder, code)
+
+    def path(self, trial: Trial) -> Path:
+        """Where the result of a trial is kept."""
+        decided_by = (trial.figure, trial.seed, trial.periods, asdict(trial.scenario))
+        return self._kept.path(f"{'_'.join(trial.cell)}_{trial.seed:04d}", decided_by)
+
+    def get(self, trial: Trial) -> TrialResult | None:
+        """The result that is kept, None where there is none."""
+        found = self._kept.get(self.path(trial))
+        return None if found is None else TrialResult(**found)
+
+    def put(self, trial: Trial, result: TrialResult) -> None:
+        """Keep a result."""
+        self._kept.put(self.path(trial), asdict(result))
+
+
+Executor = Callable[[Sequence[Job]], Iterator[Done]]
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the command. Raises what the crew and the files raise."""
+    options = _parser().parse_args(arguments)
+    if options.pictures:
+        require_matplotlib()
+    make_folder(options.out)
+    wanted = trials(options.scenario, options.figures, options.methods, options.seeds, options.periods)
+    store = Store(options.out / "trials", code_hash())
+    with progress(len(wanted), "live", "trials") as tally:
+        results = collect(wanted, store, options.tum, executor_for(matrix.run, options), tally)
+    found = matrix.summaries(results)
+    written = write(found, options.out, picture=options.pictures)
+    print(json.dumps(rows(found)) if options.json else table(found), flush=True)
+    print(f"written: {', '.join(map(str, written))}", file=sys.stderr if options.json else sys.stdout, flush=True)
+
+
+def collect(
+    wanted: Sequence[Trial], store: Store, paths: Path | None, work: Executor, tally: Tally
+) -> dict[Trial, TrialResult]:
+    """The results of all trials in their order: from the store, and what is not there by work, kept as it is done.
+
+    `paths`: a folder for the paths of all of them; a trial whose paths are not there, or older, is driven again.
+    """
+    results = {trial: store.get(trial) for trial in wanted}
+    jobs = [
+        Job(trial, paths is not None)
+        for trial, result in results.items()
+        if result is None or (paths and not _drawn(paths, trial, store))
+    ]
+    tally(done := len(wanted) - len(jobs))
+    for trial, result, record in work(jobs):
+        store.put(trial, result)
+        if paths and record:
+            write_tum(paths, trial, record)
+        results[trial] = result
+        tally(done := done + 1)
+    return {trial: result for trial, result in results.items() if result}
+
+
+def _drawn(folder: Path, trial: Trial, store: Store) -> bool:
+    """Whether the paths of a trial are written, no earlier than its result."""
+    since = store.path(trial).stat().st_mtime_ns
+    return all(path.exists() and path.stat().st_mtime_ns >= since for path in paths(folder, trial).values())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m localization.experiments live",
+        description="Drive simulated robots over the same interface as real ones, on the estimates of each method, and "
+        "say how good they are: RMSE, consistency, jitter, time, runs lost. Trials that are on disk are not driven "
+        "again. `smoother` looks back: its numbers are of where the robot was some 2 s before.",
+        epilog="example: python -m localization.experiments live --scenario exact --methods ekf ukf --seeds 10",
+    )
+    parser.add_argument("--scenario", nargs="+", choices=list(SCENARIOS), default=list(SCENARIOS), metavar="NAME",
+                        help=f"what errs and how: {', '.join(SCENARIOS)} (all)")
+    parser.add_argument("--figures", nargs="+", choices=list(COURSES), default=list(COURSES), metavar="FIGURE",
+                        help=f"whose path: {', '.join(COURSES)} (all)")
+    parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(COMPARED), metavar="METHOD",
+                        help=f"of {', '.join(METHODS)} (default {' '.join(COMPARED)})")
+    parser.add_argument("--periods", type=positive, default=MOST_PERIODS, metavar="N",
+                        help="give a trial up after so many tenths of a second (%(default)s)")
+    parser.add_argument("--tum", type=Path, metavar="DIR", help="write the paths of all trials there, for evo")
+    add_shared(parser, Path("out/experiments"), "row of the table")
+    return parser

@@ -1,0 +1,398 @@
+"""Addresses such as `nserver://lab:7019/1?timeout_s=2`: parsed and validated, nothing is opened.
+
+    nserver://lab:7019/1?timeout_s=2      scheme nserver, host lab, port 7019, robot 1
+    serial:///dev/ttyUSB0?model=n150      scheme serial, path /dev/ttyUSB0
+    sim:thesis_room?seed=1                scheme sim: the rest is read by the opener of that scheme
+
+`SCHEMES` and `OPTIONS` are the only lists of what an address may contain; docs/addresses.md shows them to users.
+`nclient.connect` turns an `Address` into a connection.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
+
+from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
+from nclient.backends.wrappers import DEFAULT_RETRIES, LONGEST_PAUSE_S
+from nclient.common.hints import suggest
+from nclient.errors import AddressError, NomadError
+from nclient.faults.plan import Plan, load_plan
+from nclient.protocol.types import N150, Model, get_model
+from nclient.recording.recorder import HANDSHAKE_FIRST, SERIAL, TCP
+from nclient.recording.replayer import ORDERS
+from nclient.transports import memory
+
+Parser = Callable[[str], Any]
+
+DEFAULT_PORT: Final = 7019
+DEFAULT_LINE_PORT: Final = 65001
+MAX_ROBOT_ID: Final = 0x7FFFFFFF
+"""connect_robot carries the number as a signed 32-bit word."""
+EXAMPLES: Final = "such as nserver://localhost:7019/1 or sim:thesis_room"
+
+
+# -- values of options ------------------------------------------------------------------------------------------------
+# A parser returns the value of an option's text, or raises ValueError with a description of what it accepts.
+
+
+def seconds(text: str) -> float:
+    """Return a duration above 0 in seconds."""
+    return _number(text, "a number of seconds above 0", lambda value: value > 0)
+
+
+def seconds_or_zero(text: str) -> float:
+    """Return a duration in seconds, where 0 switches something off."""
+    return _number(text, "a number of seconds, 0 for none", lambda value: value >= 0)
+
+
+def speed(text: str) -> float:
+    """Return a speed limit above 0 (inches or degrees per second)."""
+    return _number(text, "a number above 0", lambda value: value > 0)
+
+
+def count(text: str) -> int:
+    """Return a whole number, 0 or more."""
+    if not (text.isascii() and text.isdecimal()):
+        raise ValueError("a whole number, 0 or more")
+    return int(text)
+
+
+def baud(text: str) -> int:
+    """Return the speed of a serial port in bits per second."""
+    if not count(text):
+        raise ValueError("a number of bits a second")
+    return int(text)
+
+
+def motion_timeout(text: str) -> int:
+    """Return whole seconds as conf_tm takes them: 0, or 2 to 255.
+
+    One second is excluded: the robot counts whole seconds, so the timeout could expire between two keep-alives.
+    """
+    if not (text.isascii() and text.isdecimal()) or int(text) not in (0, *range(2, 256)):
+        raise ValueError("whole seconds, 2 to 255, or 0 for none")
+    return int(text)
+
+
+def flag(text: str) -> bool:
+    """Return True for "1" and False for "0"."""
+    if text not in ("1", "0"):
+        raise ValueError("1 or 0")
+    return text == "1"
+
+
+def one_of(names: Iterable[str]) -> Parser:
+    """Return a parser that accepts only these words."""
+    allowed = tuple(names)
+
+    def parse(text: str) -> str:
+        if text not in allowed:
+            raise ValueError(f"one of {', '.join(allowed)}")
+        return text
+
+    return parse
+
+
+def file_name(text: str) -> str:
+    """Return the name of a file, which must not be empty."""
+    if not text:
+        raise ValueError("the name of a file")
+    return text
+
+
+def fault_plan(text: str) -> Plan:
+    """Return the fault plan of a file. Raises FaultPlanError if it is not valid."""
+    return load_plan(Path(file_name(text)))
+
+
+def _number(text: str, description: str, is_valid: Callable[[float], bool]) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and is_valid(value)):
+        raise ValueError(description)
+    return value
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+class Scheme(NamedTuple):
+    """Describe a scheme of this package. Other schemes are entry points of the group `nomad.openers`."""
+
+    form: str
+    """Shown in errors."""
+    wire: str
+    """The protocol on the stream, as recordings name it: tcp, serial or hello."""
+    in_process: bool = False
+    """True if the peer runs in this process and its time is simulated."""
+
+
+SCHEMES: Final[dict[str, Scheme]] = {
+    "nserver": Scheme(f"nserver://host[:port]/id, {EXAMPLES}", TCP),
+    "serial": Scheme("serial:///dev/ttyUSB0?model=n150&baud=38400", SERIAL),
+    "robotd": Scheme("robotd://host[:port]?model=n200", HANDSHAKE_FIRST),
+    "replay": Scheme("replay:FILE", TCP, in_process=True),
+}
+
+_REPLAY: Final = frozenset({"replay"})
+_SERIAL_PORT: Final = frozenset({"serial"})
+_SERIAL_PROTOCOL: Final = frozenset({"serial", "robotd"})
+_REMOTE: Final = _SERIAL_PROTOCOL | {"nserver"}
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """Describe an option of addresses: its type, the schemes that have it, and its default."""
+
+    name: str
+    parse: Parser
+    schemes: frozenset[str] | None = None
+    """None: every scheme."""
+    default: Any = None
+    default_for: frozenset[str] = frozenset()
+    """The schemes in which the default applies; elsewhere the option is off unless given."""
+
+    def applies_to(self, scheme: str) -> bool:
+        """Return True if addresses of this scheme have the option."""
+        return self.schemes is None or scheme in self.schemes
+
+
+OPTIONS: Final[tuple[Option, ...]] = (
+    Option("timeout_s", seconds, _REMOTE),
+    Option("model", get_model, _REMOTE),
+    Option("baud", baud, _SERIAL_PORT),
+    Option("checks", flag, _SERIAL_PROTOCOL),
+    Option("order", one_of(ORDERS), _REPLAY),
+    Option("connection", file_name, _REPLAY),
+    Option("record", file_name),
+    Option("faults", fault_plan),
+    Option("reconnect", seconds_or_zero, _REMOTE, LONGEST_PAUSE_S, _SERIAL_PROTOCOL),
+    Option("retries", count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL),
+    Option("bumper_stop", flag),
+    # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
+    Option("feed", flag, None, True, _REMOTE),
+    Option("tm_s", motion_timeout, None, DEFAULT_TIMEOUT_S, _REMOTE),
+    Option("max_turn_deg_s", speed),
+    Option("max_speed_in_s", speed),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AddressOptions:
+    """Hold the values of `OPTIONS`; None where an option is neither given nor has a default."""
+
+    timeout_s: float | None = None
+    model: Model | None = None
+    baud: int | None = None
+    checks: bool | None = None
+    order: str | None = None
+    connection: str | None = None
+    record: str | None = None
+    faults: Plan | None = None
+    reconnect: float | None = None
+    retries: int | None = None
+    bumper_stop: bool | None = None
+    feed: bool | None = None
+    tm_s: int | None = None
+    max_turn_deg_s: float | None = None
+    max_speed_in_s: float | None = None
+
+
+# -- parsing ----------------------------------------------------------------------------------------------------------
+
+
+class RawAddress(NamedTuple):
+    """Hold the text of an address, its scheme, and its options as text."""
+
+    text: str
+    scheme: str
+    options: Mapping[str, str]
+
+    def url_parts(self, form: str) -> SplitResult:
+        """Return host, port and path.
+
+        Raises
+        ------
+        AddressError
+            If there are no two slashes after the scheme, or the port is not a number; `form` shows what is expected.
+        """
+        if not self.text.partition(":")[2].startswith("//"):
+            raise AddressError(f"{self.text!r}: such an address is {form}")
+        try:
+            parts = urlsplit(self.text)
+            _ = parts.port  # raises ValueError if it is not a port number
+        except ValueError as error:
+            raise AddressError(f"{self.text!r}: {error}; an address is {form}") from None
+        return parts
+
+    def without(self, names: Iterable[str]) -> str:
+        """Return the text without these options and with everything else unchanged."""
+        path, question, query = self.text.partition("?")
+        left = [piece for piece in query.split("&") if unquote_plus(piece.partition("=")[0]) not in names]
+        return path + question + "&".join(left) if any(left) or not query else path
+
+    def parse_options(self, parsers: Mapping[str, Parser], *, ignore_unknown: bool = False) -> dict[str, Any]:
+        """Return the values of the options that are given.
+
+        Raises
+        ------
+        AddressError
+            For an option without parser (unless `ignore_unknown`), with the most similar name, and for a value that
+            its parser rejects, with what is accepted.
+        """
+        values = {}
+        for name, text in self.options.items():
+            if name in parsers:
+                values[name] = self._value(name, text, parsers[name])
+            elif not ignore_unknown:
+                raise AddressError(f"{self.text!r}: no option {name!r}{suggest(name, parsers)} "
+                                   f"There are {', '.join(parsers)}.")
+        return values
+
+    def _value(self, name: str, text: str, parse: Parser) -> Any:
+        try:
+            return parse(text)
+        except NomadError:
+            raise
+        except ValueError as error:
+            raise AddressError(f"{self.text!r}: {name} is {error}, not {text!r}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Hold a validated address. Whether its peer exists shows only when `nclient.connect` opens it."""
+
+    text: str
+    scheme: str
+    wire: str
+    """The protocol on the stream, as recordings name it. A replayed recording decides by itself."""
+    in_process: bool
+    """True if the peer runs in this process and its time is simulated."""
+    options: AddressOptions
+    given: frozenset[str]
+    """Names of the options in the text, as opposed to defaults."""
+    host: str = ""
+    port: int = 0
+    robot_id: int | None = None
+    path: str = ""
+    """Device of a serial: address, file of a replay: address."""
+    stripped_text: str = field(default="", repr=False)
+    """The text without the options that every scheme has: what an in-process peer gets and recordings name."""
+
+    @property
+    def model(self) -> Model:
+        """Return the robot's model, an N150 unless the address names one."""
+        return self.options.model or N150
+
+
+def split_address(text: str) -> RawAddress:
+    """Split a text into scheme and options; the scheme is "" if there is none.
+
+    Raises
+    ------
+    AddressError
+        If an option is given twice.
+    """
+    scheme, colon, rest = text.strip().partition(":")
+    query = rest.partition("#")[0].partition("?")[2]
+    options = parse_qsl(query, keep_blank_values=True)
+    for name, times in Counter(name for name, _ in options).items():
+        if times > 1:
+            raise AddressError(f"{text.strip()!r}: {name} is given {times} times; expected once")
+    return RawAddress(text.strip(), scheme.lower() if colon else "", dict(options))
+
+
+def parse_address(text: str) -> Address:
+    """Parse and validate an address.
+
+    Parameters
+    ----------
+    text
+        `scheme:place?option=value&option=value`, see docs/addresses.md.
+
+    Raises
+    ------
+    AddressError
+        If the text is not a valid address; the message shows the form, the valid names and the most similar one.
+    FaultPlanError
+        If the file of `faults=` is not a valid fault plan.
+    """
+    raw = split_address(text)
+    # 1. Scheme: one of this package, or one that an installed entry point opens in this process.
+    scheme = SCHEMES.get(raw.scheme)
+    if scheme is None:
+        if raw.scheme not in memory.schemes():
+            raise _unknown_scheme(raw)
+        wire = SERIAL if raw.options.get("line") == "1" else TCP
+        scheme = Scheme("scheme:what", wire, in_process=True)
+    is_foreign = raw.scheme not in SCHEMES
+
+    # 2. Options: defaults of the scheme, then what is given. An in-process peer checks its own options.
+    options = [option for option in OPTIONS if option.applies_to(raw.scheme)]
+    values = {option.name: option.default for option in options if raw.scheme in option.default_for}
+    values |= raw.parse_options({option.name: option.parse for option in options}, ignore_unknown=is_foreign)
+    if is_foreign:
+        values["model"] = get_model(raw.options.get("robot", N150.name))
+
+    # 3. Place: host and port, device, or file.
+    place = {} if is_foreign else _parse_place(raw, scheme)
+    stripped = raw.without([option.name for option in OPTIONS if option.schemes is None])
+    return Address(
+        raw.text, raw.scheme, scheme.wire, scheme.in_process, AddressOptions(**values), frozenset(raw.options),
+        stripped_text=stripped, **place,
+    )  # fmt: skip
+
+
+def known_schemes() -> tuple[str, ...]:
+    """Return all address schemes, sorted."""
+    return tuple(sorted({*SCHEMES, *memory.schemes()}))
+
+
+def _unknown_scheme(raw: RawAddress) -> AddressError:
+    schemes = known_schemes()
+    name = raw.scheme or raw.text.partition("/")[0].lower()
+    hint = suggest(name, schemes, before="", after=":? ")
+    return AddressError(
+        f"{raw.text!r} is no address: {hint}There are {', '.join(f'{each}:' for each in schemes)} {EXAMPLES}"
+    )
+
+
+def _parse_place(raw: RawAddress, scheme: Scheme) -> dict[str, Any]:
+    """Return the fields of `Address` that lie between the scheme and the options."""
+    if raw.scheme == "replay":
+        path = unquote(raw.text.partition(":")[2].partition("?")[0])
+        if not path:
+            raise AddressError(f"{raw.text!r}: the name of a recording follows: {scheme.form}")
+        return {"path": path}
+
+    parts = raw.url_parts(scheme.form)
+    match raw.scheme:
+        case "nserver":
+            number = parts.path.strip("/")
+            is_number = number.isascii() and number.isdecimal() and len(number) <= 10  # int() of more may raise
+            is_number = is_number and 1 <= int(number) <= MAX_ROBOT_ID
+            if (number and not is_number) or parts.fragment:
+                raise AddressError(
+                    f"{raw.text!r}: what follows the host is the robot's number, 1 or more, not {parts.path!r}"
+                )
+            return {
+                "host": parts.hostname or "localhost",
+                "port": DEFAULT_PORT if parts.port is None else parts.port,
+                "robot_id": int(number) if number else None,
+            }
+        case "serial":
+            if parts.netloc or not parts.path.strip("/") or parts.fragment:
+                raise AddressError(f"{raw.text!r}: three slashes and a port follow: {scheme.form}")
+            return {"path": unquote(parts.path)}
+        case _:
+            if parts.path.strip("/") or not parts.hostname or parts.fragment:
+                raise AddressError(f"{raw.text!r}: a host and its port follow: {scheme.form}")
+            return {"host": parts.hostname, "port": DEFAULT_LINE_PORT if parts.port is None else parts.port}
