@@ -149,5 +149,5 @@ def make_room(connections: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (may, hard))
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft < wanted:
-        log.warning("this process may have %d files open, and --limit-connections and --limit-viewers allow %d: raise the "
-                    "limit (ulimit -n, LimitNOFILE=) or lower the options", soft, connections)  # fmt: skip
+        log.warning("this process may have %d files open, and --limit-connections and --limit-viewers allow %d: raise "
+                    "the limit (ulimit -n, LimitNOFILE=) or lower the options", soft, connections)  # fmt: skip
