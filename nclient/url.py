@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 from urllib.parse import SplitResult, parse_qsl, unquote, unquote_plus, urlsplit
 
 from nclient.backends.keep_alive import DEFAULT_TIMEOUT_S
-from nclient.backends.wrappers import DEFAULT_RETRIES, LONGEST_PAUSE_S
+from nclient.backends.wrappers import DEFAULT_RETRIES, MAX_PAUSE_S
 from nclient.common.hints import suggest
 from nclient.errors import AddressError, NomadError
 from nclient.faults.plan import Plan, load_plan
@@ -174,7 +174,7 @@ OPTIONS: Final[tuple[Option, ...]] = (
     Option("connection", file_name, _REPLAY),
     Option("record", file_name),
     Option("faults", fault_plan),
-    Option("reconnect", seconds_or_zero, _REMOTE, LONGEST_PAUSE_S, _SERIAL_PROTOCOL),
+    Option("reconnect", seconds_or_zero, _REMOTE, MAX_PAUSE_S, _SERIAL_PROTOCOL),
     Option("retries", count, _SERIAL_PROTOCOL, DEFAULT_RETRIES, _SERIAL_PROTOCOL),
     Option("bumper_stop", flag),
     # Where time runs by itself, a robot has to stop when its program dies; a simulation waits for its client instead.
@@ -351,13 +351,13 @@ def parse_address(text: str) -> Address:
     )  # fmt: skip
 
 
-def known_schemes() -> tuple[str, ...]:
+def available_schemes() -> tuple[str, ...]:
     """Return all address schemes, sorted."""
     return tuple(sorted({*SCHEMES, *memory.schemes()}))
 
 
 def _unknown_scheme(raw: RawAddress) -> AddressError:
-    schemes = known_schemes()
+    schemes = available_schemes()
     name = raw.scheme or raw.text.partition("/")[0].lower()
     hint = suggest(name, schemes, before="", after=":? ")
     return AddressError(

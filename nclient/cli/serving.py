@@ -17,10 +17,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from nclient.cli.idle import NONE, SILENT_S, IdleTimer
 from nclient.common import allowlist
 from nclient.common.arguments import seconds
-from nclient.common.idle import NONE, SILENT_S, IdleTimer
-from nclient.transports.listener import Door, TcpDoor, TerminalDoor
+from nclient.transports.listener import Listener, PtyListener, TcpListener
 from nclient.transports.stream import ByteStream
 
 LOOPBACK = "127.0.0.1"
@@ -42,12 +42,12 @@ def add_door(parser: argparse.ArgumentParser) -> None:
 
 
 @contextlib.contextmanager
-def open_door(options: argparse.Namespace, name: str, may: str = allowlist.DRIVES) -> Iterator[Door]:
+def open_door(options: argparse.Namespace, name: str, may: str = allowlist.DRIVES) -> Iterator[Listener]:
     """The door that the options ask for, announced; SIGTERM and SIGHUP close it as Ctrl-C does.
 
     `may`: what those who come in may do, for the warning where it is open to the network.
     """
-    door: Door = _port_door(options, may) if options.link is None else TerminalDoor(options.link)
+    door: Listener = _port_door(options, may) if options.link is None else PtyListener(options.link)
     try:
         with _ended_by_signals():
             print(f"listening {name} {door.name}", flush=True)
@@ -68,7 +68,7 @@ def _ended_by_signals() -> Iterator[None]:
             signal.signal(getattr(signal, name), handler)
 
 
-def _port_door(options: argparse.Namespace, may: str) -> TcpDoor:
+def _port_door(options: argparse.Namespace, may: str) -> TcpListener:
     rule = allowlist.allowlist_from_options(options)
     told: set[str] = set()
 
@@ -77,7 +77,7 @@ def _port_door(options: argparse.Namespace, may: str) -> TcpDoor:
             told.add(reason)
             tell(f"{host}: turned away: {reason} (of further ones nothing is said)")
 
-    door = TcpDoor(options.bind, options.listen,
+    door = TcpListener(options.bind, options.listen,
                    lambda host, at: "" if rule.allows(host, at) else allowlist.NOT_ALLOWED, turned_away)
     if open_to := allowlist.warning(options.bind, rule, may):
         tell(open_to)
@@ -107,12 +107,12 @@ class Turn:
         return True
 
 
-def visitors(door: Door, options: argparse.Namespace, talk: Callable[[ByteStream, Turn], None]) -> None:
+def visitors(door: Listener, options: argparse.Namespace, talk: Callable[[ByteStream, Turn], None]) -> None:
     """Talk with one after the other, for ever or (--once) until one leaves by himself."""
     while True:
-        peer = door.peer()
+        peer = door.accept()
         try:
-            talk(peer, turn := Turn(options.limit_silent, door.wanted))
+            talk(peer, turn := Turn(options.limit_silent, door.has_pending_request))
         finally:
             peer.close()
         if options.once and not turn.made_room:

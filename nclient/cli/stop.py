@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from nclient.backends.base import Backend
-from nclient.backends.direct import QUICK_S, say_stop
+from nclient.backends.direct import QUICK_S, send_emergency_stop
 from nclient.cli.serving import tell
 from nclient.common.arguments import seconds
 from nclient.common.exit_codes import ExitCode
@@ -88,7 +88,7 @@ class StopFirst:
         """A conversation with a robot that has answered st. Raises as say_stop and `talks`."""
         stream = self._opens()
         try:
-            self.answers.append(say_stop(stream, self._patience_s, self._clock, self._tell).data)
+            self.answers.append(send_emergency_stop(stream, self._patience_s, self._clock, self._tell).data)
             return self._talks(stream)
         except BaseException:
             stream.close()

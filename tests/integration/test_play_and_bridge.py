@@ -200,7 +200,7 @@ def test_bridge_without_clients_and_without_server() -> None:
             host, _, port = near.rpartition(":")
             with socket.create_connection((host, int(port))):
                 pass
-            assert "has left" in process.err()
+            assert "has disconnected" in process.err()
             far.close()
             with socket.create_connection((host, int(port))) as client:
                 client.settimeout(10)

@@ -12,8 +12,8 @@ from types import ModuleType
 import pytest
 
 from nclient.cli import bridge, play
+from nclient.cli.idle import SILENT_S
 from nclient.cli.serving import LOOK_S, Turn, open_door, visitors
-from nclient.common.idle import SILENT_S
 from nclient.transports.stream import ByteStream, Deadline
 
 both = pytest.mark.parametrize("command", [bridge, play], ids=["bridge", "play"])
@@ -62,7 +62,7 @@ def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
                 ends = Deadline.after(10)
                 outsider.settimeout(0.01)
                 while True:
-                    assert not door.wanted()
+                    assert not door.has_pending_request()
                     assert ends.remaining()
                     try:
                         assert outsider.recv(1) == b""
@@ -74,7 +74,7 @@ def test_who_is_not_let_in_is_closed_at_once_and_told_of_once(
 
 def test_a_pseudo_terminal_is_wanted_by_nobody_else(tmp_path: Path) -> None:
     with open_door(options("--link", str(tmp_path / "robot")), "bridge") as door:
-        assert not door.wanted()
+        assert not door.has_pending_request()
 
 
 class Newcomer:

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from docs.generate.commands import examples
-from nclient.backends.wrappers import Capped
+from nclient.backends.wrappers import SpeedLimiter
 from nclient.connect import open_backend
 from nclient.errors import AddressError, BumperHit, ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol import codec
@@ -179,7 +179,7 @@ def test_every_client_may_stop_a_read_only_robot() -> None:
 def test_the_speed_limit_applies_to_robot_and_shadow() -> None:
     line = line_of(emulated())
     harness = GatewayHarness(
-        lambda: line, shadow=True, wrap=lambda backend: Capped(backend, max_speed_in_s=4, max_turn_deg_s=9)
+        lambda: line, shadow=True, wrap=lambda backend: SpeedLimiter(backend, max_speed_in_s=4, max_turn_deg_s=9)
     )
     client = harness.client()
     assert client.ask("vm", 100, -200, 50).slots[38] == 40

@@ -1,4 +1,4 @@
-"""Deadlines count down on the clock they are given, and never below nothing."""
+"""Deadlines count down on their clock, and never below 0."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from nclient.transports.stream import Deadline
 
 
-def test_a_deadline_counts_down_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_deadline_counts_down_to_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     deadline = Deadline.after(2.5)
@@ -18,7 +18,7 @@ def test_a_deadline_counts_down_to_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     assert deadline.remaining() == 0.0
 
 
-def test_a_deadline_of_another_clock() -> None:
+def test_a_deadline_can_use_another_clock() -> None:
     now = [5.0]
     deadline = Deadline.after(1.5, lambda: now[0])
     assert deadline.remaining() == 1.5
