@@ -110,7 +110,7 @@ def test_lasers_are_measured_only_for_watched_robots(monkeypatch: pytest.MonkeyP
     emulator = Emulator(config.simulation())
     broadcaster = Broadcaster(SceneHistory(emulator))
     looked: list[SimulatedRobot] = []
-    honest = SimulatedRobot.look_with_laser
+    honest = SimulatedRobot.scan_laser
 
     def look(robot: SimulatedRobot) -> Any:
         looked.append(robot)
@@ -122,7 +122,7 @@ def test_lasers_are_measured_only_for_watched_robots(monkeypatch: pytest.MonkeyP
             broadcaster.take()
         return {number for number, robot in emulator.simulation.robots.items() if robot in looked}
 
-    monkeypatch.setattr(SimulatedRobot, "look_with_laser", look)
+    monkeypatch.setattr(SimulatedRobot, "scan_laser", look)
     first, second = broadcaster.join(may_act=False), broadcaster.join(may_act=False)
     assert seen() == set()
     first.laser, first.laser_robot = True, 2

@@ -54,7 +54,7 @@ async def test_a_failing_picture_stops_nothing_else(
             await page.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
             assert (await page.answer(1))["ok"]
             async with asyncio.timeout(5):
-                while not robot.still((0,)):
+                while not robot.is_still((0,)):
                     await asyncio.sleep(0.01)
             await other.send_message(do="call", id=2, robot=1, call="st", args=[])
             assert (await other.answer(2))["ok"]
@@ -82,7 +82,7 @@ async def test_a_failing_stop_closes_the_connection_instead(
         await page.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
         await page.answer(1)
         async with asyncio.timeout(5):
-            while not robot.still((0,)):
+            while not robot.is_still((0,)):
                 await asyncio.sleep(0.01)
         assert here.viewer_server.controller.error_boundary.counts == {("stopping a robot", Trouble): 1}
         for _ in range(3):

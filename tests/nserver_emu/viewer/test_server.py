@@ -160,7 +160,7 @@ async def test_driving_stops_without_repeated_messages() -> None:
         await page.send_message(do="drive", id=1, robot=1, args=[50, 0, 0])
         await page.answer(1)
         began = clock()
-        await page.until(lambda _: robot.still((0,)))
+        await page.until(lambda _: robot.is_still((0,)))
         assert DRIVE_TIMEOUT_S * 0.9 <= clock() - began < DRIVE_TIMEOUT_S + 1.0
         await page.send_message(do="drive", id=2, robot=1, args=[0, 0, 0])
         assert (await page.answer(2))["ok"]

@@ -83,7 +83,7 @@ async def test_a_page_cannot_move_a_held_robot() -> None:
         await other.answer(1)
         await page.send_message(do="stop", id=1, robot=1)
         await page.answer(1)
-        assert robot.still((0, 1, 2))
+        assert robot.is_still((0, 1, 2))
         for who in (page, other):
             await who.send_message(do="drive", id=2, robot=1, args=[50, 0, 0])
             answer = await who.answer(2)
@@ -97,7 +97,7 @@ async def test_a_page_cannot_move_a_held_robot() -> None:
                 assert (await who.answer(number))["ok"]
             await who.send_message(do="drive", id=8, robot=1, args=[0, 0, 0])
             assert (await who.answer(8))["ok"]
-        assert robot.still((0, 1, 2))
+        assert robot.is_still((0, 1, 2))
 
 
 async def test_stop_applies_to_one_robot_or_to_all() -> None:

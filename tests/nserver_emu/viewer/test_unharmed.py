@@ -34,10 +34,10 @@ async def test_no_plan_of_faults_touches_what_is_done_at_the_page(plan: str) -> 
         for number in range(3, 15):
             await page.send_message(do="drive", id=number, robot=1, args=[50, 0, 0])
             assert (await page.answer(number))["values"] == []
-        assert not robot.still((0,))
+        assert not robot.is_still((0,))
         await page.send_message(do="call", id=20, robot=1, call="st", args=[])
         assert (await page.answer(20))["ok"]
-        assert robot.still((0,))
+        assert robot.is_still((0,))
         async with here.page() as later:
             await later.send_message(do="call", id=1, robot=1, call="place_robot", args=[300, 200, 0, 0])
             assert (await later.answer(1))["ok"]
