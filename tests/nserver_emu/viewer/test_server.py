@@ -121,7 +121,7 @@ async def test_a_watcher_may_do_nothing_else() -> None:
         assert (hello["may_act"], hello["watch_token"]) == (False, None)
         await page.send_message(do="call", id=4, robot=1, call="vm", args=[100, 0, 0])
         assert "only looks" in (await page.answer(4))["error"]
-        assert here.daemon.emulator.simulation.robots[1].still((0, 1, 2))
+        assert here.daemon.emulator.simulation.robots[1].is_still((0, 1, 2))
         assert not here.daemon.emulator.pose_requests.open
         await page.socket.send_str("nonsense")
         assert "JSON" in (await page.until(lambda message: message["type"] == "answer"))["error"]
@@ -147,9 +147,9 @@ async def test_a_call_of_a_page_acts_as_a_clients() -> None:
         assert "vm" in (await page.answer(4))["error"]
         await page.send_message(do="call", id=5, robot=1, call="vm", args=[50, 0, 0])
         assert (await page.answer(5))["ok"]
-        assert not robots[1].still((0,))
+        assert not robots[1].is_still((0,))
     async with asyncio.timeout(5):
-        while not robots[1].still((0,)):
+        while not robots[1].is_still((0,)):
             await asyncio.sleep(0.01)
 
 

@@ -107,11 +107,11 @@ async def test_stop_applies_to_one_robot_or_to_all() -> None:
         await page.send_message(do="stop", id=1, robot=1)
         assert list((await page.answer(1))["held"]) == ["1"]
         async with asyncio.timeout(5):
-            while emulator.simulation.robots[2].still((0,)):
+            while emulator.simulation.robots[2].is_still((0,)):
                 await asyncio.sleep(0.01)
         await page.send_message(do="stop", id=2)
         assert list((await page.answer(2))["held"]) == ["1", "2"]
-        assert emulator.simulation.robots[2].still((0,))
+        assert emulator.simulation.robots[2].is_still((0,))
         await page.send_message(do="release", id=3)
         assert (await page.answer(3))["held"] == {}
         await page.send_message(do="stop", id=4, robot=7)
