@@ -178,7 +178,7 @@ def _frames(kind: int, parts: list[bytes]) -> list[object]:
     if kind == 0:
         line = SerialFramer(HOST_LIMIT)
         return [*(frame for part in parts for frame in line.receive(part)), *line.expire()]
-    tcp = TcpFramer((request_bounds, reply_bounds)[kind - 1], gives_up=kind == 1)
+    tcp = TcpFramer((request_bounds, reply_bounds)[kind - 1], drop_after_loss=kind == 1)
     return [frame for part in parts for frame in tcp.receive(part)]
 
 

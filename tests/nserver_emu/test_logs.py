@@ -59,7 +59,7 @@ def test_levels(words: list[str], level: int) -> None:
 
 def test_an_object_holds_what_is_said_and_what_kind_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.begin(options("--log-format", "json"))
+    logs.configure(options("--log-format", "json"))
     logging.getLogger("room").info("not said")
     logging.getLogger("room").warning("%s: refused:\n%s", "lab", "pr", extra={"robot": 2, "path": Path("x")})
     (line,) = capsys.readouterr().err.splitlines()
@@ -74,7 +74,7 @@ def test_an_object_holds_what_is_said_and_what_kind_it_is(capsys: pytest.Capture
 
 def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.begin(options("--log-format", "json"))
+    logs.configure(options("--log-format", "json"))
     try:
         raise ValueError("a fault of ours")
     except ValueError:
@@ -87,7 +87,7 @@ def test_an_exception_stands_in_its_own_key(capsys: pytest.CaptureFixture[str]) 
 
 def test_text_is_as_ever_and_pythons_warnings_are_said_too(capsys: pytest.CaptureFixture[str]) -> None:
     as_a_process_begins()
-    logs.begin(options())
+    logs.configure(options())
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         logging.captureWarnings(True)
@@ -115,7 +115,7 @@ def test_why_it_could_not_start_is_the_last_line(form: str, capsys: pytest.Captu
 def test_a_program_that_hosts_the_daemon_keeps_its_own_way(capsys: pytest.CaptureFixture[str]) -> None:
     own = logging.NullHandler()
     as_a_process_begins().addHandler(own)
-    logs.begin(options("--log-format", "json", "-vv"))
+    logs.configure(options("--log-format", "json", "-vv"))
     assert logging.getLogger().handlers == [own]
     logging.getLogger("room").warning("said")
     assert capsys.readouterr().err == ""
@@ -147,7 +147,7 @@ class Disk(io.StringIO):
 
 def test_lines_that_could_not_be_written_are_counted_and_told_of(capsys: pytest.CaptureFixture[str]) -> None:
     disk = Disk()
-    handler = logs.Lines(disk)
+    handler = logs.LossCountingHandler(disk)
     handler.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     as_a_process_begins().addHandler(handler)
     room = logging.getLogger("room")
@@ -162,7 +162,7 @@ def test_lines_that_could_not_be_written_are_counted_and_told_of(capsys: pytest.
 
 
 def test_a_fault_in_what_is_logged_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    as_a_process_begins().addHandler(logs.Lines(Disk()))
+    as_a_process_begins().addHandler(logs.LossCountingHandler(Disk()))
     logging.getLogger("room").warning("%d", "no number")
     assert "Logging error" in capsys.readouterr().err
 
@@ -172,10 +172,10 @@ def test_stdout_that_cannot_be_written_is_told_of(
 ) -> None:
     with open("/dev/full", "w") as full:  # noqa: PTH123 - a device, by its name
         monkeypatch.setattr("sys.stdout", full)
-        logs.tell("listening here")
-        logs.tell("listening there")
+        logs.print_line("listening here")
+        logs.print_line("listening there")
     assert caplog.messages == [
-        "stdout cannot be written: No space left on device; the daemon goes on; what it had to say: listening here"
+        "stdout cannot be written: No space left on device; the daemon goes on; the line was: listening here"
     ]
     assert capfd.readouterr().out == ""
 
@@ -189,6 +189,6 @@ def test_a_level_that_there_is_not(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_page_has_every_level_and_key() -> None:
     page = (DOCS / "logs.md").read_text()
     record = logging.LogRecord("room", logging.INFO, "", 0, "said", None, None)
-    keys = json.loads(logs.JsonLines().format(record))
+    keys = json.loads(logs.JsonFormatter().format(record))
     assert all(f"`{key}`" in page for key in (*keys, "exception"))
     assert all(f"| {level} |" in page for level in (*logs.LEVELS, "critical"))

@@ -19,7 +19,7 @@ import pytest
 
 from nserver_emu import service
 from nserver_emu.options import nserver_parser
-from nserver_emu.service import Manager, announced
+from nserver_emu.service import ServiceManager, announced
 
 UNIT = Path(__file__).parents[2] / "packaging/nserver.service"
 
@@ -59,7 +59,7 @@ def test_a_daemon_is_ready_alive_and_stopping(manager: socket.socket, place: str
     ({"NOTIFY_SOCKET": "/x", "WATCHDOG_USEC": "soon"}, 0.0),
 ])  # fmt: skip
 def test_the_watchdog_is_fed_where_it_is_asked_for(environment: dict[str, str], feed_s: float) -> None:
-    assert Manager(environment).feed_s == feed_s
+    assert ServiceManager(environment).feed_s == feed_s
 
 
 PATIENCE_S = 10.0
@@ -72,7 +72,7 @@ def test_a_manager_that_is_not_there_costs_one_word_and_is_told_when_it_comes(
     place = str(tmp_path / "nobody")
 
     async def scenario() -> None:
-        async with asyncio.timeout(PATIENCE_S), announced(Manager({"NOTIFY_SOCKET": place} | FED)):
+        async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | FED)):
             await asyncio.sleep(0.02)
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
                 listener.setblocking(False)
@@ -90,7 +90,7 @@ def test_a_manager_that_is_not_there_costs_one_word_and_is_told_when_it_comes(
 def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
     manager: socket.socket, place: str, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(service, "_AGAIN_S", 0.001)
+    monkeypatch.setattr(service, "_RETRY_S", 0.001)
     manager.setblocking(False)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as crowd, contextlib.suppress(BlockingIOError):
         crowd.setblocking(False)
@@ -99,7 +99,7 @@ def test_a_full_queue_ends_no_watchdog_and_loses_no_ready(
 
     async def scenario() -> None:
         hear = partial(asyncio.get_running_loop().sock_recv, manager, 100)
-        async with asyncio.timeout(PATIENCE_S), announced(Manager({"NOTIFY_SOCKET": place} | environment)):
+        async with asyncio.timeout(PATIENCE_S), announced(ServiceManager({"NOTIFY_SOCKET": place} | environment)):
             await asyncio.sleep(0.02)
             while (told := await hear()).startswith(b"STATUS="):
                 pass

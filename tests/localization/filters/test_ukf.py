@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from localization.filters import odometry as systematic
+from localization.filters import odometry
 from localization.filters.belief import Belief, Floats, difference, independent
-from localization.filters.odometry import OdometryNoise, move_states, step_variance, with_parameters
+from localization.filters.odometry import OdometryNoise, move, step_variance, with_parameters
 from localization.filters.ukf import Spread, offsets, predict, root_of, weights
 
 NOISE = OdometryNoise(0.1, 0.1, 0.005)
@@ -57,7 +57,7 @@ def test_a_prediction_is_that_of_filterpys_filter_on_the_state_with_its_noise(si
 
     def moved(state: Floats, _: float) -> Floats:
         after = state.copy()
-        after[:size] = move_states(state[:size], step + state[size:])
+        after[:size] = move(state[:size], step + state[size:])
         return after
 
     points = MerweScaledSigmaPoints(size + 2, 1.0, 2.0, 0.0)
@@ -72,7 +72,7 @@ def test_a_prediction_is_that_of_filterpys_filter_on_the_state_with_its_noise(si
 def test_where_motion_is_nearly_linear_it_is_the_extended_filters() -> None:
     belief, step = independent([1.0, 2.0, 3.1], [0.1, 0.2, 1e-4]), np.array([2.0, 0.1])
     quiet = OdometryNoise(0.01, 1e-4, 1e-5)
-    sigma, extended = predict(belief, step, quiet), systematic.predict(belief, step, quiet)
+    sigma, extended = predict(belief, step, quiet), odometry.predict(belief, step, quiet)
     np.testing.assert_allclose(difference(sigma.mean, extended.mean), np.zeros(3), atol=1e-6)
     np.testing.assert_allclose(sigma.cov, extended.cov, atol=1e-9)
     assert abs(sigma.mean[2]) <= np.pi
@@ -90,8 +90,8 @@ def test_a_wide_heading_bends_the_mean_as_drawn_robots_show() -> None:
     rng = np.random.default_rng(5)
     belief, step = independent([0.0, 0.0, 0.0], [1.0, 1.0, 0.3]), np.array([100.0, 0.0])
     drawn = belief.mean + belief.std * rng.standard_normal((200_000, 3))
-    robots = move_states(drawn, step + np.sqrt(step_variance(step, NOISE)) * rng.standard_normal((200_000, 2)))
-    sigma, extended = predict(belief, step, NOISE), systematic.predict(belief, step, NOISE)
+    robots = move(drawn, step + np.sqrt(step_variance(step, NOISE)) * rng.standard_normal((200_000, 2)))
+    sigma, extended = predict(belief, step, NOISE), odometry.predict(belief, step, NOISE)
     assert sigma.mean[0] == pytest.approx(robots[:, 0].mean(), abs=0.3)
     assert extended.mean[0] == pytest.approx(100.0)
     assert np.sqrt(sigma.cov[1, 1]) == pytest.approx(robots[:, 1].std(), rel=0.05)

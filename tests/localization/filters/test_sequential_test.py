@@ -9,9 +9,9 @@ import pytest
 
 from localization.filters import global_localization as contest_module
 from localization.filters.belief import Belief, independent
-from localization.filters.global_localization import SURE_NATS, EchoRecord, SequentialTest, Side
+from localization.filters.global_localization import DECISION_NATS, EchoRecord, SequentialTest, Side
 from localization.filters.odometry import OdometryNoise, predict
-from localization.filters.update import Association, MeasurementUpdate, Refusal
+from localization.filters.update import Association, Covariance, MeasurementUpdate, Refusal, State
 
 STD_IN, SPAN_IN = 1.5, 249.0
 NOISE = OdometryNoise(0.1, 0.1, 0.005)
@@ -23,9 +23,12 @@ class Wall:
     def __init__(self) -> None:
         self.taken: list[tuple[int, float, float]] = []
 
-    def sense(self, belief: Belief, sonar: int, turret_offset_rad: float, reading_in: float) -> Association:
+    def associate(
+        self, x: State, P: Covariance, sonar: int, turret_offset_rad: float, reading_in: float
+    ) -> Association:
+        del P
         self.taken.append((sonar, turret_offset_rad, reading_in))
-        return Association(Refusal.GATE, density(reading_in, float(belief.mean[0])))
+        return Association(Refusal.GATE, density(reading_in, x[0]))
 
 
 def density(reading_in: float, x_in: float) -> float:
@@ -44,7 +47,7 @@ def clue(reading_in: float) -> EchoRecord:
 def test_each_side_gets_the_logarithm_of_how_it_explains_an_echo_and_a_bad_one_costs_so_much_at_most() -> None:
     contest = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
     for reading, here in ((51.0, 0.2), (90.0, 0.0), (30.0, 0.01)):
-        contest.hear(clue(reading), here)
+        contest.update(clue(reading), here)
     bad = 0.3 / SPAN_IN
     expected = {
         Side.HERE: log(0.7 * 0.2 + bad) + log(bad) + log(0.7 * 0.01 + bad),
@@ -52,22 +55,22 @@ def test_each_side_gets_the_logarithm_of_how_it_explains_an_echo_and_a_bad_one_c
         Side.ELSEWHERE: log(bad) + log(0.7 * density(90.0, 90.0) + bad) + log(bad),
     }
     first, second = sorted(expected.values())[:0:-1]
-    assert contest.heard == 3
+    assert contest.echoes == 3
     assert contest.lead_nats == pytest.approx(first - second)
     assert contest.winner is None
 
 
 def test_silence_is_weighed_as_a_chance() -> None:
     contest = SequentialTest(None, at(90.0), MeasurementUpdate(Wall()), NOISE)
-    contest.hear(clue(255.0), 1.0)
+    contest.update(clue(255.0), 1.0)
     assert contest.lead_nats == pytest.approx(log(1.0 / 0.3))
 
 
 def test_rivals_move_with_the_encoders_and_hear() -> None:
     wall, step = Wall(), np.array([2.0, 0.3])
     contest = SequentialTest(at(52.0), at(90.0), MeasurementUpdate(wall), NOISE)
-    contest.move(step)
-    contest.hear(EchoRecord(np.zeros(3), 0.5, 7, 0.2, 50.0), 0.1)
+    contest.predict(*step.tolist())
+    contest.update(EchoRecord(np.zeros(3), 0.5, 7, 0.2, 50.0), 0.1)
     for side, x_in in ((Side.NEAR, 52.0), (Side.ELSEWHERE, 90.0)):
         moved = predict(at(x_in), step, NOISE)
         np.testing.assert_array_equal(contest.belief(side).mean, moved.mean)
@@ -81,10 +84,10 @@ def test_the_right_side_wins_after_a_handful_of_echoes(true_in: float, winner: S
     contest = SequentialTest(at(54.0), at(90.0), MeasurementUpdate(Wall()), NOISE)
     while contest.winner is None:
         reading = true_in + STD_IN * float(chance.standard_normal())
-        contest.hear(clue(reading), density(reading, 50.0))
+        contest.update(clue(reading), density(reading, 50.0))
     assert contest.winner is winner
-    assert contest.lead_nats >= SURE_NATS
-    assert contest.heard <= 12
+    assert contest.lead_nats >= DECISION_NATS
+    assert contest.echoes <= 12
 
 
 def test_a_third_place_does_not_win_because_the_estimate_has_slipped() -> None:
@@ -93,7 +96,7 @@ def test_a_third_place_does_not_win_because_the_estimate_has_slipped() -> None:
     def readings(near: Belief | None) -> SequentialTest:
         contest = SequentialTest(near, at(90.0), MeasurementUpdate(Wall()), NOISE)
         for reading in (54.0, 54.0, 90.0) * 4:
-            contest.hear(clue(reading), density(reading, 44.0))
+            contest.update(clue(reading), density(reading, 44.0))
         return contest
 
     assert readings(None).winner is Side.ELSEWHERE
@@ -105,7 +108,7 @@ def test_while_the_estimate_is_right_a_rival_wins_no_more_often_than_villes_boun
 ) -> None:
     """Three tenths of the echoes bad, wherever the rival stands, looked at after every one of 40."""
     nats = 2.5
-    monkeypatch.setattr(contest_module, "SURE_NATS", nats)
+    monkeypatch.setattr(contest_module, "DECISION_NATS", nats)
     chance, runs, wrong = np.random.default_rng(6), 3000, 0
     hearing = MeasurementUpdate(Wall())
     for _ in range(runs):
@@ -113,7 +116,7 @@ def test_while_the_estimate_is_right_a_rival_wins_no_more_often_than_villes_boun
         good = chance.random(40) >= 0.3
         heard = np.where(good, 50.0 + STD_IN * chance.standard_normal(40), chance.uniform(6.0, 255.0, 40))
         for reading in heard.tolist():
-            contest.hear(clue(reading), density(reading, 50.0))
+            contest.update(clue(reading), density(reading, 50.0))
             if contest.winner is not None:
                 break
         wrong += contest.winner is Side.ELSEWHERE
