@@ -27,7 +27,7 @@ from scenes import WALLS, alone, crowd, roam
 
 from nserver_emu.server.garbage_collection import GC_THRESHOLD
 from nserver_emu.simulation.acoustics import Polaroid
-from nserver_emu.simulation.multi_robot import SPAN_PS, near
+from nserver_emu.simulation.multi_robot import SPAN_PS, candidate_pairs
 from nserver_emu.simulation.noise import IDEAL, MEASURED, NOISY, SETUPS, RobotSetup
 from nserver_emu.simulation.sonar import DEFAULT_ORDER
 from worlds.geometry import FloatArray
@@ -128,7 +128,7 @@ def bunched(robots: int, setup: RobotSetup) -> Result:
         "robots": robots,
         "setup": setup.name,
         "compiled": NEAREST_OBSTACLE.run is not None,
-        "near_others": len({row for pair in near(crew, SPAN_PS) for row in pair}),
+        "near_others": len({row for pair in candidate_pairs(crew, SPAN_PS) for row in pair}),
         "stopped": sum(not robot.moving[0] for robot in crew),
         "times_real_time": round(simulated_s / sum(late_s), 2),
         "fastest": round(8 * CROWD_DT_S / min(late_s), 2),

@@ -111,7 +111,7 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
             writer.write(codec.encode_tcp_request(call))
         with rare_collection():
             yield daemon, lines[0].split()[-1]
-        if daemon.emulator.simulation.robots[1].still((0,)):
+        if daemon.emulator.simulation.robots[1].is_still((0,)):
             raise RuntimeError("the robot stood: nothing was measured")
         writer.close()
         stop.set()
