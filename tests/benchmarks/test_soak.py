@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 import soak
-from soak_verdict import POOL, Finding, Sample, ended, verdict, visited
-from soak_visitors import KINDS, House
+from soak_clients import KINDS, Endpoints
+from soak_verdict import POOL, Finding, Sample, check_activity, check_exit, verdict
 
 GOOD = [
     Sample(real_s=float(hour), simulated_s=3600.0 * hour, steps=36000 * hour, rss_kib=rss, descriptors=9, threads=2,
@@ -18,7 +18,7 @@ GOOD = [
 
 
 def broken(found: list[Finding]) -> list[str]:
-    return [finding.what.split(",")[0] for finding in found if not finding.kept]
+    return [finding.what.split(",")[0] for finding in found if not finding.passed]
 
 
 def test_good_run() -> None:
@@ -45,30 +45,30 @@ def test_incomplete_run() -> None:
 
 
 def test_run_without_activity_fails() -> None:
-    assert broken(visited({"a": 3, "b": 1}, 1, ["a", "b"])) == []
-    assert broken(visited({"a": 3}, 0, ["a", "b"])) == ["visits", "faults that struck"]
+    assert broken(check_activity({"a": 3, "b": 1}, 1, ["a", "b"])) == []
+    assert broken(check_activity({"a": 3}, 0, ["a", "b"])) == ["sessions", "faults"]
 
 
 def test_exit_codes() -> None:
-    assert broken(ended(0, 0)) == []
-    assert broken(ended(-9, 1)) == ["exit code", "faults of its own"]
+    assert broken(check_exit(0, 0)) == []
+    assert broken(check_exit(-9, 1)) == ["exit code", "internal errors"]
 
 
 def test_wrong_number_is_reported_and_sets_exit_code(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    house = House(0, 0, "", "", "")
+    endpoints = Endpoints(0, 0, "", "", "")
     for is_kept in (True, False):
         found = [Finding("tasks left over", 0 if is_kept else 2, "0", is_kept)]
-        monkeypatch.setattr(soak, "run", lambda *_, findings=found: (GOOD, house, findings))
+        monkeypatch.setattr(soak, "run", lambda *_, findings=found: (GOOD, endpoints, findings))
         assert soak.main([]) == (0 if is_kept else 1)
-        assert capsys.readouterr().out.startswith("kept   tasks" if is_kept else "BROKEN tasks left over: 2 (asked: 0)")
+        assert capsys.readouterr().out.startswith("passed tasks" if is_kept else "FAILED tasks left over: 2 (limit: 0)")
 
 
 def test_short_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is not checked: the first minutes do not show its growth."""
     monkeypatch.setattr(soak, "SETTLE_S", 0.2)
-    samples, house, found = soak.run(1 / 60, soak.Wanted(visitors=2, rest_s=0.0, every_s=30.0), seed=2)
+    samples, endpoints, found = soak.run(1 / 60, soak.LoadPlan(clients=2, rest_s=0.0, every_s=30.0), seed=2)
     assert samples[0].steps < samples[-1].steps
-    assert set(house.visits) == set(KINDS)
+    assert set(endpoints.sessions) == set(KINDS)
     assert [what for what in broken(found) if what != "memory"] == []
