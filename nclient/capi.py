@@ -132,7 +132,7 @@ def disconnect_robot(robot_id: int) -> int:
 
 
 def server_is_running() -> int:
-    """Whether somebody takes connections at SERVER_MACHINE_NAME and SERV_TCP_PORT."""
+    """Return 1 if a server accepts connections at SERVER_MACHINE_NAME and SERV_TCP_PORT, else 0."""
     return int(is_listening(SERVER_MACHINE_NAME, int(SERV_TCP_PORT)))
 
 
@@ -407,17 +407,17 @@ def posCompassGet(posData: Out) -> int:
 
 
 def posTimeGet() -> int:
-    """The robot's clock in milliseconds when it last told it."""
+    """Return the robot's clock in milliseconds at the last reply."""
     return _held.clock or 0
 
 
 def voltCpuGet() -> float:
-    """Volts of the computer's battery when the robot last told them."""
+    """Return the voltage of the computer's battery at the last reply."""
     return volts(_held.volts[0], CPU_RANGE_V) if _held.volts else 0.0
 
 
 def voltMotorGet() -> float:
-    """Volts of the motors' battery when the robot last told them."""
+    """Return the voltage of the motors' battery at the last reply."""
     return volts(_held.volts[1], MOTOR_RANGE_V) if _held.volts else 0.0
 
 
@@ -489,9 +489,9 @@ def predict_sensors(x: int, y: int, th: int, tu: int, state: Out, laser: Out) ->
 def motion_check(
     type: int, a1: float, a2: float, a3: float, a4: float, a5: float, a6: float, a7: float, collide: Out
 ) -> int:
-    """Whether a line (type 0: x1 y1 x2 y2) or an arc (type 1: x1 y1 angle1 angle2 radius xc yc) hits something.
+    """Return 1 if a line (type 0: x1 y1 x2 y2) or an arc (type 1: x1 y1 angle1 angle2 radius xc yc) hits something.
 
-    1 when it does, and collide is filled with x, y and the inward normal in radians; 0 when not, or on error.
+    collide is then filled with x, y and the inward normal in radians. Return 0 if nothing is hit, or on error.
     """
     numbers = (a1, a2, a3, a4) if type == MOTION_LINE else (a1, a2, a3, a4, a5, a6, a7)
     reply = _reply("motion_check", type, *[1000 * number for number in numbers])
