@@ -11,8 +11,8 @@ Target: p99 moves by no more than the larger of a factor of 2 and 2 ms, median o
 Daemon, clients and hostile client are three processes. All clients connect before the first request. A round trip
 counts from its due time, so that a late reply does not hide the delay of the next. The hostile client waits for its
 socket instead of polling, so that it loads the server and not the machine; a round in which it ends fails. Rounds
-without and with it alternate. On a loaded machine, --ahead runs the processes with real-time priority (Linux, root): first the
-clients, which measure, then the daemon, then the hostile client. The exit code is 1 if a bound is exceeded.
+without and with it alternate. On a loaded machine, --ahead runs the processes with real-time priority (Linux, root):
+first the clients, which measure, then the daemon, then the hostile client. The exit code is 1 if a bound is exceeded.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Endurance test of a daemon: 24 simulated hours, three robots, noise, faults on every line, changing clients.
+"""Endurance run of a daemon: 24 simulated hours, three robots, noise, faults on all lines, connecting clients.
 
     scripts/soak [--hours 24] [--clients 3] [--rest 60] [--seed 1] [--every 30] [--out FILE.json]
 
-Target: memory within 5 % after the first hour, clock equal to steps, no task and no descriptor left over.
+Target: memory within 5 % after the first hour, clock and steps the same, no task and no descriptor left over.
 
-The daemon is a process of its own at maximum speed; its clients (soak_clients.py) use real sockets. Every 30 simulated
-minutes all clients disconnect, the daemon cleans up, and its resources are counted. Each number is printed with its
-limit (soak_verdict.py), and the exit code is 1 if a limit is exceeded.
+The daemon is a process of its own at --speed max; its clients (soak_clients.py) use real sockets. Every 30 simulated
+minutes all clients disconnect, the daemon collects garbage, and its resources are counted. Each number is printed with
+its bound (soak_verdict.py); the exit code is 1 if a bound is exceeded.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from soak_clients import KINDS, MODELS, Endpoints, send_control
-from soak_verdict import Finding, Sample, check_activity, check_exit, verdict
+from soak_clients import KINDS, MODELS, Target, control_request
+from soak_verdict import Finding, Sample, check_activity, check_end, check_samples
 
 from nclient.common.process import handle_termination_signals
 from nserver_emu.server.garbage_collection import MIN_INTERVAL_S
 
 TIMEOUT_S: Final = 600.0
-"""Time-out of requests, long enough for a loaded machine: speed is not tested."""
-IDLE_TIMEOUT_S: Final = 600.0
-"""Real time in which the daemon must notice that all clients are disconnected."""
+"""Time-out of a reply on a busy machine; speed is not judged here."""
+QUIET_S: Final = 600.0
+"""Real time within which the daemon must notice that all clients are gone."""
 AUTOSAVE_S: Final = 5
-POLL_S: Final = 0.2
-SAMPLES: Final = 3
-"""Counts of descriptors and memory; the minimum is used, as others include a metrics request or a running save."""
+LOOK_S: Final = 0.2
+LOOKS: Final = 3
+"""Number of counts of descriptors and memory, of which the smallest counts: others include this request for metrics,
+and a save in progress."""
 SETTLE_S: Final = MIN_INTERVAL_S + 2.0
 """Real time for garbage collection (nserver_emu/server/garbage_collection.py) while simulated time is paused."""
-ERROR_WORDS: Final = ("Traceback", "was never retrieved", "was destroyed")
+COMPLAINTS: Final = ("Traceback", "was never retrieved", "was destroyed")
 FAULTS: Final = """
 seed = 1
 [[rule]]
-name = "one faulty byte per 200 replies"
+name = "a faulty byte in every two-hundredth reply"
 do = ["corrupt", "drop_byte", "stray"]
 every = 200
 [[rule]]
@@ -61,15 +62,15 @@ delay_s = 0.02
 jitter_s = 0.01
 percent = 5.0
 [[rule]]
-name = "hang up"
+name = "disconnected"
 do = "hang_up"
 every = 600
 """
 
 
 @dataclass(frozen=True, slots=True)
-class LoadPlan:
-    """Number of clients, mean simulated seconds between sessions of each, and between samples."""
+class Load:
+    """Number of simultaneous clients, mean pause between two sessions of each, and interval between counts, in s."""
 
     clients: int
     rest_s: float
@@ -81,39 +82,39 @@ class Daemon:
     """The process under test and its addresses."""
 
     process: subprocess.Popen[str]
-    endpoints: Endpoints
+    target: Target
     log: Path
-    started_s: float
+    began_s: float
 
     def sample(self) -> Sample:
-        """Take a sample from its metrics and from the system."""
+        """Return the present resources, by /metrics and by /proc."""
         metrics, place = self.numbers(), Path(f"/proc/{self.process.pid}")
         descriptors, looks = [], []
-        for _ in range(SAMPLES):
-            time.sleep(POLL_S)
+        for _ in range(LOOKS):
+            time.sleep(LOOK_S)
             descriptors.append(sum(1 for _ in (place / "fd").iterdir()))
             looks.append(dict(line.split(":", 1) for line in (place / "status").read_text().splitlines()))
         return Sample(
-            time.monotonic() - self.started_s, metrics["simulated_seconds"], int(metrics["steps_total"]),
+            time.monotonic() - self.began_s, metrics["simulated_seconds"], int(metrics["steps_total"]),
             min(int(status["VmRSS"].split()[0]) for status in looks), min(descriptors), int(looks[-1]["Threads"]),
             int(metrics["tasks"]), int(metrics["answers_total"]), int(metrics["shapes"]), int(metrics["obstacles"]),
         )  # fmt: skip
 
     def numbers(self) -> dict[str, float]:
-        """Return the values of /metrics, by name without `nserver_`."""
-        with urllib.request.urlopen(self.endpoints.page.partition("/?")[0] + "/metrics", timeout=TIMEOUT_S) as answer:
+        """Return /metrics by name, without the prefix `nserver_`."""
+        with urllib.request.urlopen(self.target.page.partition("/?")[0] + "/metrics", timeout=TIMEOUT_S) as answer:
             lines = answer.read().decode().splitlines()
         rows = (line.removeprefix("nserver_").split() for line in lines if not line.startswith("#"))
         return {name: float(value) for name, value in rows}
 
-    def count_errors(self) -> int:
+    def complaints(self) -> int:
         """Return the number of internal errors in its log."""
-        return sum(self.log.read_text().count(word) for word in ERROR_WORDS)
+        return sum(self.log.read_text().count(word) for word in COMPLAINTS)
 
 
 @contextlib.contextmanager
-def run_daemon(folder: Path, seed: int) -> Iterator[Daemon]:
-    """Run a daemon with three robots and all features during the block."""
+def running(folder: Path, seed: int) -> Iterator[Daemon]:
+    """Run a daemon with three robots and all features; end it with the block."""
     (folder / "faults.toml").write_text(FAULTS)
     link, control, log = folder / "robot", folder / "ctl.sock", folder / "log"
     robots = [word for model in MODELS for word in ("--robot", model)]
@@ -131,9 +132,9 @@ def run_daemon(folder: Path, seed: int) -> Iterator[Daemon]:
             places = {words[1]: words[2] for words in lines if words}
             if len(places) < len(lines):
                 raise SystemExit(f"the daemon did not start: {log.read_text()}")
-            nserver, robotd = _port(places["nserver"]), _port(places["robotd"])
-            endpoints = Endpoints(nserver, robotd, str(link), str(control), places["viewer"])
-            yield Daemon(process, endpoints, log, time.monotonic())
+            ports = _port(places["nserver"]), _port(places["robotd"])
+            target = Target(*ports, str(link), str(control), places["viewer"])
+            yield Daemon(process, target, log, time.monotonic())
         finally:
             process.terminate()
 
@@ -142,106 +143,106 @@ def _port(place: str) -> int:
     return int(place.rpartition(":")[2])
 
 
-async def soak(daemon: Daemon, hours: float, plan: LoadPlan, rng: random.Random) -> list[Sample]:
-    """Run clients for this many hours and return the samples, the first before any client connects."""
-    samples = [await _sample_idle(daemon)]
+async def soak(daemon: Daemon, hours: float, load: Load, rng: random.Random) -> list[Sample]:
+    """Return the samples of a run: before the first client, then at the load's interval for this many hours."""
+    samples = [await _quiet(daemon)]
     end_s = samples[0].simulated_s + 3600 * hours
     while samples[-1].simulated_s < end_s:
-        until_s = min(samples[-1].simulated_s + plan.every_s, end_s)
-        stop = asyncio.Event()
-        rngs = [random.Random(rng.random()) for _ in range(plan.clients)]
-        tasks = [asyncio.create_task(_run_clients(daemon.endpoints, rng, plan.rest_s, stop)) for rng in rngs]
-        while daemon.endpoints.now_s < until_s:
-            await asyncio.sleep(POLL_S)
-            daemon.endpoints.now_s = (await asyncio.to_thread(daemon.numbers))["simulated_seconds"]
-        stop.set()
+        until_s = min(samples[-1].simulated_s + load.every_s, end_s)
+        go_on = asyncio.Event()
+        rngs = [random.Random(rng.random()) for _ in range(load.clients)]
+        clients = [_run_clients(daemon.target, client_rng, load.rest_s, go_on) for client_rng in rngs]
+        tasks = [asyncio.create_task(client) for client in clients]
+        while daemon.target.now_s < until_s:
+            await asyncio.sleep(LOOK_S)
+            daemon.target.now_s = (await asyncio.to_thread(daemon.numbers))["simulated_seconds"]
+        go_on.set()
         await asyncio.gather(*tasks)
-        samples.append(await _sample_idle(daemon))
-        _print_sample(samples[-1], daemon.endpoints)
+        samples.append(await _quiet(daemon))
+        _print_sample(samples[-1], daemon.target)
     return samples
 
 
-async def _run_clients(endpoints: Endpoints, rng: random.Random, rest_s: float, stop: asyncio.Event) -> None:
-    """Run sessions of all kinds in random order until stopped, at least one of each."""
+async def _run_clients(target: Target, rng: random.Random, rest_s: float, enough: asyncio.Event) -> None:
+    """Run sessions of all kinds in random order, again and again; each kind at least once."""
     rounds = 0
-    while not stop.is_set():
+    while not enough.is_set():
         for kind in rng.sample(sorted(KINDS), len(KINDS)):
-            if not (rounds and stop.is_set()):
-                await endpoints.run_session(kind, rng)
-                again_s = endpoints.now_s + rng.uniform(0.0, 2.0 * rest_s)
-                while endpoints.now_s < again_s and not stop.is_set():
-                    await asyncio.sleep(POLL_S)
+            if not (rounds and enough.is_set()):
+                await target.run_session(kind, rng)
+                again_s = target.now_s + rng.uniform(0.0, 2.0 * rest_s)
+                while target.now_s < again_s and not enough.is_set():
+                    await asyncio.sleep(LOOK_S)
         rounds += 1
 
 
-async def _sample_idle(daemon: Daemon) -> Sample:
-    """Take a sample once no client is connected and the daemon has cleaned up, with time paused."""
-    end_s = time.monotonic() + IDLE_TIMEOUT_S
+async def _quiet(daemon: Daemon) -> Sample:
+    """Wait until the daemon has no connections and has collected garbage; return a sample, time being paused."""
+    end_s = time.monotonic() + QUIET_S
     while True:
         metrics = await asyncio.to_thread(daemon.numbers)
         if not metrics["connections"] and not metrics["viewers"]:
             break
         if time.monotonic() > end_s:
-            status = await send_control(daemon.endpoints, "status")
-            raise SystemExit(f"not idle after {IDLE_TIMEOUT_S:g} s: {metrics}, {status}")
-        await asyncio.sleep(POLL_S)
-    await send_control(daemon.endpoints, "pause")
+            status = await control_request(daemon.target, "status")
+            raise SystemExit(f"still connected after {QUIET_S:g} s: {metrics}, {status}")
+        await asyncio.sleep(LOOK_S)
+    await control_request(daemon.target, "pause")
     await asyncio.sleep(SETTLE_S)
     sample = await asyncio.to_thread(daemon.sample)
-    await send_control(daemon.endpoints, "resume")
+    await control_request(daemon.target, "resume")
     return sample
 
 
-def _print_sample(sample: Sample, endpoints: Endpoints) -> None:
-    sessions, failed = sum(endpoints.sessions.values()), sum(endpoints.failed.values())
+def _print_sample(sample: Sample, target: Target) -> None:
+    sessions, failed = sum(target.sessions.values()), sum(target.failed.values())
     print(f"{sample.simulated_s / 3600:6.2f} h after {sample.real_s:5.0f} s: {sample.rss_kib} KiB, "
           f"{sample.descriptors} descriptors, {sample.threads} threads, {sample.tasks} tasks, "
           f"{sample.answers} answers, {sessions} sessions, {failed} ended by faults", flush=True)
 
 
-async def _count_faults(endpoints: Endpoints) -> int:
-    found = await send_control(endpoints, "status")
+async def _struck(target: Target) -> int:
+    found = await control_request(target, "status")
     faults: Any = found["faults"]
     return sum(faults["struck"].values())
 
 
-def run(hours: float, plan: LoadPlan, seed: int) -> tuple[list[Sample], Endpoints, list[Finding]]:
-    """Run the test and return samples, addresses with counts, and findings."""
+def run(hours: float, load: Load, seed: int) -> tuple[list[Sample], Target, list[Finding]]:
+    """Run everything; return samples, target and findings."""
     with tempfile.TemporaryDirectory(prefix="soak") as name:
-        with run_daemon(Path(name), seed) as daemon:
-            samples = asyncio.run(soak(daemon, hours, plan, random.Random(seed)))
-            struck = asyncio.run(_count_faults(daemon.endpoints))
-        found = [*verdict(samples, hours), *check_activity(daemon.endpoints.sessions, struck, list(KINDS)),
-                 *check_exit(daemon.process.returncode, daemon.count_errors())]  # fmt: skip
-        if daemon.count_errors():
+        with running(Path(name), seed) as daemon:
+            samples = asyncio.run(soak(daemon, hours, load, random.Random(seed)))
+            struck = asyncio.run(_struck(daemon.target))
+        found = [*check_samples(samples, hours), *check_activity(daemon.target.sessions, struck, list(KINDS)),
+                 *check_end(daemon.process.returncode, daemon.complaints())]  # fmt: skip
+        if daemon.complaints():
             print(daemon.log.read_text()[-5000:], file=sys.stderr)
-    return samples, daemon.endpoints, found
+    return samples, daemon.target, found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command."""
+    """Run, print the findings, return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=24.0, help="simulated hours (default %(default)s)")
-    parser.add_argument("--clients", type=int, default=3, help="number of clients (default %(default)s)")
+    parser.add_argument("--clients", type=int, default=3, help="number of simultaneous clients (default %(default)s)")
     parser.add_argument("--rest", type=float, default=60.0,
-                        help="mean simulated seconds between sessions of a client (60)")
-    parser.add_argument("--every", type=float, default=30.0, help="simulated minutes between samples (30)")
+                        help="mean pause between two sessions of a client, in simulated seconds (60)")
+    parser.add_argument("--every", type=float, default=30.0, help="interval between counts, in simulated minutes (30)")
     parser.add_argument("--seed", type=int, default=1, help="seed of noise and clients (default %(default)s)")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="write samples, sessions and findings to a file")
     options = parser.parse_args(arguments)
-    plan = LoadPlan(options.clients, options.rest, 60 * options.every)
-    with handle_termination_signals():  # an interrupted run leaves no daemon running
-        samples, endpoints, found = run(options.hours, plan, options.seed)
+    load = Load(options.clients, options.rest, 60 * options.every)
+    with handle_termination_signals():  # an interrupted run leaves no daemon behind
+        samples, target, found = run(options.hours, load, options.seed)
     for finding in found:
-        result = "passed" if finding.passed else "FAILED"
-        print(f"{result} {finding.what}: {finding.value:.6g} (limit: {finding.bound})")
+        mark = "ok    " if finding.is_met else "BROKEN"
+        print(f"{mark} {finding.what}: {finding.value:.6g} (bound: {finding.bound})")
     if options.out:
-        results: dict[str, Any] = {
-            "samples": [asdict(sample) for sample in samples], "findings": [asdict(finding) for finding in found],
-            "sessions": endpoints.sessions, "failed": endpoints.failed,
-        }  # fmt: skip
-        options.out.write_text(json.dumps(results, indent=1) + "\n")
-    return 0 if all(finding.passed for finding in found) else 1
+        whole: dict[str, Sequence[Sample | Finding]] = {"samples": samples, "findings": found}
+        report: dict[str, Any] = {name: [asdict(row) for row in rows] for name, rows in whole.items()}
+        report |= {"visits": target.sessions, "broken_off": target.failed}
+        options.out.write_text(json.dumps(report, indent=1) + "\n")
+    return 0 if all(finding.is_met for finding in found) else 1
 
 
 if __name__ == "__main__":

@@ -1,17 +1,16 @@
-"""The clients of an endurance run: one function per kind, each a session of a few seconds.
+"""Clients of an endurance run: one function per kind of client, each a whole session of a few seconds.
 
     program    nclient: drives, reads sensors, draws, adds an obstacle, disconnects
-    reset      sends requests, then resets the connection during a reply
-    half       half a request, then silence, then disconnects
-    no_reader  a thousand requests without reading a reply
+    dies       sends requests, then resets the connection
+    half       half a request, a pause, then disconnects
+    deaf       sends a thousand requests and reads no reply
     noise      random bytes
     host       nclient on a robot's own line, over TCP or on the pseudo-terminal
-    page       the viewer's websocket: pictures and a command, closed or lost
+    page       the page's websocket: pictures, a call, closes or vanishes
     localizer  publishes an estimate
-    owner      commands on the control socket
+    owner      queries and changes over the control socket
 
-Errors of a client are counted and ignored, because there are faults on every line. Clients leave all cleanup to the
-daemon.
+Errors of a client (there are faults on all lines) are counted; the daemon must clean up what a client started.
 """
 
 from __future__ import annotations
@@ -38,20 +37,20 @@ from nclient.protocol.types import MODELS as MODELS_BY_NAME
 HOST: Final = "127.0.0.1"
 MODELS: Final = tuple(MODELS_BY_NAME)
 TIMEOUT_S: Final = 20.0
-"""Time limit of a session."""
+"""Longest session."""
 CONNECT: Final = [codec.encode_tcp_request(Call("connect_robot", (robot, 1))) for robot in range(1, 4)]
 GS: Final = codec.encode_tcp_request(Call("gs"))
 MANY: Final = 1000
 SILENCE_S: Final = 0.3
 ROBOTD_MODEL, SERIAL_MODEL = MODELS[0], MODELS[1]
-"""Models of the robots with serial lines: robot 1 over TCP, robot 2 on a pseudo-terminal."""
+"""Models of the robots with lines of their own: robot 1 over TCP, robot 2 on a pseudo-terminal."""
 
 
 @dataclass
-class Endpoints:
-    """Addresses of the daemon and counts of sessions.
+class Target:
+    """Addresses of the daemon, and counts of sessions by kind.
 
-    `failed` counts sessions that a fault ended; `now_s` is the clock of the daemon when last read.
+    `failed` counts sessions that a fault ended; `now_s` is the simulated time of the latest sample.
     """
 
     nserver: int
@@ -64,7 +63,7 @@ class Endpoints:
     now_s: float = 0.0
 
     async def run_session(self, kind: str, rng: random.Random) -> None:
-        """Run one session; a fault ends it and is counted."""
+        """Run a session of this kind; count it as failed if a fault ends it."""
         self.sessions[kind] = self.sessions.get(kind, 0) + 1
         try:
             async with asyncio.timeout(TIMEOUT_S):
@@ -73,17 +72,17 @@ class Endpoints:
             self.failed[kind] = self.failed.get(kind, 0) + 1
 
 
-async def program(endpoints: Endpoints, rng: random.Random) -> None:
-    """Run a typical program."""
+async def program(target: Target, rng: random.Random) -> None:
+    """A typical program."""
     number = rng.randint(1, len(MODELS))
-    async with await connect_async(f"nserver://{HOST}:{endpoints.nserver}/{number}?timeout_s=1") as robot:
+    async with await connect_async(f"nserver://{HOST}:{target.nserver}/{number}?timeout_s=1") as robot:
         await robot.set_speeds(translation_in_s=15, steering_deg_s=45)
         box = [(x + rng.uniform(60, 90), y + rng.uniform(60, 90)) for x, y in ((0, 0), (4, 0), (0, 4))]
         await robot.add_obstacle(corners_in=box)
         for _ in range(rng.randint(3, 12)):
             await _drive_and_look(robot, rng)
             await robot.draw_line(points_in=[(0, 0), (rng.uniform(0, 50), 10)])
-        await robot.say("driving")
+        await robot.say("hello")
         await robot.clear_world()
 
 
@@ -96,10 +95,10 @@ async def _drive_and_look(robot: AsyncRobot, rng: random.Random) -> None:
     await robot.refresh()
 
 
-async def serial_host(endpoints: Endpoints, rng: random.Random) -> None:
-    """Run a program on a robot's own line."""
+async def host(target: Target, rng: random.Random) -> None:
+    """A program on a robot's own line."""
     address = rng.choice((
-        f"robotd://{HOST}:{endpoints.robotd}?model={ROBOTD_MODEL}", f"serial://{endpoints.serial}?model={SERIAL_MODEL}"))
+        f"robotd://{HOST}:{target.robotd}?model={ROBOTD_MODEL}", f"serial://{target.serial}?model={SERIAL_MODEL}"))
     async with await connect_async(f"{address}&timeout_s=0.5&reconnect=0&feed=0") as robot:
         for _ in range(rng.randint(2, 6)):
             await robot.drive(translation_in_s=rng.uniform(-8, 8))
@@ -109,45 +108,44 @@ async def serial_host(endpoints: Endpoints, rng: random.Random) -> None:
             await robot.stop()
 
 
-async def reset(endpoints: Endpoints, rng: random.Random) -> None:
-    """Reset the connection during a reply, like a killed program."""
-    async with _connected_client(endpoints, rng) as (reader, writer):
+async def dies(target: Target, rng: random.Random) -> None:
+    """A program that is killed within a reply."""
+    async with _connected(target, rng) as (reader, writer):
         writer.write(codec.encode_tcp_request(Call("vm", (80, 100, 0))) + GS * rng.randint(1, 50))
         await reader.read(100)
         _reset(writer)
 
 
-async def half(endpoints: Endpoints, rng: random.Random) -> None:
-    """Stop in the middle of a request."""
-    async with _connected_client(endpoints, rng) as (_, writer):
+async def half(target: Target, rng: random.Random) -> None:
+    """A program that stops within a request."""
+    async with _connected(target, rng) as (_, writer):
         writer.write(GS + GS[:rng.randint(1, len(GS) - 1)])
         await asyncio.sleep(SILENCE_S)
 
 
-async def no_reader(endpoints: Endpoints, rng: random.Random) -> None:
-    """Send requests and read no reply."""
-    with socket.create_connection((HOST, endpoints.nserver)) as caller:
+async def deaf(target: Target, rng: random.Random) -> None:
+    """A program that sends requests and does not read."""
+    with socket.create_connection((HOST, target.nserver)) as caller:
         caller.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             caller.send(rng.choice(CONNECT) + GS * MANY)
         await asyncio.sleep(SILENCE_S)
 
 
-async def noise(endpoints: Endpoints, rng: random.Random) -> None:
-    """Send random bytes."""
-    port = rng.choice((endpoints.nserver, endpoints.robotd))
-    async with _open(asyncio.open_connection(HOST, port)) as (reader, writer):
+async def noise(target: Target, rng: random.Random) -> None:
+    """A sender of random bytes."""
+    async with _open(asyncio.open_connection(HOST, rng.choice((target.nserver, target.robotd)))) as (reader, writer):
         writer.write(rng.randbytes(rng.randint(1, 5000)))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(SILENCE_S):
                 await reader.read(1000)
 
 
-async def page(endpoints: Endpoints, rng: random.Random) -> None:
-    """Open the viewer page for a while."""
-    origin, _, query = endpoints.page.partition("/?")
+async def page(target: Target, rng: random.Random) -> None:
+    """A page that is open for some time."""
+    origin, _, query = target.page.partition("/?")
     async with aiohttp.ClientSession() as web:
-        async with web.get(endpoints.page) as answer:
+        async with web.get(target.page) as answer:
             await answer.read()
         async with web.ws_connect(f"{origin}/ws?{query}", headers={"Origin": origin}) as ws:
             await ws.send_json({"do": "watch", "traffic": True, "laser": True})
@@ -158,22 +156,22 @@ async def page(endpoints: Endpoints, rng: random.Random) -> None:
                     await ws.send_json({"do": "seen", "frame": message["frame"]})
             transport = ws.get_extra_info("socket")
             if rng.random() < 0.5 and transport is not None:
-                transport.shutdown(socket.SHUT_RDWR)  # like a closed laptop
+                transport.shutdown(socket.SHUT_RDWR)  # like a laptop that goes to sleep
 
 
-async def localizer(endpoints: Endpoints, rng: random.Random) -> None:
-    """Publish an estimate, as a localizer does."""
+async def localizer(target: Target, rng: random.Random) -> None:
+    """A localizer that publishes an estimate."""
     pose = [rng.uniform(0, 50), rng.uniform(0, 50), 0.0]
-    message = {"robot": 1, "clock_s": 0.0, "pose": pose, "turret": 0.0, "cov": [[1, 0, 0], [0, 1, 0], [0, 0, 0.1]],
+    estimate = {"robot": 1, "clock_s": 0.0, "pose": pose, "turret": 0.0, "cov": [[1, 0, 0], [0, 1, 0], [0, 0, 0.1]],
             "odometry": pose, "truth": None, "echoes": [], "waypoints": [[10, 10]], "passed": 0}  # fmt: skip
-    url = endpoints.page.replace("/?", "/publish?")
-    async with aiohttp.ClientSession() as web, web.post(url, json=message) as answer:
+    url = target.page.replace("/?", "/publish?")
+    async with aiohttp.ClientSession() as web, web.post(url, json=estimate) as answer:
         answer.raise_for_status()
 
 
-async def owner(endpoints: Endpoints, rng: random.Random) -> None:
-    """Send control commands."""
-    async with _open(asyncio.open_unix_connection(endpoints.control)) as (reader, writer):
+async def owner(target: Target, rng: random.Random) -> None:
+    """The owner at the control socket."""
+    async with _open(asyncio.open_unix_connection(target.control)) as (reader, writer):
         for command in rng.sample(("status", "faults counts", "world show", "stop", "help"), 3):
             writer.write(json.dumps({"command": command}).encode() + b"\n")
             await reader.readline()
@@ -181,12 +179,12 @@ async def owner(endpoints: Endpoints, rng: random.Random) -> None:
         await reader.readline()
 
 
-async def send_control(endpoints: Endpoints, command: str) -> dict[str, object]:
-    """Send a control command and return its result."""
-    async with _open(asyncio.open_unix_connection(endpoints.control)) as (reader, writer):
+async def control_request(target: Target, command: str) -> dict[str, object]:
+    """Make one request over the control socket."""
+    async with _open(asyncio.open_unix_connection(target.control)) as (reader, writer):
         writer.write(json.dumps({"command": command}).encode() + b"\n")
-        message: dict[str, object] = json.loads(await reader.readline())["said"]
-        return message
+        reply: dict[str, object] = json.loads(await reader.readline())["said"]
+        return reply
 
 
 Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -194,7 +192,7 @@ Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 @contextlib.asynccontextmanager
 async def _open(opening: Awaitable[Streams]) -> AsyncIterator[Streams]:
-    """Open a connection for the block; faults may close it earlier."""
+    """Open a connection for the block, and close it however the block ends."""
     reader, writer = await opening
     try:
         yield reader, writer
@@ -205,21 +203,21 @@ async def _open(opening: Awaitable[Streams]) -> AsyncIterator[Streams]:
 
 
 @contextlib.asynccontextmanager
-async def _connected_client(endpoints: Endpoints, rng: random.Random) -> AsyncIterator[Streams]:
-    async with _open(asyncio.open_connection(HOST, endpoints.nserver)) as (reader, writer):
+async def _connected(target: Target, rng: random.Random) -> AsyncIterator[Streams]:
+    async with _open(asyncio.open_connection(HOST, target.nserver)) as (reader, writer):
         writer.write(rng.choice(CONNECT))
         await reader.readexactly(8)
         yield reader, writer
 
 
 def _reset(writer: asyncio.StreamWriter) -> None:
-    """Reset the connection instead of closing it."""
+    """Close the connection with a reset."""
     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     writer.transport.abort()
 
 
-KINDS: Final[dict[str, Callable[[Endpoints, random.Random], Awaitable[None]]]] = {
-    "program": program, "reset": reset, "half": half, "no_reader": no_reader, "noise": noise,
-    "host": serial_host, "page": page, "localizer": localizer, "owner": owner,
+KINDS: Final[dict[str, Callable[[Target, random.Random], Awaitable[None]]]] = {
+    "program": program, "dies": dies, "half": half, "deaf": deaf, "noise": noise, "host": host, "page": page,
+    "localizer": localizer, "owner": owner,
 }  # fmt: skip
 """All kinds of clients."""

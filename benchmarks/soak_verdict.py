@@ -1,7 +1,7 @@
-"""The quantities of an endurance run and their limits.
+"""Measurements of an endurance run and their bounds.
 
-Samples are taken when no client is connected, so that everything left belongs to the daemon. Memory is compared from
-the end of the first hour (of the first half of runs below two hours), in which caches and tracks fill.
+A sample is taken without connections, so that all resources belong to the daemon. Memory counts after the first hour,
+in which caches and tracks fill (after half of a run that is shorter than two hours).
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from typing import Final
 
 MAX_MEMORY_GROWTH: Final = 0.05
-WARM_UP_S: Final = 3600.0
+FIRST_S: Final = 3600.0
 STEPS_PER_SECOND: Final = 10
 """At --speed max a step is a tenth of a second."""
 POOL: Final = min(32, (os.cpu_count() or 1) + 4)
-"""Maximum size of asyncio's thread pool for files."""
+"""Threads in asyncio's pool, once it has used them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The daemon at one moment, with no client connected.
+    """Resources of the daemon without connections.
 
-    simulated_s, steps      its clock and number of steps (/metrics)
-    rss_kib, descriptors, threads      from the system (/proc)
-    tasks, answers, shapes, obstacles  from the daemon (/metrics)
+    simulated_s, steps      its clock, and its number of steps (/metrics)
+    rss_kib, descriptors, threads      as the system counts them (/proc)
+    tasks, answers, shapes, obstacles  by its own count (/metrics)
     real_s                  since the start of the run
     """
 
@@ -43,52 +43,52 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A measured value with its limit."""
+    """A number and its bound."""
 
     what: str
     value: float
     bound: str
-    passed: bool
+    is_met: bool
 
 
-def verdict(samples: Sequence[Sample], hours: float) -> list[Finding]:
-    """Check the samples, the first of which is taken before any client connects. Needs two."""
+def check_samples(samples: Sequence[Sample], hours: float) -> list[Finding]:
+    """Return the findings of at least two samples, the first taken before the first client."""
     first, last = samples[0], samples[-1]
-    warm_s = min(WARM_UP_S, 1800.0 * hours)
+    warm_s = min(FIRST_S, 1800.0 * hours)
     warm = next(sample for sample in samples if sample.simulated_s >= warm_s)
     later = samples[samples.index(warm):]  # fmt: skip
     growth = max(sample.rss_kib for sample in later) / warm.rss_kib - 1.0
     drift_s = max(abs(sample.simulated_s - sample.steps / STEPS_PER_SECOND) for sample in samples)
     return [
         Finding("simulated hours", last.simulated_s / 3600, f"at least {hours:g}", last.simulated_s >= 3600 * hours),
-        Finding("memory, maximum after the first hour relative to then, %", 100 * growth,
+        Finding("memory, largest after the first hour relative to then, %", 100 * growth,
                 f"at most {100 * MAX_MEMORY_GROWTH:g}", growth <= MAX_MEMORY_GROWTH),
         Finding("clock less steps, s", drift_s, "0", drift_s == 0.0),
-        _check_leftover("tasks", [sample.tasks for sample in samples]),
-        _check_leftover("descriptors", [sample.descriptors for sample in samples]),
+        check_leftovers("tasks", [sample.tasks for sample in samples]),
+        check_leftovers("descriptors", [sample.descriptors for sample in samples]),
         Finding("threads at the end", last.threads, f"at most {first.threads} + {POOL} of asyncio's pool",
                 last.threads <= first.threads + POOL),
     ]  # fmt: skip
 
 
-def _check_leftover(what: str, counts: Sequence[int]) -> Finding:
-    """Check that every count is at most that before the first client."""
-    maximum = max(counts) - counts[0]
-    return Finding(f"{what} left over, maximum of {len(counts)} counts", maximum, "0", maximum <= 0)
+def check_leftovers(what: str, counts: Sequence[int]) -> Finding:
+    """Check that a count without connections never exceeds the first one."""
+    largest = max(counts) - counts[0]
+    return Finding(f"{what} left over, largest of {len(counts)} times", largest, "0", largest <= 0)
 
 
 def check_activity(sessions: Mapping[str, int], struck: int, kinds: Sequence[str]) -> list[Finding]:
-    """Check that every kind of client connected and that faults were injected."""
-    minimum = min(sessions.get(kind, 0) for kind in kinds)
+    """Check that clients of every kind connected and that faults were injected."""
+    fewest = min(sessions.get(kind, 0) for kind in kinds)
     return [
-        Finding("sessions", sum(sessions.values()), "at least 1 of each kind", minimum >= 1),
-        Finding("faults", struck, "at least 1", struck >= 1),
+        Finding("sessions", sum(sessions.values()), "at least 1 of each kind", fewest >= 1),
+        Finding("injected faults", struck, "at least 1", struck >= 1),
     ]
 
 
-def check_exit(exit_code: int, count_errors: int) -> list[Finding]:
-    """Check for a clean exit without internal errors in the log."""
+def check_end(exit_code: int, complaints: int) -> list[Finding]:
+    """Check that the daemon ended cleanly; `complaints` is the number of internal errors that it logged."""
     return [
         Finding("exit code", exit_code, "0", exit_code == 0),
-        Finding("internal errors, logged", count_errors, "0", count_errors == 0),
+        Finding("internal errors, logged", complaints, "0", complaints == 0),
     ]
