@@ -347,21 +347,29 @@ def pda_update(
         corrections = rule(
             x, P, reading_in, association, [inflated_variance(R, constant, count) for R, constant in parts]
         )
-    # 4. x' = x + sum_j beta_j dx_j.
+    # 4. One certain hypothesis: the Kalman update.
+    if len(corrections) == 1 and not beta[-1]:
+        add_outer(P, -corrections[0].S, corrections[0].K)
+        _shift(x, corrections[0].dx)
+        return result
+    # 5. x' = x + sum_j beta_j dx_j.
     dx = [0.0] * len(x)
     for probability, correction in zip(beta, corrections, strict=False):
         dx = [total + probability * change for total, change in zip(dx, correction.dx, strict=True)]
-    # 5. P' = P - sum_j beta_j K_j S_j K_j' + the spread of the means, which one certain hypothesis does not have.
+    # 6. P' = P - sum_j beta_j K_j S_j K_j' + sum_j beta_j (dx_j - dx) (dx_j - dx)': an outlier leaves x as it is.
     for probability, correction in zip(beta, corrections, strict=False):
         add_outer(P, -probability * correction.S, correction.K)
-    if len(corrections) > 1 or beta[-1] > 0.0:
-        for probability, correction in zip(beta, corrections, strict=False):
-            add_outer(P, probability, [one - mean for one, mean in zip(correction.dx, dx, strict=True)])
-        add_outer(P, beta[-1], dx)
+        add_outer(P, probability, [one - mean for one, mean in zip(correction.dx, dx, strict=True)])
+    add_outer(P, beta[-1], dx)
+    _shift(x, dx)
+    return result
+
+
+def _shift(x: State, dx: Sequence[float]) -> None:
+    """Add dx to x in place, the heading wrapped."""
     for i, change in enumerate(dx):
         x[i] += change
     x[HEADING] = wrap_angle(x[HEADING])
-    return result
 
 
 # Repeated readings from one pose.
