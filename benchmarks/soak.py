@@ -30,7 +30,7 @@ from soak_verdict import Finding, Sample, ended, verdict, visited
 from soak_visitors import KINDS, MODELS, House, ask_owner
 
 from nclient.common.process import handle_termination_signals
-from nserver_emu.garbage import TIDY_S
+from nserver_emu.server.garbage_collection import MIN_INTERVAL_S
 
 PATIENCE_S: Final = 600.0
 """How long a daemon on a machine that others load may take to answer: no verdict on speed."""
@@ -41,8 +41,8 @@ LOOK_S: Final = 0.2
 LOOKS: Final = 3
 """Descriptors and memory are counted so often: the fewest are there to stay, others belong to whoever asked for the
 numbers, and to a save that is under way."""
-SETTLE_S: Final = TIDY_S + 2.0
-"""Real time that a daemon has to free what visitors left, simulated time standing (nserver_emu/garbage.py)."""
+SETTLE_S: Final = MIN_INTERVAL_S + 2.0
+"""Real time for garbage collection (nserver_emu/server/garbage_collection.py) while simulated time is paused."""
 COMPLAINTS: Final = ("Traceback", "was never retrieved", "was destroyed")
 FAULTS: Final = """
 seed = 1

@@ -33,9 +33,9 @@ from typing import NamedTuple
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.garbage import seldom_sought
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.daemon import LOOPBACK, Daemon
+from nserver_emu.server.garbage_collection import rare_collection
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.server import serve_viewer
 from worlds.world import StartPose
@@ -109,9 +109,9 @@ async def running() -> AsyncIterator[tuple[Metered, str]]:
         _, writer = await asyncio.open_connection(LOOPBACK, port)
         for call in (Call("connect_robot", (1, 0)), Call("vm", ROUND_AND_ROUND)):
             writer.write(codec.encode_tcp_request(call))
-        with seldom_sought():
+        with rare_collection():
             yield daemon, lines[0].split()[-1]
-        if daemon.emulator.simulation.robots[1].still((0,)):
+        if daemon.emulator.simulation.robots[1].is_still((0,)):
             raise RuntimeError("the robot stood: nothing was measured")
         writer.close()
         stop.set()

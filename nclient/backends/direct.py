@@ -24,11 +24,11 @@ from nclient.backends.validation import ReplyValidator
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol import codec
 from nclient.protocol.client_state import HANDSHAKE_SIZE, apply_handshake, read_handshake
-from nclient.protocol.codec import BYTE_HIGHEST
+from nclient.protocol.codec import MAX_BYTE
 from nclient.protocol.commands import NAK_TYPE, Call, Command, exists_on_serial
 from nclient.protocol.decode import guess_model, model_mismatch_hint
 from nclient.protocol.replies import LINE_STATE, Reply
-from nclient.protocol.serial_framing import SMALLEST_FRAME, SerialFrame, SerialFramer
+from nclient.protocol.serial_framing import MIN_FRAME, SerialFrame, SerialFramer
 from nclient.protocol.types import EVERYTHING, N150, Model
 from nclient.protocol.wire_state import DEFAULT_LASER_MODE, LINES, WireState, serial_wire_state
 from nclient.transports.stream import ByteStream, Deadline
@@ -180,7 +180,7 @@ class SerialLink:
         while not is_over:
             # After bytes that could have been a frame, a gap means that the rest of it is lost.
             unframed = self._framer.skipped_bytes + self._framer.pending
-            wait = self.deadline(min(GAP_S, deadline.remaining())) if unframed >= SMALLEST_FRAME else deadline
+            wait = self.deadline(min(GAP_S, deadline.remaining())) if unframed >= MIN_FRAME else deadline
             try:
                 frames = self._framer.receive(self._stream.receive(wait))
             except ReplyTimeout:
@@ -312,8 +312,8 @@ class DirectBackend:
         if row.name == "disconnect_robot":
             self.close()
             return _NO_REPLY
-        if is_wait(call) and call.args[3] > BYTE_HIGHEST:
-            return split_wait(call, BYTE_HIGHEST, self.execute)
+        if is_wait(call) and call.args[3] > MAX_BYTE:
+            return split_wait(call, MAX_BYTE, self.execute)
 
         # 2. One exchange, once no older reply can be taken for this one.
         self._require_exists_on_serial(row)

@@ -21,9 +21,9 @@ import time
 from collections.abc import Callable
 from urllib.parse import quote
 
+from nclient.cli.idle import IdleMonitor
 from nclient.cli.serving import LOOK_S, Turn, add_door, open_door, tell, visitors
 from nclient.common.exit_codes import ExitCode
-from nclient.common.idle import IdleMonitor
 from nclient.connect import Connector
 from nclient.errors import AddressError, ConnectionLost, ReplyTimeout
 from nclient.protocol.types import Model

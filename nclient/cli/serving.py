@@ -17,9 +17,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from nclient.cli.idle import NONE, SILENT_S, IdleTimer
 from nclient.common import allowlist
 from nclient.common.arguments import seconds
-from nclient.common.idle import NONE, SILENT_S, IdleTimer
 from nclient.transports.listener import Listener, PtyListener, TcpListener
 from nclient.transports.stream import ByteStream
 

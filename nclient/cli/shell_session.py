@@ -67,15 +67,15 @@ def call_of(order: ParsedCommand, wire_state: WireState, smask: Sequence[int], p
     return call
 
 
-def no_command(name: str, beside: Iterable[str] = ()) -> str:
+def describe_unknown_command(name: str, beside: Iterable[str] = ()) -> str:
     """That there is no such command, and which was probably meant; `beside`: what else may have been."""
-    return f"{codec.no_command(name, (*OWN, *beside))}; help lists them all"
+    return f"{codec.describe_unknown_command(name, (*OWN, *beside))}; help lists them all"
 
 
 def _row(name: str, wire_state: WireState) -> Command:
     row = BY_NAME.get(name)
     if row is None:
-        raise ShellError(no_command(name, ARRAYS))
+        raise ShellError(describe_unknown_command(name, ARRAYS))
     if not available(row, wire_state):
         there = f"on the own line of a {wire_state.model.name}" if wire_state.line else "over TCP"
         raise ShellError(f"there is no {name} {there}; help {name} says where there is")
@@ -300,7 +300,7 @@ def _check_own(order: ParsedCommand) -> None:
         case "help":
             for word in map(str, values):
                 if word not in BY_NAME and word not in OWN:
-                    raise ShellError(f"help: {no_command(word)}")
+                    raise ShellError(f"help: {describe_unknown_command(word)}")
         case "state":
             state_text.check(map(str, values))
         case "wait" | "sleep" if values or name == "sleep":

@@ -177,7 +177,7 @@ def _dump(options: argparse.Namespace) -> int:
 
 def _row(name: str) -> Command:
     if name not in BY_NAME:
-        raise WireError(f"{codec.no_command(name)}; {_LIST}")
+        raise WireError(f"{codec.describe_unknown_command(name)}; {_LIST}")
     return BY_NAME[name]
 
 

@@ -42,7 +42,7 @@ from typing import Any, ClassVar, Final
 from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
 from nclient.errors import FaultPlanError
-from nclient.protocol.codec import no_command
+from nclient.protocol.codec import describe_unknown_command
 from nclient.protocol.commands import BY_NAME
 
 BIT, BYTE = "bit", "byte"
@@ -362,7 +362,7 @@ def _check_command(rule: str, command: str) -> None:
     if row is not None and row.packet_type is not None:
         raise FaultPlanError(f"rule {rule!r}: command: on the wire {command} is a special_request; write that")
     if row is None and command != GREETING:
-        raise FaultPlanError(f"rule {rule!r}: command: {no_command(command, [GREETING])}")
+        raise FaultPlanError(f"rule {rule!r}: command: {describe_unknown_command(command, [GREETING])}")
 
 
 def _check_line(rule: str, line: str) -> None:

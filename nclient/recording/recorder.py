@@ -79,7 +79,7 @@ class FrameDecoder:
     def resume(self, wire_state: WireState) -> None:
         """Listen to a connection that went on unheard so far and has come to these terms; between two requests."""
         self._ears.resume(wire_state.wide)
-        self._whole().agree(wire_state)
+        self._whole().set_wire_state(wire_state)
 
     def to_robot(self, data: bytes) -> list[Decoded]:
         """What these bytes to the robot made whole."""

@@ -40,10 +40,10 @@ class StartPoseAllocator:
 
     def next(self, radius_in: float) -> StartPose | None:
         """The first place where a robot of this radius touches nothing and nobody; None where there is none."""
-        standing, world = self._simulation.standing, self._simulation.world
+        spatial_hash, world = self._simulation.spatial_hash, self._simulation.world
         for place in self._untried.setdefault(radius_in, self._places(2.0 * radius_in + GAP_IN)):
             here = place.x_in, place.y_in
-            if not standing.touched(*here, radius_in) and world.clearance(*here) > radius_in:
+            if not spatial_hash.touched(*here, radius_in) and world.clearance(*here) > radius_in:
                 return place
         return None
 
@@ -102,7 +102,7 @@ class SimulationConfig:
         simulation = Simulation(load_world(self.world), seed=self.seed)
         setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
         places = StartPoseAllocator(simulation)
-        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, awake=False)
+        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, powered=False)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
             place = start or places.next(model.body.radius_in)
@@ -111,8 +111,8 @@ class SimulationConfig:
                     f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots or a larger "
                     "world, or give it a --start"
                 )
-            simulation.add_robot(robot_id, place, model, setup, awake=False)
-        simulation.wake()
+            simulation.add_robot(robot_id, place, model, setup, powered=False)
+        simulation.power_on()
         return simulation
 
 

@@ -22,10 +22,10 @@ from typing import Any
 from nclient.errors import ConnectionLost
 from nclient.recording.format import RecordingWriter
 from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
-from nserver_emu.garbage import Tidying
 from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
 from nserver_emu.server.client_registry import ClientRegistry
 from nserver_emu.server.connection import Connection, ConnectionHandler
+from nserver_emu.server.garbage_collection import GarbageCollector
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.link import FaultController
 from nserver_emu.server.session import Host
@@ -171,14 +171,14 @@ class Daemon:
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()
-        last, tidying = loop.time(), Tidying(loop.time)
+        last, collector = loop.time(), GarbageCollector(loop.time)
         while not self.emulator.quitting:
             pace = self.emulator.clock
             await asyncio.sleep(0 if pace.is_free_running and pace.factor is None else TICK_S)
             now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
-            tidying.tidy()
+            collector.run()
 
     def _pass_time(self, elapsed_s: float) -> None:
         pace = self.emulator.clock

@@ -263,11 +263,11 @@ class Session(BaseSession[TcpFrame | InvalidFrame]):
         self._find_identity = find_identity
         self._head: bytes | None = b""
         self._silent = False
-        self._framer = TcpFramer(limit_words(request_bounds, most_words), gives_up=True)
+        self._framer = TcpFramer(limit_words(request_bounds, most_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
-        return self._framer.pending + self._framer.owed + len(self._head or b"")
+        return self._framer.pending + self._framer.bytes_to_skip + len(self._head or b"")
 
     @property
     def identity(self) -> ClientIdentity | None:

@@ -56,7 +56,7 @@ def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, 
     """Three numbers of a command, as its axes count."""
     first, second, third = (
         number / 10 if rolls else rad_from_tenths(number)
-        for number, rolls in zip(tenths, robot.model.rolls, strict=True)
+        for number, rolls in zip(tenths, robot.model.in_inches, strict=True)
     )
     return first, second, third
 
@@ -65,7 +65,7 @@ def axis_tenths(robot: SimulatedRobot, values: tuple[float, float, float]) -> tu
     """What the axes say, in tenths; what is not zero never becomes zero."""
     first, second, third = (
         away_from_zero(value * 10 if rolls else math.degrees(value) * 10)
-        for value, rolls in zip(values, robot.model.rolls, strict=True)
+        for value, rolls in zip(values, robot.model.in_inches, strict=True)
     )
     return first, second, third
 
@@ -83,7 +83,7 @@ def is_on(mode: int) -> bool:
 
 def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) -> tuple[int, ...]:
     """The vector with so many words a reading, on the terms of this connection; (0,) where nothing is seen."""
-    seen = robot.look_with_laser(context.laser_columns)
+    seen = robot.scan_laser(context.laser_columns)
     if width not in (POINTS, LINES):
         rows = pixels(seen)
         return (len(rows), *rows)
@@ -199,7 +199,7 @@ def with_laser(
     robot: SimulatedRobot, context: ConnectionContext, slots: list[int], *, wanted: bool = True
 ) -> tuple[list[int], tuple[int, ...] | None]:
     """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return slots, None
     wire_state = context.wire_state
     told = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
@@ -215,7 +215,7 @@ def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str,
         stamps |= infrared_stamps(robot)
     if position & Position.BUMPER:
         stamps["bumper"] = stamp_now(robot, time_s)
-    if position & Position.LASER and robot.model.sees:
+    if position & Position.LASER and robot.model.has_light_sensors:
         stamps["laser"] = stamp_now(robot, time_s)
     if position & Position.COMPASS:
         stamps |= compass_stamps(robot, time_s)
@@ -253,7 +253,7 @@ def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
     """The pose of now, and when the compass was read: up to a tenth of a second ago; none for a robot without."""
     if robot.compass is None:
         return {}
-    taken_ms = robot_clock_ms(robot, to_s(robot.compass.taken_ps))
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.read_ps))
     return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 

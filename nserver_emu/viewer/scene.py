@@ -40,7 +40,7 @@ from nserver_emu.server.context import ServerState
 from nserver_emu.server.graphics import Shape, Trace
 from nserver_emu.server.handlers.runtime_settings import noise_choices, noise_of
 from nserver_emu.server.state_encoder import StateSnapshot, is_on
-from nserver_emu.simulation.acoustics import Cry
+from nserver_emu.simulation.acoustics import Ping
 from nserver_emu.simulation.laser import points
 from nserver_emu.simulation.noise import RobotSetup
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -101,7 +101,7 @@ class Revision(NamedTuple):
     laser_modes: Modes | None
     said: object
     traces: dict[int, tuple[int, int]]
-    pings: dict[int, tuple[Cry | None, ...]]
+    pings: dict[int, tuple[Ping | None, ...]]
 
 
 NOTHING: Final = Revision(0, None, None, -1, -1, None, "no text yet", {}, {})
@@ -133,7 +133,9 @@ class SceneHistory:
             measured = {
                 str(number): _laser_points(robot)
                 for number, robot in self._server_state.simulation.robots.items()
-                if robot.model.sees and (lasers is None or number in lasers) and is_shown(self._modes.get(number, []))
+                if robot.model.has_light_sensors
+                and (lasers is None or number in lasers)
+                and is_shown(self._modes.get(number, []))
             }
             self._lasers_taken += bool(measured or self._lasers)
             self._lasers = measured
@@ -184,7 +186,7 @@ class SceneHistory:
             self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
             simulation.world, server_state.graphics.drawn, self._lasers_taken, self._modes,
             said[-1] if said else None, counts,
-            {n: robot.sonar.cries for n, robot in simulation.robots.items()},
+            {n: robot.sonar.pings for n, robot in simulation.robots.items()},
         )  # fmt: skip
 
     def _grown(self, old: dict[int, tuple[int, int]], new: dict[int, tuple[int, int]]) -> Plain:
@@ -205,7 +207,7 @@ def body_data(robot: SimulatedRobot) -> Plain:
     return {
         "model": robot.model.name, "family": robot.model.family, "radius_in": shape.radius_in,
         "ring_in": shape.sonar_ring_radius_in, "bumpers": len(shape.bumper_angles_rad),
-        "differential": robot.model.track_in is not None, "sees": robot.model.sees,
+        "differential": robot.model.track_in is not None, "sees": robot.model.has_light_sensors,
         "noise": noise_of(robot), "noises": noise_choices(robot),
     }  # fmt: skip
 
@@ -254,7 +256,7 @@ def _pose(pose: Pose) -> list[float]:
     ]  # fmt: skip
 
 
-def _changed_beams(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[Cry | None, ...]]) -> Plain:
+def _changed_beams(old: dict[int, tuple[Ping | None, ...]], new: dict[int, tuple[Ping | None, ...]]) -> Plain:
     """Return the sonars whose latest ping has another position or direction than before."""
     record_change = {
         str(n): [
@@ -267,11 +269,11 @@ def _changed_beams(old: dict[int, tuple[Cry | None, ...]], new: dict[int, tuple[
     return {n: beams for n, beams in record_change.items() if beams}
 
 
-def _axis(ping: Cry | None) -> tuple[float, ...] | None:
+def _axis(ping: Ping | None) -> tuple[float, ...] | None:
     return None if ping is None else (ping.x_in, ping.y_in, ping.direction_rad)
 
 
-def _beam(ping: Cry | None) -> list[float]:
+def _beam(ping: Ping | None) -> list[float]:
     if ping is None:
         return []
     return [round(ping.x_in, DIGITS), round(ping.y_in, DIGITS), round(ping.direction_rad, ANGLE_DIGITS)]
@@ -281,7 +283,7 @@ def _laser_points(robot: SimulatedRobot) -> list[float]:
     """Return laser points in map coordinates: the robot moves on before the laser measures again."""
     x, y, _, turret_rad = robot.actual
     c, s = math.cos(turret_rad), math.sin(turret_rad)
-    measured = points(robot.look_with_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
+    measured = points(robot.scan_laser(), robot.model.body) @ np.array([[c, s], [-s, c]]) + (x, y)
     return [round(number, 1) for point in measured.tolist() for number in point]
 
 

@@ -220,7 +220,8 @@ class ViewerServer:
 
     def _laser_modes(self) -> Modes:
         robots = self._daemon.emulator.simulation.robots
-        return laser_modes(self._daemon.connections, [n for n, robot in robots.items() if robot.model.sees])
+        numbers = [number for number, robot in robots.items() if robot.model.has_light_sensors]
+        return laser_modes(self._daemon.connections, numbers)
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:

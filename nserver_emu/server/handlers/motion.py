@@ -46,7 +46,7 @@ def pa(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
     first, second, third = (
         _way(target - count if rolls else math.remainder(target - angle, math.tau))
         for target, count, angle, rolls in zip(
-            axis_values(robot, args), robot.counts, angles, robot.model.rolls, strict=True
+            axis_values(robot, args), robot.counts, angles, robot.model.in_inches, strict=True
         )
     )
     robot.move_relative(first, second, third)
@@ -104,7 +104,7 @@ def ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -
 
     def waited() -> Reply | None:
         server.feed(context)
-        return server.state(context) if robot.still(axes) or server.simulation.time_s >= deadline_s else None
+        return server.state(context) if robot.is_still(axes) or server.simulation.time_s >= deadline_s else None
 
     return waited
 

@@ -93,7 +93,7 @@ def conf_ls(server: ServerState, context: ConnectionContext, args: tuple[int, ..
     Threshold, width and processing tell a camera's picture from its noise; there is no picture here, and no source
     that tells their units: they have no effect.
     """
-    if not server.robot_of(context).model.sees:
+    if not server.robot_of(context).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     context.laser_columns = max(0, args[3])
     return server.state(context)
@@ -106,7 +106,7 @@ def get_ls(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
 
 def conf_sg(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """How laser points become lines on this connection: threshold and gap in tenths of an inch, fewest points."""
-    if not server.robot_of(context).model.sees:
+    if not server.robot_of(context).model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     if not all(0 <= number <= _HIGHEST_BYTE for number in args):
         return error_reply(BAD_VALUES)
@@ -122,7 +122,7 @@ def get_sg(server: ServerState, context: ConnectionContext, _args: tuple[int, ..
 
 def _laser(server: ServerState, context: ConnectionContext, width: int) -> Reply:
     robot, now_s = server.robot_of(context), server.simulation.time_s
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return error_reply(NOT_AVAILABLE)
     seen = laser_vector(robot, context, width) if is_on(context.wire_state.laser_mode) else (0,)
     stamps = {"laser": stamp_now(robot, now_s)} if context.wire_state.mask.position & Position.LASER else {}

@@ -29,7 +29,7 @@ from nserver_emu.server.state_encoder import state_slots, with_laser
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.visibility import Sighting
+from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
 from worlds.raycast import cast_rays
 from worlds.world import Polygon, StartPose
@@ -236,10 +236,11 @@ def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple
     """What the sensors would read at another place of the map, ideal ones without noise; no robot goes there."""
     simulation, robot = server.simulation, server.robot_of(context)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    seen = Sighting(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
+    seen = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, lookout=seen, own=len(others)
-    )
+        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=seen,
+        self_index=len(others),
+    )  # fmt: skip
     slots, laser = with_laser(there, context, state_slots(there, server.clock.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)
 

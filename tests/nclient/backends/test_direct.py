@@ -545,9 +545,9 @@ def test_a_laser_mode_that_was_said_is_the_mode() -> None:
 
 
 @pytest.mark.parametrize(("real", "said", "remedy"), [
-    (N200, N150, "it looks like a n200's: say model=n200"), (N200, SCOUT, "it looks like a n200's: say model=n200"),
-    (SCOUT, N150, "is it a n150. Else say model=n200 or model=scout"),
-    (N150, SCOUT, "is it a scout. Else say model=n150 or model=n200"),
+    (N200, N150, "it looks like a n200's: write model=n200"), (N200, SCOUT, "it looks like a n200's: write model=n200"),
+    (SCOUT, N150, "is it a n150. Else write model=n200 or model=scout"),
+    (N150, SCOUT, "is it a scout. Else write model=n150 or model=n200"),
 ])
 def test_another_model_than_was_said_is_told_from_the_first_answer_on(real: Model, said: Model, remedy: str) -> None:
     robot = ScriptedLine(model=real)
@@ -568,9 +568,9 @@ def test_what_is_understood_once_is_of_this_model() -> None:
 
 
 def test_no_n200_at_the_other_end_of_a_mask() -> None:
-    with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else say model=n150 or model=scout"):
+    with pytest.raises(ReplyTimeout, match=r"no answer within 1 s; is it a n200. Else write model=n150 or model=scout"):
         direct_on(ScriptedLine({"ct": None}, N200))
-    with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else say model=n150 or model=scout"):
+    with pytest.raises(RobotRefused, match=r"ct was refused: NAK; is it a n200. Else write model=n150 or model=scout"):
         direct_on(ScriptedLine({"ct": NAK_FRAME}, N200))
-    with pytest.raises(ReplyTimeout, match=r"sends 11 bytes first, and 0 came; is it a n200. Else say model="):
+    with pytest.raises(ReplyTimeout, match=r"sends 11 bytes first, and 0 came; is it a n200. Else write model="):
         direct_on(ScriptedLine(model=N200), hello=True)

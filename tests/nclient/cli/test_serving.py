@@ -12,8 +12,8 @@ from types import ModuleType
 import pytest
 
 from nclient.cli import bridge, play
+from nclient.cli.idle import SILENT_S
 from nclient.cli.serving import LOOK_S, Turn, open_door, visitors
-from nclient.common.idle import SILENT_S
 from nclient.transports.stream import ByteStream, Deadline
 
 both = pytest.mark.parametrize("command", [bridge, play], ids=["bridge", "play"])

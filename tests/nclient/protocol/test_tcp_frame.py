@@ -168,7 +168,7 @@ def test_bounds_by_type() -> None:
 @given(st.binary(max_size=200), st.integers(1, 50))
 @settings(max_examples=40)
 def test_one_that_gives_up_drops_all_that_comes_after_the_frame_was_lost(after: bytes, cut: int) -> None:
-    framer = TcpFramer(request_bounds, wide=False, gives_up=True)
+    framer = TcpFramer(request_bounds, wide=False, drop_after_loss=True)
     lost = b"\x7f\x7f\x7f\x7f"
     found = framer.receive(lost + after[:cut]) + framer.receive(after[cut:])
     assert [item.fatal for item in found if isinstance(item, InvalidFrame)] == [True]

@@ -316,12 +316,12 @@ def test_a_silent_owners_watchdog_is_not_fed_by_others() -> None:
     owner.ask("conf_tm", 2)
     owner.ask("vm", 10, 0, 0)
     watcher.ask("gs")
-    assert not real.still((0,))
+    assert not real.is_still((0,))
     for _ in range(50):
         watcher.ask("gs")
         harness.gateway.tick()
     harness.run_pending()
-    assert real.still((0,))
+    assert real.is_still((0,))
 
 
 def test_a_silent_owners_robot_is_stopped(caplog: pytest.LogCaptureFixture) -> None:
@@ -503,13 +503,13 @@ def test_a_hold_stops_the_real_robot_and_refuses_motions() -> None:
     real = line.emulator.simulation.robots[1]
     client = harness.client()
     client.ask("vm", 100, 0, 0)
-    assert not real.still((0,))
+    assert not real.is_still((0,))
     harness.gateway.hold(1, "viewer 1")
     harness.run_pending()
-    assert real.still((0,))
+    assert real.is_still((0,))
     for name, args in (("vm", (100, 0, 0)), ("pr", (100, 0, 0)), ("zr", ()), ("mv", (1, 50, 0, 0, 0, 0))):
         assert client.ask(name, *args).slots[38] == 0
-        assert real.still((0, 1, 2))
+        assert real.is_still((0, 1, 2))
     assert refusal(client.ask("arm_mv", 2, 10, 2, 10)) == (5,)
     assert harness.emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 5}}
     harness.emulator.estop.release(1)
@@ -525,5 +525,5 @@ def test_a_hold_of_the_simulated_robot_sends_nothing_to_the_real() -> None:
     before = line.emulator.simulation.time_s
     harness.gateway.hold(1, "viewer 1")
     harness.run_pending()
-    assert harness.emulator.simulation.robots[1].still((0,))
+    assert harness.emulator.simulation.robots[1].is_still((0,))
     assert line.emulator.simulation.time_s == before

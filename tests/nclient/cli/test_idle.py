@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.common.idle import NONE, IdleMonitor, IdleTimer
+from nclient.cli.idle import NONE, IdleMonitor, IdleTimer
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
