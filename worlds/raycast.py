@@ -16,7 +16,7 @@ passes between them.
 
 The formula therefore stands here twice: `intersect` in numbers, `_intersections` in arrays. A simulated sonar or a live
 filter casts one to three rays at a time; in arrays that takes about ten times as long
-(docs/decisions/023-machine-code.md).
+(docs/decisions/023-numba.md).
 """
 
 from __future__ import annotations

@@ -160,11 +160,11 @@ def predict_state(x: list[Number], P: list[list[Number]], distance: Number, turn
     # 4. P <- P F' in the rows of the pose.
     for row in P[:POSE]:
         for k, (f_x, f_y, f_heading) in F:
-            of_k = row[k]
-            row[0] = row[0] + f_x * of_k
-            row[1] = row[1] + f_y * of_k
+            value = row[k]
+            row[0] = row[0] + f_x * value
+            row[1] = row[1] + f_y * value
             if k != HEADING:
-                row[2] = row[2] + f_heading * of_k
+                row[2] = row[2] + f_heading * value
     # 5. P <- P + G Q G' in its upper half; the lower half by symmetry.
     for i in range(POSE):
         along, about = q_distance * g[i], q_turn * h[i]
