@@ -2,11 +2,11 @@
 
     {"format": "nserver snapshot", "format_version": 2, "version": version of the package, "state": SnapshotState}
 
-Every part of the simulation has a state, a NamedTuple or a dataclass next to its fields, and `to_state` and `from_state`
-(or `set_state`). Its declaration is the schema of the file: NamedTuples are arrays, dataclasses objects. `decoder` builds
-a typed state and accepts nothing else, so a file can neither name classes nor nest deeper than the declarations; parts
-raise ValueError for values that a simulation cannot have, which bounds the work of a damaged file. Floats are written
-with all digits. Random streams continue where they were.
+Every part of the simulation has a state, a NamedTuple or a dataclass next to its fields, and `to_state` and
+`from_state` (or `set_state`). Its declaration is the schema of the file: NamedTuples are arrays, dataclasses objects.
+`decoder` builds a typed state and accepts nothing else, so a file can neither name classes nor nest deeper than the
+declarations; parts raise ValueError for values that a simulation cannot have, which bounds the work of a damaged file.
+Floats are written with all digits. Random streams continue where they were.
 
 Renaming or adding a field changes the format: increase FORMAT_VERSION.
 """
@@ -43,8 +43,8 @@ FORMAT_VERSION: Final = 2
 """Version 1 was a graph of objects with the names of their classes; it can no longer be read."""
 
 SAVED_PARTS: Final = ("simulation", "clock", "graphics", "traces", "transcript", "arms")
-"""The attributes of an emulator that a snapshot replaces: all but connections, port and permissions, which belong to the
-start of a server."""
+"""The attributes of an emulator that a snapshot replaces: all but connections, port and permissions, which belong to
+the start of a server."""
 
 TYPE_NAMES: Final[Mapping[type, str]] = {SonarNoise: "ray", Polaroid: "polaroid"}
 """Names of the dataclasses that are alternatives of one field; written as "type"."""
@@ -136,6 +136,9 @@ def _fields_of(value: Any) -> dict[str, Any]:
     return {"type": TYPE_NAMES[type(value)], **values} if type(value) in TYPE_NAMES else values
 
 
+_ENCODER: Final = json.JSONEncoder(default=_fields_of, separators=(",", ":"), allow_nan=False)
+
+
 @functools.cache
 def decoder(kind: Any) -> Decoder:
     """Return the function that makes a value of a declared type out of JSON data.
@@ -144,8 +147,6 @@ def decoder(kind: Any) -> Decoder:
     """
     if kind in (bool, int, float, str):
         return _SCALARS[kind]
-    if kind is NoneType:
-        return _none
     arguments = get_args(kind)
     match get_origin(kind):
         case origin if origin is tuple:
@@ -157,7 +158,7 @@ def decoder(kind: Any) -> Decoder:
     if issubclass(kind, Enum):
         return _enum_decoder(kind)
     hints = get_type_hints(kind)
-    if dataclasses.is_dataclass(kind):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         return _dataclass_decoder(kind, {field.name: hints[field.name] for field in dataclasses.fields(kind)})
     fields = _tuple_decoder(tuple(hints[name] for name in kind._fields))
     return lambda data: kind(*fields(data))
@@ -185,11 +186,6 @@ def _str(data: Any) -> str:
     if not isinstance(data, str):
         raise ValueError("expected a text")
     return data
-
-
-def _none(data: Any) -> None:
-    if data is not None:
-        raise ValueError("expected null")
 
 
 _SCALARS: Final[Mapping[type, Decoder]] = {bool: _bool, int: _int, float: _float, str: _str}
@@ -292,7 +288,11 @@ def dumps(emulator: Emulator) -> str:
     whole = {
         "format": FORMAT, "format_version": FORMAT_VERSION, "version": version(), "state": SnapshotState.of(emulator),
     }  # fmt: skip
-    return json.dumps(whole, default=_fields_of, separators=(",", ":"), allow_nan=False)
+    # Chunk by chunk: json.dumps holds all chunks until the end, seven times the memory of the text.
+    text = bytearray()
+    for chunk in _ENCODER.iterencode(whole):
+        text += chunk.encode()
+    return text.decode()
 
 
 def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
@@ -305,8 +305,8 @@ def loads(emulator: Emulator, text: str, name: str = "snapshot") -> None:
         if not isinstance(whole, dict) or whole.get("format") != FORMAT:
             raise SnapshotError("is no snapshot of an nserver")
         if (found := whole.get("format_version", 1)) != FORMAT_VERSION:
-            raise SnapshotError(f"has format version {found!r:.20}, saved by nserver {whole.get('version')!r:.20}; this "
-                                f"nserver reads format version {FORMAT_VERSION} only")
+            raise SnapshotError(f"has format version {found!r:.20}, saved by nserver {whole.get('version')!r:.20}; "
+                                f"this nserver reads format version {FORMAT_VERSION} only")
         # 2. The state.
         decoder(SnapshotState)(whole["state"]).restore(emulator)
     except SnapshotError as error:
