@@ -70,11 +70,13 @@ _server = functools.lru_cache(maxsize=1)(FakeServer)
 
 def _control(data: bytes) -> None:
     """Every line has an answer of one line; a rejected line changes nothing."""
+    # Do not let the server write files.
     if b"save" in data or b"\\u" in data:
         return
     answer = answer_line(_server(), data)
     if answer.count(b"\n") != 1:
         raise AssertionError("the answer is not one line")
+    # A command that succeeded may have changed the server: use a new one for the next line.
     if json.loads(answer)["ok"]:
         _server.cache_clear()
 

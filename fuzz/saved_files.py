@@ -40,6 +40,7 @@ def _recording(data: bytes) -> None:
     for entry in recording.entries:
         for _ in format_entry(entry, with_bytes=True):
             pass
+    # Each connection can be replayed on its own.
     for name in recording.connections():
         script = load_exchanges(recording, name)
         find_state_reply(script, 0)
@@ -66,6 +67,7 @@ def _steps(entries: object) -> Iterator[float]:
 
 def _snapshot(data: bytes) -> None:
     emulator = _emulator()
+    # Reset the emulator afterwards, also after a partial restore that failed.
     before = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
     try:
         snapshot.restore(emulator, input_file(data, ".snapshot"))

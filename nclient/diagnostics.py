@@ -32,7 +32,7 @@ from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused, WireError
 from nclient.protocol.commands import COMMANDS, Call, Command, exists_on_serial
 from nclient.protocol.types import CPU_RANGE_V, MOTOR_RANGE_V, get_model, volts
 from nclient.robot import Robot
-from nclient.state import NOTHING_IN, RobotState
+from nclient.state import NO_ECHO_IN, RobotState
 
 
 class Grade(IntEnum):
@@ -101,9 +101,9 @@ def sonars(states: Sequence[RobotState]) -> list[Finding]:
         name = f"sonar {number}"
         if always(readings, number, DEAD_IN):
             findings.append(fail(name, "reads 0 always: dead", "look after its cable and transducer"))
-        elif stuck(readings, number, (DEAD_IN, NOTHING_IN)):
+        elif stuck(readings, number, (DEAD_IN, NO_ECHO_IN)):
             findings.append(_stuck(name, readings[0][number], " in"))
-    silent = [number for number in range(RING) if always(readings, number, NOTHING_IN)]
+    silent = [number for number in range(RING) if always(readings, number, NO_ECHO_IN)]
     if len(silent) == RING:
         return [warn("sonars", "none hears anything", "is the ring off (conf_sn turns it on), or the hall empty?")]
     alone = [number for number in silent if _neighbours_hear(readings, number)]
@@ -186,7 +186,7 @@ def stuck(readings: Readings, number: int, limits: tuple[int, ...]) -> bool:
 
 def _neighbours_hear(readings: Readings, number: int) -> bool:
     sides = ((number - 1) % RING, (number + 1) % RING)
-    return all(any(DEAD_IN < reading[side] < NOTHING_IN for reading in readings) for side in sides)
+    return all(any(DEAD_IN < reading[side] < NO_ECHO_IN for reading in readings) for side in sides)
 
 
 def _stuck(name: str, value: int, unit: str) -> Finding:

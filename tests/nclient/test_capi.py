@@ -29,7 +29,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.delenv("NOMAD_ROBOT", raising=False)
     monkeypatch.setattr(capi, "_backend", None)
     monkeypatch.setattr(capi, "_error", None)
-    monkeypatch.setattr(capi, "_held", type(capi._held)())
+    monkeypatch.setattr(capi, "_client_state", type(capi._client_state)())
     capi.State[:] = [0] * 45
     capi.Smask[:] = EVERYTHING.smask
     capi.Laser[:] = [0] * 965

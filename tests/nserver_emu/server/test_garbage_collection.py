@@ -19,7 +19,7 @@ from nserver_emu.server.garbage_collection import (
     GarbageCollector,
     rare_collection,
 )
-from tests.nserver_emu.server.daemon_house import House, with_daemon
+from tests.nserver_emu.server.running_server import RunningServer, run_scenario
 
 
 class Ring:
@@ -106,8 +106,8 @@ def create_garbage(rings: int) -> None:
 def test_a_daemon_collects_what_connections_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(garbage, "MIN_INTERVAL_S", 0.01)
 
-    async def scenario(house: House) -> None:
-        client = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client = await server.connect_client()
         first = weakref.ref(Ring())
         create_garbage(2 * MIN_OBJECTS)
         await client.ask("gs")
@@ -116,4 +116,4 @@ def test_a_daemon_collects_what_connections_leave(monkeypatch: pytest.MonkeyPatc
                 await asyncio.sleep(0.01)
 
     with rare_collection():
-        with_daemon(scenario)
+        run_scenario(scenario)

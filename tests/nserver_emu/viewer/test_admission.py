@@ -12,7 +12,7 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import FOR_A_PAGE, Limits
 from nserver_emu.viewer.auth import HTTP_LOG
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, Served, serve_viewer
+from tests.nserver_emu.viewer.page_client import HOST, Served, serve_viewer
 
 HALF = b"GET / HTTP/1.1\r\n"
 ICON = b"GET /favicon.ico HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -44,7 +44,7 @@ async def let_go(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> 
     return not there
 
 
-def test_who_asks_nothing_is_closed_in_time_and_who_asked_is_not() -> None:
+def test_a_connection_without_a_request_is_closed() -> None:
     async def scenario(here: Served) -> None:
         silent, half = await comes(here, b""), await comes(here)
         reader, writer = await comes(here, ICON)
@@ -79,7 +79,7 @@ def test_there_are_no_more_than_pages_want(limits: Limits, most: int, caplog: py
     assert f"there are {most} connections to the page" in caplog.text
 
 
-def test_what_is_no_http_is_told_of_once_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
+def test_bytes_that_are_no_http_are_logged_without_a_traceback(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(here: Served) -> None:
         for says in (b"GET / HTTP/1.1\r\n\r\n", b"GET /" + b"a" * 70_000, b"GET / HTTP/1.1\r\nHost\r\n\r\n"):
             reader, writer = await comes(here, says)
@@ -94,7 +94,7 @@ def test_what_is_no_http_is_told_of_once_without_a_traceback(caplog: pytest.LogC
     assert HTTP_LOG.filters == []
 
 
-def test_a_fault_of_our_own_is_still_told_whole(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_internal_error_is_logged_with_its_traceback(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario(_: Served) -> None:
         try:
             raise RuntimeError("of our own")
@@ -107,7 +107,7 @@ def test_a_fault_of_our_own_is_still_told_whole(caplog: pytest.LogCaptureFixture
     assert "Missing return statement" in caplog.text
 
 
-def test_without_a_limit_on_stalling_nobody_is_looked_at() -> None:
+def test_without_a_stall_limit_no_connection_is_closed() -> None:
     async def scenario(here: Served) -> None:
         reader, writer = await comes(here)
         await asyncio.sleep(0.05)

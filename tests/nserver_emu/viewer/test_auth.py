@@ -1,4 +1,4 @@
-"""Who gets in: tokens and their file, by which address the page is known, what who may not is told."""
+"""Access to the page: tokens and their file, host names, and the page for requests without a token."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from nserver_emu.viewer import auth
 from nserver_emu.viewer.auth import TokenFileError, Tokens, address, load_tokens, new_tokens
 from nserver_emu.viewer.server import serve_viewer as page_served
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import HOST, serve_viewer
+from tests.nserver_emu.viewer.page_client import HOST, serve_viewer
 
 ACT, WATCH = "a" * 16, "b" * 200
 
 
-def test_tokens_are_new_each_time_and_tell_who_may_act() -> None:
+def test_tokens_are_random_and_differ_in_permission() -> None:
     tokens = new_tokens()
     assert len({*tokens, *new_tokens()}) == 4
     assert [tokens.may_act(token) for token in (*tokens, "", "ü\ud800", tokens.act[:-1])] == [
@@ -32,7 +32,7 @@ def test_tokens_are_new_each_time_and_tell_who_may_act() -> None:
     ]  # fmt: skip
 
 
-def test_a_file_of_tokens_is_made_for_its_owner_alone_and_then_kept(tmp_path: Path) -> None:
+def test_a_token_file_is_created_private_and_reused(tmp_path: Path) -> None:
     path = tmp_path / "tokens"
     first = load_tokens(path)
     assert path.stat().st_mode & 0o777 == 0o600
@@ -42,7 +42,7 @@ def test_a_file_of_tokens_is_made_for_its_owner_alone_and_then_kept(tmp_path: Pa
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o620])
-def test_a_file_that_others_may_touch_is_refused_with_the_remedy(mode: int, tmp_path: Path) -> None:
+def test_a_token_file_that_others_can_read_is_refused(mode: int, tmp_path: Path) -> None:
     path = tmp_path / "tokens"
     load_tokens(path)
     path.chmod(mode)
@@ -60,7 +60,7 @@ def test_what_is_no_pair_of_tokens_is_refused(text: bytes, tmp_path: Path) -> No
         load_tokens(path)
 
 
-def test_a_place_where_no_file_can_be_is_told() -> None:
+def test_a_token_file_that_cannot_be_created_is_an_error() -> None:
     with pytest.raises(TokenFileError, match="cannot be used for tokens"):
         load_tokens(Path("/dev/null/tokens"))
 
@@ -74,7 +74,7 @@ def test_the_address_stays_the_same_over_restarts(tmp_path: Path) -> None:
     assert asyncio.run(line()) == asyncio.run(line())
 
 
-def test_a_token_file_that_is_wrong_ends_the_start_with_the_remedy(
+def test_a_wrong_token_file_ends_the_start(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "tokens"
@@ -86,27 +86,24 @@ def test_a_token_file_that_is_wrong_ends_the_start_with_the_remedy(
     assert "give --viewer too" in capsys.readouterr().err
 
 
-def test_who_has_no_token_gets_a_page_that_says_what_to_do_and_loads_nothing() -> None:
-    async def scenario() -> None:
-        async with serve_viewer(Emulator(simulation())) as here:
-            async with here.web.get(here.origin, params={"token": "old"}) as answer:
-                assert answer.status == 403
-                assert answer.content_type == "text/html"
-                assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
-                text = await answer.text()
-            assert "use the whole address that nserver printed" in text
-            assert "src=" not in text
-            assert "<link" not in text
-            async with here.web.get(f"{here.origin}/favicon.ico") as answer:
-                assert (answer.status, await answer.read()) == (204, b"")
-
-    asyncio.run(scenario())
+async def test_without_a_token_the_page_explains_the_remedy() -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        async with here.web.get(here.origin, params={"token": "old"}) as answer:
+            assert answer.status == 403
+            assert answer.content_type == "text/html"
+            assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+            text = await answer.text()
+        assert "use the whole address that nserver printed" in text
+        assert "src=" not in text
+        assert "<link" not in text
+        async with here.web.get(f"{here.origin}/favicon.ico") as answer:
+            assert (answer.status, await answer.read()) == (204, b"")
 
 
 @pytest.mark.parametrize("path", ["/", "/ws", "/publish"])
 @pytest.mark.parametrize("host", ["[", "[::1", "evil.example", "127.0.0.1:x", "", "a b", "\xff"])
 def test_a_host_that_is_none_is_403_and_no_fault(path: str, host: str) -> None:
-    """By hand, for a client library would not say such a thing."""
+    """Send the request by hand: a client library refuses to."""
     async def scenario() -> bytes:
         async with serve_viewer(Emulator(simulation())) as here:
             verb = "POST" if path == "/publish" else "GET"
@@ -148,7 +145,7 @@ def _no_network(*_: object) -> None:
     raise OSError("no network")
 
 
-def test_a_page_for_everybody_prints_an_address_that_works_and_warns(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_wildcard_address_is_printed_usably_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     async def scenario() -> None:
         async with page_served(Daemon(Emulator(simulation())), "0.0.0.0", 0) as (line,), aiohttp.ClientSession() as web:
             url = line.split()[-1]

@@ -1,4 +1,4 @@
-"""Viewers as queues: who is quick sees every picture, who is slow the newest, and nobody piles anything up."""
+"""Viewers as queues: a fast one gets every picture, a slow one the newest, and none accumulates a backlog."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_slow_viewer_gets_the_newest_and_never_a_backlog() -> None:
     assert (picture["since"], picture["frame"]) == (0, 500)
 
 
-def test_who_comes_is_not_shown_what_was_when_somebody_looked_last() -> None:
+def test_a_new_viewer_gets_no_stale_picture() -> None:
     emulator = Emulator(simulation())
     broadcaster = Broadcaster(SceneHistory(emulator))
     broadcaster.take()
@@ -71,7 +71,7 @@ def test_viewers_at_the_same_picture_share_its_text() -> None:
     assert one is other
 
 
-def test_news_come_in_order_before_the_picture_and_the_oldest_are_left_out() -> None:
+def test_messages_precede_the_picture_and_the_oldest_are_dropped() -> None:
     broadcaster = a_hub()
     viewer = broadcaster.join(may_act=False)
     broadcaster.take()
@@ -85,7 +85,7 @@ def test_news_come_in_order_before_the_picture_and_the_oldest_are_left_out() -> 
     assert messages_for(broadcaster, viewer) == [{}]
 
 
-def test_traffic_is_for_those_who_watch_it() -> None:
+def test_only_viewers_that_watch_get_traffic() -> None:
     broadcaster = a_hub()
     viewer, other = broadcaster.join(may_act=False), broadcaster.join(may_act=False)
     before = broadcaster.watch_traffic
@@ -95,7 +95,7 @@ def test_traffic_is_for_those_who_watch_it() -> None:
     assert (list(viewer.take_messages()), list(other.take_messages())) == (["{}"], [])
 
 
-def test_who_is_gone_is_forgotten() -> None:
+def test_a_viewer_that_left_gets_nothing() -> None:
     broadcaster = a_hub()
     viewer = broadcaster.join(may_act=False)
     broadcaster.leave(viewer)
@@ -105,7 +105,7 @@ def test_who_is_gone_is_forgotten() -> None:
     assert not viewer.take_messages()
 
 
-def test_lasers_are_looked_through_for_the_robots_that_somebody_looks_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lasers_are_measured_only_for_watched_robots(monkeypatch: pytest.MonkeyPatch) -> None:
     config = SimulationConfig(others=(("n200", StartPose(70.0, 70.0)), ("n200", None)), robot="n200")
     emulator = Emulator(config.simulation())
     broadcaster = Broadcaster(SceneHistory(emulator))

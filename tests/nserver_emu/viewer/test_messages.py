@@ -1,4 +1,4 @@
-"""What a page may say, message by message, and what it is told when it says something else."""
+"""Messages from the page, one by one, and the error for each wrong form."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ def test_every_message_has_an_example() -> None:
 
 
 @pytest.mark.parametrize(("message", "words"), BAD)
-def test_what_is_wrong_is_told_with_what_would_be_right(message: object, words: str) -> None:
+def test_an_error_names_the_correct_form(message: object, words: str) -> None:
     with pytest.raises(InvalidMessage, match=words):
         parse_message(json.dumps(message))
 
 
-def test_a_wrong_message_is_answered_under_its_own_number_and_not_repeated_whole() -> None:
+def test_a_wrong_message_is_answered_by_id_and_abbreviated() -> None:
     with pytest.raises(InvalidMessage) as refusal:
         parse_message(json.dumps({"do": "call", "id": 7, "robot": 1, "call": "vm", "args": list(range(5000))}))
     assert refusal.value.number == 7

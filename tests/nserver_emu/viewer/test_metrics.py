@@ -13,7 +13,7 @@ from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.metrics import STUCK_S, all_metrics, health, metrics
 from tests.nserver_emu.server.wire_client import simulation
-from tests.nserver_emu.viewer.viewed_daemon import elsewhere, serve_viewer
+from tests.nserver_emu.viewer.page_client import elsewhere, serve_viewer
 
 LINE = re.compile(r"# HELP [a-z_]+ \S.*|# TYPE [a-z_]+ (gauge|counter)|[a-z_]+ -?\d+(\.\d+)?(e[+-]?\d+)?")
 
@@ -34,8 +34,8 @@ def test_steps_are_counted_with_the_time_they_took() -> None:
     daemon = Daemon(Emulator(simulation()))
     for _ in range(5):
         daemon.step(0.2)
-    told = {one.name: one.value for one in all_metrics(daemon, 0, 0)}
-    assert (told["steps_total"], told["simulated_seconds"]) == (5, 1.0)
+    message = {one.name: one.value for one in all_metrics(daemon, 0, 0)}
+    assert (message["steps_total"], message["simulated_seconds"]) == (5, 1.0)
 
 
 def test_a_clock_that_stands_is_not_well() -> None:
@@ -48,45 +48,39 @@ def test_a_clock_that_stands_is_not_well() -> None:
     assert health(daemon, 100.0 + STUCK_S)[1]["status"] == "clock stuck"
 
 
-def test_what_clients_did_is_counted_after_they_are_gone() -> None:
-    async def scenario() -> None:
-        async with serve_viewer(Emulator(simulation())) as here:
-            reader, writer = await asyncio.open_connection("127.0.0.1", here.daemon.emulator.port)
-            writer.write(codec.encode_tcp_request(Call("connect_robot", (1, 1))) + codec.encode_tcp_request(Call("gs")))
-            writer.write(codec.encode_tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
-            await reader.readexactly(8 + 4 + 4 * 49 + 8)
-            for connections in (1, 0):
-                async with here.web.get(f"{here.origin}/metrics") as answer:
-                    assert answer.status == 200
-                    assert answer.headers["Content-Type"].startswith("text/plain; version=0.0.4")
-                    text = await answer.text()
-                assert f"nserver_connections {connections}\n" in text
-                assert "nserver_answers_total 3\n" in text
-                assert "nserver_refusals_total 1\n" in text
-                writer.close()
-                await writer.wait_closed()
-                while here.daemon.connections:
-                    await asyncio.sleep(0.005)
-
-    asyncio.run(scenario())
+async def test_what_clients_did_is_counted_after_they_are_gone() -> None:
+    async with serve_viewer(Emulator(simulation())) as here:
+        reader, writer = await asyncio.open_connection("127.0.0.1", here.daemon.emulator.port)
+        writer.write(codec.encode_tcp_request(Call("connect_robot", (1, 1))) + codec.encode_tcp_request(Call("gs")))
+        writer.write(codec.encode_tcp_request(Call("add_obstacle", (3, 0, 0, 0, 0, 0, 0))))
+        await reader.readexactly(8 + 4 + 4 * 49 + 8)
+        for connections in (1, 0):
+            async with here.web.get(f"{here.origin}/metrics") as answer:
+                assert answer.status == 200
+                assert answer.headers["Content-Type"].startswith("text/plain; version=0.0.4")
+                text = await answer.text()
+            assert f"nserver_connections {connections}\n" in text
+            assert "nserver_answers_total 3\n" in text
+            assert "nserver_refusals_total 1\n" in text
+            writer.close()
+            await writer.wait_closed()
+            while here.daemon.connections:
+                await asyncio.sleep(0.005)
 
 
 @pytest.mark.parametrize("path", ["/metrics", "/health"])
-def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def scenario() -> None:
-        async with serve_viewer(Emulator(simulation())) as here, elsewhere() as outsider:
-            while not here.daemon.ticked_s:
-                await asyncio.sleep(0.005)
-            async with outsider.get(here.origin + path) as answer:
-                assert answer.status == 200  # on loopback all addresses are this machine's
-            async with here.web.get(here.origin + path, headers={"Host": "evil.example"}) as answer:
-                assert answer.status == 403
-            monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
-            async with here.web.get(here.origin + path) as answer:
-                assert answer.status == 200  # from the address that he asks
-            async with outsider.get(here.origin + path) as answer:
-                assert answer.status == 403
-            async with outsider.get(here.origin + path, params={"token": here.viewer_server.watch_token}) as answer:
-                assert answer.status == 200
-
-    asyncio.run(scenario())
+async def test_from_elsewhere_a_token_is_wanted(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with serve_viewer(Emulator(simulation())) as here, elsewhere() as outsider:
+        while not here.daemon.ticked_s:
+            await asyncio.sleep(0.005)
+        async with outsider.get(here.origin + path) as answer:
+            assert answer.status == 200  # on loopback all addresses are this machine's
+        async with here.web.get(here.origin + path, headers={"Host": "evil.example"}) as answer:
+            assert answer.status == 403
+        monkeypatch.setattr("nclient.common.allowlist.is_loopback", lambda _host: False)
+        async with here.web.get(here.origin + path) as answer:
+            assert answer.status == 200  # from this machine by its own address
+        async with outsider.get(here.origin + path) as answer:
+            assert answer.status == 403
+        async with outsider.get(here.origin + path, params={"token": here.viewer_server.watch_token}) as answer:
+            assert answer.status == 200

@@ -39,7 +39,7 @@ def a_stage() -> Emulator:
     return emulator
 
 
-def test_a_whole_picture_is_as_the_golden_one() -> None:
+def test_a_whole_picture_equals_the_golden_one() -> None:
     history = SceneHistory(a_stage())
     history.take()
     assert json.loads(json.dumps(history.since(0))) == json.loads(GOLDEN.read_text())
@@ -55,11 +55,11 @@ def test_the_golden_picture_says_what_the_wire_says() -> None:
     assert [round(1000 * number) for number in shown["actual"][:2]] == list(truth[2:4])
 
 
-def test_beams_of_the_golden_picture_end_where_its_readings_say() -> None:
+def test_beams_of_the_golden_picture_match_its_readings() -> None:
     golden = json.loads(GOLDEN.read_text())
     reached = 0
-    for sonar, x, y, way in golden["beams"]["1"]:
-        steps = [(at, go) for at, go in ((x, cos(way)), (y, sin(way))) if abs(go) > 1e-9]
+    for sonar, x, y, direction in golden["beams"]["1"]:
+        steps = [(at, go) for at, go in ((x, cos(direction)), (y, sin(direction))) if abs(go) > 1e-9]
         wall_in = min(((-12.0 if go < 0 else 102.17) - at) / go - 9.06 for at, go in steps)
         if sonar == 2:  # the obstacle stands there
             assert golden["robots"]["1"]["state"][17 + sonar] < wall_in - 50
@@ -69,7 +69,7 @@ def test_beams_of_the_golden_picture_end_where_its_readings_say() -> None:
     assert reached == 15
 
 
-def test_beams_stay_where_they_were_cried_are_told_once_and_end_where_the_robot_is_put_down() -> None:
+def test_beams_are_sent_once_and_end_when_the_robot_is_placed() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     history = SceneHistory(emulator)
@@ -88,8 +88,9 @@ def test_beams_stay_where_they_were_cried_are_told_once_and_end_where_the_robot_
     history.take()
     picture = {beam[0]: beam[1:] for beam in history.since(3)["beams"]["1"]}
     assert len({x for x, _, _ in picture.values()}) == len(picture) == 9
-    for sonar, (x, y, way) in picture.items():  # 10 in/s, and 20 degrees a second of the turret
-        assert (0.0 < x <= 5.0, y, way) == (True, 0.0, pytest.approx(sonar * 0.3926991 + radians(2 * x), abs=2e-5))
+    for sonar, (x, y, direction) in picture.items():  # 10 in/s, and 20 degrees a second of the turret
+        expected_rad = sonar * 0.3926991 + radians(2 * x)
+        assert (0.0 < x <= 5.0, y, direction) == (True, 0.0, pytest.approx(expected_rad, abs=2e-5))
     client.ask("place_robot", 500, 500, 0, 0)
     history.take()
     assert history.since(4)["beams"]["1"] == [[sonar] for sonar in range(16)]
@@ -100,7 +101,7 @@ def test_beams_stay_where_they_were_cried_are_told_once_and_end_where_the_robot_
     assert history.since(0)["beams"] == history.since(5)["beams"]
 
 
-def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
+def test_a_viewer_with_the_last_picture_gets_only_changes() -> None:
     emulator = a_stage()
     client, _ = meet(emulator)
     history = SceneHistory(emulator)
@@ -124,7 +125,7 @@ def test_who_has_the_picture_before_is_told_what_changed_and_no_more() -> None:
     assert set(picture["bodies"]) == {"1", "2"}
 
 
-def test_traces_are_told_on_from_where_a_viewer_has_them() -> None:
+def test_traces_continue_from_the_viewers_picture() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     history = SceneHistory(emulator)
@@ -140,7 +141,7 @@ def test_traces_are_told_on_from_where_a_viewer_has_them() -> None:
     assert whole == {"gone": more["gone"], "points": first["points"] + more["points"]}
 
 
-def test_a_track_that_grows_too_fast_to_see_is_thinned_and_never_forgets_the_whole() -> None:
+def test_a_fast_trace_is_thinned() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     history = SceneHistory(emulator)
@@ -151,12 +152,12 @@ def test_a_track_that_grows_too_fast_to_see_is_thinned_and_never_forgets_the_who
     more, whole = (history.since(number)["traces"]["1"]["actual"] for number in (1, 0))
     assert len(whole["points"]) == 2 * whole["gone"] > 4 * MAX_NEW_POINTS
     assert MAX_NEW_POINTS <= len(more["points"]) <= 2 * MAX_NEW_POINTS
-    kept = set(zip(whole["points"][::2], whole["points"][1::2], strict=True))
-    assert kept >= set(zip(more["points"][::2], more["points"][1::2], strict=True))
+    thinned = set(zip(whole["points"][::2], whole["points"][1::2], strict=True))
+    assert thinned >= set(zip(more["points"][::2], more["points"][1::2], strict=True))
 
 
 @pytest.mark.parametrize("number", [-1, 0, 1, 2, MAX_REVISIONS + 10, 10**9])
-def test_who_has_none_that_is_remembered_is_told_everything(number: int) -> None:
+def test_a_viewer_with_an_unknown_picture_gets_everything(number: int) -> None:
     history = SceneHistory(a_stage())
     for _ in range(MAX_REVISIONS + 2):
         history.take()
@@ -166,7 +167,7 @@ def test_who_has_none_that_is_remembered_is_told_everything(number: int) -> None
     assert "drawn" not in picture
 
 
-def test_drawings_are_told_on_from_where_a_viewer_has_them() -> None:
+def test_drawings_continue_from_the_viewers_picture() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     history = SceneHistory(emulator)
@@ -184,7 +185,7 @@ def test_drawings_are_told_on_from_where_a_viewer_has_them() -> None:
         assert len(change["come"]) <= 6
 
 
-def test_what_came_and_went_after_a_picture_was_taken_is_told_with_the_next_and_once() -> None:
+def test_changes_after_a_picture_come_once_with_the_next() -> None:
     emulator = Emulator(simulation())
     client, _ = meet(emulator)
     history = SceneHistory(emulator)
@@ -208,7 +209,7 @@ def test_what_came_and_went_after_a_picture_was_taken_is_told_with_the_next_and_
     assert points + picture["traces"]["1"]["actual"]["points"] == whole["traces"]["1"]["actual"]["points"]
 
 
-def test_who_missed_more_than_is_remembered_of_the_drawings_looks_at_them_anew() -> None:
+def test_a_viewer_far_behind_gets_all_drawings_again() -> None:
     emulator = Emulator(simulation())
     history = SceneHistory(emulator)
     history.take()
@@ -238,7 +239,7 @@ def test_where_a_robot_was_put_down_its_track_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("model", [N200, SCOUT])
-def test_bumpers_that_touch_are_where_the_wall_is_however_the_body_has_turned(model: RobotModel) -> None:
+def test_touching_bumpers_are_drawn_at_the_wall(model: RobotModel) -> None:
     sim = Simulation(load_world("thesis_room"), seed=3)
     sim.add_robot(1, StartPose(80.0, 40.0, 0.3), model, NOISY)
     emulator = Emulator(sim)
@@ -262,17 +263,17 @@ def test_bumpers_that_touch_are_where_the_wall_is_however_the_body_has_turned(mo
     x, y = shown["actual"][:2]
     radius = model.body.radius_in
     walls = {0.0: 102.17 - x, pi / 2: 102.17 - y, pi: x + 12.0, -pi / 2: y + 12.0}
-    touched = [way for way, far in walls.items() if far < radius + 0.01]
+    touched = [direction for direction, far in walls.items() if far < radius + 0.01]
     half = pi / len(model.body.bumper_angles_rad)
     hit = [k for k in range(20) if shown["state"][33] >> k & 1]
     assert touched
     assert hit
     for k in hit:
-        way = shown["front"] + 2 * half * k
-        assert any(abs(remainder(way - wall, 2 * pi)) <= half + 1e-4 for wall in touched)
+        direction = shown["front"] + 2 * half * k
+        assert any(abs(remainder(direction - wall, 2 * pi)) <= half + 1e-4 for wall in touched)
 
 
-def test_noise_that_is_switched_is_told() -> None:
+def test_a_change_of_noise_is_sent() -> None:
     emulator = Emulator(simulation())
     history = SceneHistory(emulator)
     history.take()
@@ -283,7 +284,7 @@ def test_noise_that_is_switched_is_told() -> None:
     assert body["noises"]["sensors"] == ["ideal", "noisy", "measured"]
 
 
-def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> None:
+def test_the_laser_is_measured_at_intervals_and_on_demand() -> None:
     sim = Simulation(load_world("thesis_room"))
     sim.add_robot(1, StartPose(0.0, 0.0), N200)
     emulator = Emulator(sim)
@@ -300,7 +301,7 @@ def test_the_laser_is_looked_through_now_and_then_and_only_when_asked_for() -> N
     assert seen == pytest.approx([number / 10 for number in wire[1:]], abs=0.11)
 
 
-def test_laser_points_stay_on_their_wall_while_the_robot_turns_on() -> None:
+def test_laser_points_stay_on_the_wall_while_the_robot_turns() -> None:
     sim = Simulation(load_world("thesis_room"))
     sim.add_robot(1, StartPose(40.0, 30.0, 0.0, 0.2), N200)
     emulator = Emulator(sim)

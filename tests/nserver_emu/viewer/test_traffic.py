@@ -1,4 +1,4 @@
-"""Listening in: what is told of a connection, also of one taken up in the middle, and nothing where nobody looks."""
+"""Traffic rows of connections, also when watching starts in the middle; nothing is decoded without a watcher."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def listened(wide: bool = False) -> tuple[TrafficMonitor, WireClient, Session]:
     return traffic_monitor, client, session
 
 
-def test_requests_and_replies_are_told_in_words_with_their_bytes() -> None:
+def test_rows_have_readable_text_and_bytes() -> None:
     traffic_monitor, client, _ = listened()
     traffic_monitor.watched = True
     client.ask("connect_robot", 1, 4711)
@@ -87,7 +87,7 @@ def test_requests_and_replies_are_told_in_words_with_their_bytes() -> None:
     assert rows[3]["parts"] == []
 
 
-def test_arguments_are_named_and_those_that_vary_in_number_are_numbered() -> None:
+def test_arguments_are_named_or_numbered() -> None:
     outline: Decoded = {"call": "add_obstacle", "args": [3, 6, 6, 7, 6, 7, 7]}
     numbered = [["1", 6], ["2", 6], ["3", 7], ["4", 6], ["5", 7], ["6", 7]]
     assert parts(outline, TCP) == [["code", 50], ["n", 3], *numbered]
@@ -97,7 +97,7 @@ def test_arguments_are_named_and_those_that_vary_in_number_are_numbered() -> Non
 
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_a_connection_is_taken_up_in_the_middle_on_its_own_terms(wide: bool) -> None:
+def test_decoding_starts_with_the_connections_wire_state(wide: bool) -> None:
     traffic_monitor, client, _ = listened(wide)
     client.ask("connect_robot", 1, 4711)
     client.ask("ct", *(1,) * 44)
@@ -121,7 +121,7 @@ def test_what_is_too_much_is_counted_and_then_it_goes_on() -> None:
     assert [row["what"] for row in traffic_monitor.rows()] == ["gs", "state"]
 
 
-def test_a_connection_in_the_middle_of_a_request_waits_for_the_next() -> None:
+def test_decoding_starts_between_two_requests() -> None:
     agreed = serial_wire_state(N200)
     wire_state: list[WireState | None] = [None, agreed]
     traffic_monitor = TrafficMonitor(NULL_RECORDER, lambda _: wire_state[0], lambda: 0.0)
@@ -137,7 +137,7 @@ def test_a_connection_in_the_middle_of_a_request_waits_for_the_next() -> None:
     assert [row["text"] for row in traffic_monitor.rows()] == ["vm 100 -50 0"]
 
 
-def test_what_is_no_frame_is_told_as_such_and_bytes_beyond_measure_are_cut() -> None:
+def test_bytes_without_a_frame_are_shown_and_truncated() -> None:
     traffic_monitor = TrafficMonitor(NULL_RECORDER, lambda _: None, lambda: 0.0)
     traffic_monitor.watched = True
     traffic_monitor.open("client", TCP, N150).to_robot(b"\x77\x77\x00\x01" + bytes(2 * MAX_HEX))
@@ -147,7 +147,7 @@ def test_what_is_no_frame_is_told_as_such_and_bytes_beyond_measure_are_cut() -> 
     assert len(row["hex"]) == 3 * MAX_HEX - 1
 
 
-def test_everything_is_handed_on_to_the_real_recorder() -> None:
+def test_everything_reaches_the_inner_recorder() -> None:
     inner = Inner()
     traffic_monitor = TrafficMonitor(inner, lambda _: None, lambda: 0.0)
     tape = traffic_monitor.open("client", TCP, N150)

@@ -1,4 +1,4 @@
-"""A daemon with its page in the test's own loop, and what a page would do there, without a browser."""
+"""A daemon with its page in the test's own event loop, and a websocket client in place of a browser."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.viewer.server import ViewerServer
 
 HOST = "127.0.0.1"
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 Message = dict[str, Any]
 
 
 class Page:
-    """One websocket, as a page has it."""
+    """The websocket of one page."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self.socket = socket
 
-    async def say(self, **message: Any) -> None:
+    async def send_message(self, **message: Any) -> None:
         """Send a message."""
         await self.socket.send_str(json.dumps(message))
 
     async def until(self, right: Callable[[Message], Any]) -> Message:
-        """The next message that is right; those before it are passed over, pictures acknowledged."""
-        async with asyncio.timeout(PATIENCE_S):
+        """Return the next matching message; skip others, acknowledge pictures."""
+        async with asyncio.timeout(TIMEOUT_S):
             while True:
                 message: Message = json.loads(await self.socket.receive_str())
                 if message["type"] == "picture":
-                    await self.say(do="seen", frame=message["frame"])
+                    await self.send_message(do="seen", frame=message["frame"])
                 if right(message):
                     return message
 
     async def answer(self, number: int) -> Message:
-        """The answer to what was asked under this number."""
+        """Return the reply to the message of this number."""
         return await self.until(lambda message: message["type"] == "answer" and message["id"] == number)
 
 
 class Served(NamedTuple):
-    """A daemon, its page, where it is, and who asks there."""
+    """A daemon, its page server, the port, and an HTTP client."""
 
     daemon: Daemon
     viewer_server: ViewerServer
@@ -54,7 +54,7 @@ class Served(NamedTuple):
 
     @property
     def origin(self) -> str:
-        """Where a page that is ours comes from."""
+        """Origin of the page."""
         return f"http://{HOST}:{self.port}"
 
     @asynccontextmanager
@@ -66,7 +66,7 @@ class Served(NamedTuple):
 
 
 def elsewhere() -> aiohttp.ClientSession:
-    """Who asks from another address than the one he asks."""
+    """Connect from another local address than the server's."""
     return aiohttp.ClientSession(connector=aiohttp.TCPConnector(local_addr=("127.0.0.2", 0)))
 
 

@@ -13,8 +13,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.types import SCOUT
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.robot import Robot
-from nclient.robot_world import Arc
+from nclient.robot import Arc, Robot
 from nclient.state import Pose, Truth
 from tests.nclient.answering import ScriptedServer, error, robot_on, simple
 

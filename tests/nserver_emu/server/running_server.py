@@ -19,7 +19,7 @@ from tests.nserver_emu.server.wire_client import simulation
 
 
 class Client:
-    """A plain asyncio client on a real socket; it follows mask and laser shape as clients do."""
+    """An asyncio client on a real socket that tracks the mask and the laser mode."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
@@ -42,24 +42,24 @@ class Client:
         return codec.decode_tcp_reply(BY_NAME[name], self._frames.pop(0), self.wire_state)
 
 
-class House:
-    """A daemon that listens, and the clients that came; they are seen out at the end."""
+class RunningServer:
+    """A listening daemon and its clients, which are closed at the end."""
 
     def __init__(self, daemon: Daemon, port: int) -> None:
         self.daemon, self.port = daemon, port
         self._writers: list[asyncio.StreamWriter] = []
 
-    async def knock(self, host: str = "127.0.0.1", of: str | None = None) -> Client:
+    async def open_client(self, host: str = "127.0.0.1", of: str | None = None) -> Client:
         reader, writer = await asyncio.open_connection(host, self.port, local_addr=None if of is None else (of, 0))
         self._writers.append(writer)
         return Client(reader, writer)
 
-    async def call(self, host: str = "127.0.0.1") -> Client:
-        client = await self.knock(host)
+    async def connect_client(self, host: str = "127.0.0.1") -> Client:
+        client = await self.open_client(host)
         assert (await client.ask("connect_robot", 1, 1)).values == (self.port,)
         return client
 
-    async def see_out(self) -> None:
+    async def close_clients(self) -> None:
         for writer in self._writers:
             writer.close()
             with contextlib.suppress(OSError):
@@ -68,7 +68,7 @@ class House:
 
 @contextlib.asynccontextmanager
 async def serving(daemon: Daemon, within_s: float = 30.0) -> AsyncIterator[None]:
-    """A daemon serves as long as the block takes, which is no longer than that."""
+    """Serve during the block, which may take at most `within_s`."""
     stop = asyncio.Event()
     served = asyncio.create_task(daemon.serve(stop))
     try:
@@ -79,23 +79,34 @@ async def serving(daemon: Daemon, within_s: float = 30.0) -> AsyncIterator[None]
         await served
 
 
-Scenario = Callable[[House], Awaitable[None]]
+@contextlib.asynccontextmanager
+async def running_server(
+    speed: float | None = 1.0, emulator: Emulator | None = None,
+    before: Callable[[RunningServer], None] = lambda _: None,
+) -> AsyncIterator[RunningServer]:
+    """Run a daemon on a free port; `before` is called before time passes. All connections must be closed at the end."""
+    daemon = Daemon(emulator or Emulator(simulation()), speed)
+    server = RunningServer(daemon, await daemon.listen("127.0.0.1", 0))
+    before(server)
+    try:
+        async with serving(daemon, 120):  # long enough for a busy machine
+            yield server
+    finally:
+        await server.close_clients()
+    assert not daemon.connections
 
 
-def with_daemon(
+Scenario = Callable[[RunningServer], Awaitable[None]]
+
+
+def run_scenario(
     scenario: Scenario, speed: float | None = 1.0, emulator: Emulator | None = None,
-    before: Callable[[House], None] = lambda _: None,
+    before: Callable[[RunningServer], None] = lambda _: None,
 ) -> None:
-    """A scenario to a daemon of its own; `before`: what is to be done to that before time passes."""
-    async def evening() -> None:
-        daemon = Daemon(emulator or Emulator(simulation()), speed)
-        house = House(daemon, await daemon.listen("127.0.0.1", 0))
-        before(house)
-        try:
-            async with serving(daemon, 120):  # no verdict on speed: a busy machine may take its time
-                await scenario(house)
-        finally:
-            await house.see_out()
-        assert not daemon.connections
+    """Run a scenario with a daemon of its own, in an event loop of its own."""
 
-    asyncio.run(evening())
+    async def main() -> None:
+        async with running_server(speed, emulator, before) as server:
+            await scenario(server)
+
+    asyncio.run(main())
