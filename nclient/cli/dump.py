@@ -18,7 +18,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from nclient.cli.serving import tell
+from nclient.cli.serving import print_message
 from nclient.common.exit_codes import ExitCode
 from nclient.errors import RecordingError
 from nclient.protocol.codec import find_command
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
             for line in format_entry(entry, options.bytes):
                 print(line)
     if recording.cut:
-        tell(recording.cut)
+        print_message(recording.cut)
     return ExitCode.FAILED if recording.cut else ExitCode.DONE
 
 

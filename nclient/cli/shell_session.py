@@ -145,7 +145,7 @@ def _shown(values: tuple[Value, ...]) -> str:
 
 
 WAIT_S = 60
-LOOK_S = 0.05
+POLL_INTERVAL_S = 0.05
 """Between two looks at the robot's clock, where time runs by itself."""
 _MOST_STILL_LOOKS = 400
 """Looks at a clock that stands, before sleeping is given up."""
@@ -266,7 +266,7 @@ class Session:
     def _let_time_run(self, left_s: float) -> None:
         """Where time passes with what is asked there is nothing to wait for."""
         if self.wire_state.line or self.robot.state.speed_factor:
-            self._sleep(min(left_s, LOOK_S))
+            self._sleep(min(left_s, POLL_INTERVAL_S))
 
     def _quit(self, values: tuple[Value, ...]) -> Iterator[str]:
         del values

@@ -186,7 +186,7 @@ COMMANDS: tuple[Command, ...] = (
          "set the speeds that pr and pa use"),
     _row("pr", "move", (13, 3), _AXES, _STATE, "move each axis by a distance, all at once"),
     _row("pa", "move_to", (14, 4), _AXES, _STATE, "move each axis to a position (N200)", line_models=N200),
-    _row("vm", "drive", (12, 5), _AXES, _STATE, "drive each axis at a velocity until told otherwise"),
+    _row("vm", "drive", (12, 5), _AXES, _STATE, "drive each axis at a velocity until the next command"),
     _row("mv", "drive_axes", (43, 43), _MODES, _STATE, "command each axis in a mode of its own"),
     _row("st", "stop", (17, 9), (), _STATE, "stop and hold"),
     _row("lp", "release", (18, 10), (), _STATE, "let the motors go limp"),

@@ -118,7 +118,7 @@ def test_localization(tmp_path: Path) -> None:
     for output in (rays, cones, overconfident, worn):
         assert re.search(r"2 of 2 way-?points reached", output)
     assert re.search(r"1 of 1 way-?points reached", found)
-    assert "DEGRADED: innovations are" in overconfident
+    assert re.search(r"DEGRADED: .*innovations", overconfident)
     assert "DEGRADED" not in rays
     assert [float(nees) < 5.5 for nees in re.findall(r"NEES, mean +([\d.]+)", figures)] == [True, True]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nclient.cli.idle import NONE, IdleMonitor, IdleTimer
+from nclient.cli.serving import NO_LIMIT, IdleMonitor, IdleTimer
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
@@ -26,8 +26,8 @@ class Clock:
 def conversation(line: str) -> tuple[Clock, IdleTimer, IdleMonitor]:
     """Who may be silent for 5 s, and is listened to."""
     clock = Clock()
-    silence = IdleTimer(5.0, clock)
-    return clock, silence, IdleMonitor(silence, line, N150)
+    idle_timer = IdleTimer(5.0, clock)
+    return clock, idle_timer, IdleMonitor(idle_timer, line, N150)
 
 
 def said(line: str, name: str, *args: int) -> bytes:
@@ -41,10 +41,10 @@ def answer(line: str, name: str) -> bytes:
         codec.encode_serial_reply(row, STATE, serial_wire_state(N150))
 
 
-def lasts_s(silence: IdleTimer, clock: Clock) -> int:
+def lasts_s(idle_timer: IdleTimer, clock: Clock) -> int:
     """Whole seconds until it is too long."""
     seconds = 0
-    while not silence.expired and seconds < 1000:
+    while not idle_timer.expired and seconds < 1000:
         clock.now_s += 1.0
         seconds += 1
     return seconds
@@ -52,16 +52,16 @@ def lasts_s(silence: IdleTimer, clock: Clock) -> int:
 
 def test_it_begins_with_him_and_anew_with_each_word() -> None:
     clock = Clock()
-    silence = IdleTimer(5.0, clock)
-    assert lasts_s(silence, clock) == 5
-    silence.heard()
-    assert lasts_s(silence, clock) == 5
-    assert silence.expired
+    idle_timer = IdleTimer(5.0, clock)
+    assert lasts_s(idle_timer, clock) == 5
+    idle_timer.request_received()
+    assert lasts_s(idle_timer, clock) == 5
+    assert idle_timer.expired
 
 
 def test_without_a_limit_it_is_never_too_long() -> None:
     clock = Clock()
-    assert lasts_s(IdleTimer(NONE, clock), clock) == 1000
+    assert lasts_s(IdleTimer(NO_LIMIT, clock), clock) == 1000
 
 
 @pytest.mark.parametrize("line", [TCP, SERIAL])
@@ -71,42 +71,42 @@ def test_without_a_limit_it_is_never_too_long() -> None:
 def test_who_waits_for_an_answer_is_not_silent_until_it_came(
     line: str, name: str, args: tuple[int, ...], seconds: int
 ) -> None:
-    clock, silence, overheard = conversation(line)
+    clock, idle_timer, overheard = conversation(line)
     for part in (said(line, name, *args)[:3], said(line, name, *args)[3:]):
         overheard.to_robot(part)
-    assert lasts_s(silence, clock) == seconds
+    assert lasts_s(idle_timer, clock) == seconds
     overheard.to_robot(said(line, name, *args))
     clock.now_s += 2.0
     overheard.to_host(answer(line, name)[:5])
     overheard.to_host(answer(line, name)[5:])
-    assert lasts_s(silence, clock) == (3 if seconds == 5 else 5)  # what is answered at once is not waited for
+    assert lasts_s(idle_timer, clock) == (3 if seconds == 5 else 5)  # what is answered at once is not waited for
 
 
 def test_a_click_in_the_window_may_be_long_in_coming() -> None:
-    clock, silence, overheard = conversation(TCP)
+    clock, idle_timer, overheard = conversation(TCP)
     overheard.to_robot(said(TCP, "get_robot_conf"))
-    assert lasts_s(silence, clock) == 125
+    assert lasts_s(idle_timer, clock) == 125
 
 
 def test_another_word_while_he_waits_does_not_end_the_waiting() -> None:
-    clock, silence, overheard = conversation(SERIAL)
+    clock, idle_timer, overheard = conversation(SERIAL)
     overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
     overheard.to_robot(said(SERIAL, "gs"))
-    assert lasts_s(silence, clock) == 45
+    assert lasts_s(idle_timer, clock) == 45
 
 
 @pytest.mark.parametrize("line", [TCP, SERIAL])
 def test_noise_is_talk_of_his_and_no_answer_to_him(line: str) -> None:
-    clock, silence, overheard = conversation(line)
+    clock, idle_timer, overheard = conversation(line)
     clock.now_s += 3.0
     overheard.to_host(answer(line, "gs"))
-    assert lasts_s(silence, clock) == 2
+    assert lasts_s(idle_timer, clock) == 2
     overheard.to_robot(b"GET / HTTP/1.0\r\n\r\n")
-    assert lasts_s(silence, clock) == 5
+    assert lasts_s(idle_timer, clock) == 5
 
 
 def test_half_an_answer_leaves_him_waiting() -> None:
-    clock, silence, overheard = conversation(SERIAL)
+    clock, idle_timer, overheard = conversation(SERIAL)
     overheard.to_robot(said(SERIAL, "ws", 1, 1, 1, 40))
     overheard.to_host(b"\xff\x00\x13" + answer(SERIAL, "ws")[:-1])
-    assert lasts_s(silence, clock) == 45
+    assert lasts_s(idle_timer, clock) == 45

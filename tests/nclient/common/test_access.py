@@ -43,11 +43,11 @@ def test_what_is_no_network_is_wrong_usage(text: str, capsys: pytest.CaptureFixt
 def test_loopback_is_not_worth_a_word_and_the_network_is() -> None:
     assert not warning("127.0.0.1", Allowlist())
     assert not warning("localhost", Allowlist())
-    assert "anybody who reaches it may drive" in warning("0.0.0.0", Allowlist())
+    assert "any client that reaches it may drive" in warning("0.0.0.0", Allowlist())
     assert "--allow ADDRESS/BITS" in warning("::", Allowlist())
     told = warning("0.0.0.0", parsed("--allow", "10.1.0.0/16"))
-    assert "whoever comes from 10.1.0.0/16 may drive" in told
+    assert "any client from 10.1.0.0/16 may drive" in told
     assert "--allow" not in told
-    assert "anybody who reaches it may listen;" in warning("0.0.0.0", Allowlist(), "may listen")
+    assert "any client that reaches it may listen;" in warning("0.0.0.0", Allowlist(), "may listen")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("robot.example")

@@ -84,7 +84,7 @@ def test_what_is_no_recording(text: str, told: str) -> None:
 
 
 def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "LONGEST_LINE", len(HEADER))
+    monkeypatch.setattr(log, "MAX_LINE", len(HEADER))
     path = tmp_path / "run.log"
     path.write_text(HEADER + 1000 * GS)
     assert len(read_recording(path).entries) == 1000
@@ -95,7 +95,7 @@ def test_a_recording_is_as_long_as_it_is_and_a_line_is_not(tmp_path: Path, monke
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="the system has no /dev/zero")
 def test_what_is_no_recording_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "LONGEST_LINE", 10_000)
+    monkeypatch.setattr(log, "MAX_LINE", 10_000)
     with pytest.raises(RecordingError, match="/dev/zero, line 1: longer than 10000 characters"):
         read_recording(Path("/dev/zero"))
 
@@ -134,7 +134,7 @@ def test_a_recording_that_is_as_long_as_it_may_be_ends_whole_and_says_so_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "run.jsonl"
-    log = RecordingWriter(path, {}, most_bytes=1000)
+    log = RecordingWriter(path, {}, max_bytes=1000)
     for number in range(100):
         log.write(Entry(float(number), "out", "one", b"\0" * 10))
     log.close()
@@ -142,4 +142,4 @@ def test_a_recording_that_is_as_long_as_it_may_be_ends_whole_and_says_so_once(
     recording = read_recording(path)
     assert not recording.cut
     assert [entry.time_s for entry in recording.entries] == [float(n) for n in range(len(recording.entries))]
-    assert caplog.text.count("it is as long as it may be (--limit-log)") == 1
+    assert caplog.text.count("it has reached its maximum size (--limit-log)") == 1
