@@ -30,7 +30,7 @@ from typing import Final, NamedTuple, Protocol
 
 from nclient.errors import FaultPlanError
 from nclient.faults.frames import Injector, Language
-from nclient.faults.inject import FaultyLine, InTransit
+from nclient.faults.inject import DelayQueue, FaultyLine
 from nclient.faults.plan import Plan
 
 BITS_A_BYTE: Final = 10
@@ -155,7 +155,7 @@ class FaultyChannel:
     ) -> None:
         self._line = FaultyLine(language, injector)
         self._cable = ImmediateChannel() if cable is None else cable
-        self._asked, self._answered = InTransit(), InTransit()
+        self._asked, self._answered = DelayQueue(), DelayQueue()
         self._patient_until_s: float | None = None
         self._ending = False
 
@@ -173,10 +173,12 @@ class FaultyChannel:
     def to_robot(self, data: bytes, now_s: float) -> None:
         """The host sends these."""
         deliveries = self._line.request(data, now_s)
-        self._asked.add((delivery for delivery in deliveries if not delivery.back), now_s)
-        self._answered.add((delivery for delivery in deliveries if delivery.back), now_s)
-        patience_s = self._line.patience_s
-        self._patient_until_s = now_s + patience_s if self._line.asking and patience_s is not None else None
+        self._asked.add((delivery for delivery in deliveries if not delivery.to_sender), now_s)
+        self._answered.add((delivery for delivery in deliveries if delivery.to_sender), now_s)
+        patience_s = self._line.partial_timeout_s
+        self._patient_until_s = (
+            now_s + patience_s if self._line.has_partial_request and patience_s is not None else None
+        )
 
     def to_host(self, data: bytes, now_s: float) -> None:
         """The robot sends these."""
@@ -187,7 +189,7 @@ class FaultyChannel:
         self._move_on(now_s)
         arrival = self._cable.arrived(now_s)
         if arrival is None and self._ending and self._cable.due_s is None:
-            self._ending, self._asked, self._answered = False, InTransit(), InTransit()
+            self._ending, self._asked, self._answered = False, DelayQueue(), DelayQueue()
             return Arrival(now_s, b"", to_robot=False, hang_up=True)
         return arrival
 
@@ -195,7 +197,7 @@ class FaultyChannel:
         """What was late enters the cable; a part of a request that has waited long enough goes as it is."""
         if self._patient_until_s is not None and now_s >= self._patient_until_s:
             self._patient_until_s = None
-            self._asked.add(self._line.rest_of_request(now_s), now_s)
+            self._asked.add(self._line.flush_request(now_s), now_s)
         for transit, enter in ((self._asked, self._cable.to_robot), (self._answered, self._cable.to_host)):
             while not self._ending and (late := transit.take(now_s)):
                 at_s, delivery = late
