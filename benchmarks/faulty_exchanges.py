@@ -27,7 +27,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import N150
 from nclient.transports.stream import Deadline
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_session import LineSession
+from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.simulation.simulation import Simulation
 from worlds.io import load_world
 from worlds.world import StartPose
@@ -52,7 +52,7 @@ class SimulatedCable:
         self._simulation = Simulation(load_world("thesis_room"), seed)
         emulator = Emulator(self._simulation)
         self._simulation.add_robot(1, StartPose(45.0, 30.0, 0.0, 0.0)).set_velocities(3.0, 0.2, -0.3)
-        self._session = LineSession(emulator.answer, 1, N150, self.now)
+        self._session = SerialSession(emulator.answer, 1, N150, self.now)
         self._under_way_s = 0.0
         self.said = b""
         """What the robot answered last."""
@@ -73,7 +73,7 @@ class SimulatedCable:
 
     def receive(self, deadline: Deadline) -> bytes:
         """What the robot says until then. Raises ReplyTimeout."""
-        while not (data := self._session.tick() + self._session.answers(most=100)):
+        while not (data := self._session.tick() + self._session.process_requests(most=100)):
             left_s = deadline.remaining()
             if left_s < INSTANT_S:
                 raise ReplyTimeout("the robot is silent")

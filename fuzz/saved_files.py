@@ -16,19 +16,18 @@ from fuzz.mutation import any_of, mutate_bytes, mutate_json
 from fuzz.reader import Reader, input_file
 from localization.live import saved_estimate
 from nclient.errors import EstimateFileError, NomadError, RecordingError, SnapshotError
-from nclient.protocol.codec import line_request, tcp_request
+from nclient.protocol.codec import encode_serial_request, encode_tcp_request
 from nclient.protocol.commands import Call
 from nclient.protocol.types import MODELS
 from nclient.protocol.wire_state import serial_wire_state
-from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, read_recording
-from nclient.recording.readable import lines_of
+from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object, format_entry, read_recording
 from nclient.recording.recorder import TCP, FrameDecoder
-from nclient.recording.replayer import LOOSE, Player, load_exchanges, state_before
+from nclient.recording.replayer import LOOSE, Player, find_state_reply, load_exchanges
 from nserver_emu.persistence import snapshot
 from nserver_emu.persistence.recording import Beginning, header
 from nserver_emu.persistence.replay import replay
-from nserver_emu.server.config import Setting
-from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.config import SimulationConfig
+from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.inprocess import open_address
 from nserver_emu.server.session import Session
 
@@ -39,11 +38,12 @@ MAX_STEPS: Final = 100
 def _recording(data: bytes) -> None:
     recording = read_recording(input_file(data, ".log"))
     for entry in recording.entries:
-        for _ in lines_of(entry, with_bytes=True):
+        for _ in format_entry(entry, with_bytes=True):
             pass
+    # Each connection can be replayed on its own.
     for name in recording.connections():
         script = load_exchanges(recording, name)
-        state_before(script, 0)
+        find_state_reply(script, 0)
         player = Player(script, LOOSE)
         for entry in recording.entries:
             if entry.kind == OUT and entry.connection == name:
@@ -67,7 +67,8 @@ def _steps(entries: object) -> Iterator[float]:
 
 def _snapshot(data: bytes) -> None:
     emulator = _emulator()
-    before = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    # Reset the emulator afterwards, also after a partial restore that failed.
+    before = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
     try:
         snapshot.restore(emulator, input_file(data, ".snapshot"))
     finally:
@@ -79,9 +80,9 @@ def _snapshot(data: bytes) -> None:
 def _emulator() -> Any:
     """Return the parts of an emulator that a snapshot changes."""
     emulator = open_address("sim:thesis_room?robot=scout").emulator
-    drivers = SimpleNamespace(orphan=lambda _: None)
-    parts = {part: getattr(emulator, part) for part in snapshot.KEPT}
-    return SimpleNamespace(**parts, drivers=drivers, look_anew=lambda: None)
+    axis_ownership = SimpleNamespace(release_all=lambda _: None)
+    parts = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
+    return SimpleNamespace(**parts, axis_ownership=axis_ownership, invalidate_state_cache=lambda: None)
 
 
 # Valid inputs
@@ -99,7 +100,7 @@ def _client_recording(wire: str, model: str) -> bytes:
     calls = ([] if line else [Call("connect_robot", (1, 7))]) + [Call("vm", (10, 0, 0)), Call("get_sn"), Call("st")]
     entries = [Entry(0.0, "open", "1", more={"wire": wire, "model": model})]
     for number, call in enumerate(calls):
-        request = line_request(call, serial_wire_state(MODELS[model])) if line else tcp_request(call)
+        request = encode_serial_request(call, serial_wire_state(MODELS[model])) if line else encode_tcp_request(call)
         robot.send(request)
         entries.append(Entry(0.1 * number, OUT, "1", request, tuple(follower.to_robot(request))))
         reply = robot.receive()
@@ -110,23 +111,26 @@ def _client_recording(wire: str, model: str) -> bytes:
 
 def _server_seeds() -> list[bytes]:
     """Return recordings of a server with one client, in real time and in lockstep."""
-    return [_server_recording(Pace(), [[0.1, 3], [0.25, 1]]), _server_recording(Pace(lockstep_s=0.5), [])]
+    return [
+        _server_recording(SimulationClock(), [[0.1, 3], [0.25, 1]]),
+        _server_recording(SimulationClock(lockstep_s=0.5), []),
+    ]
 
 
-def _server_recording(pace: Pace, steps: list[list[float]]) -> bytes:
-    beginning = Beginning(Setting(noisy=True), pace, Allowed(control=True))
+def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
+    beginning = Beginning(SimulationConfig(noisy=True), pace, Allowed(control=True))
     emulator = beginning.emulator()
     emulator.port = 7019
     session = Session(emulator.answer, "127.0.0.1:1")
     entries = [Entry(0.0, "open", session.name, more={"wire": TCP, "model": "n150"})]
     for number, call in enumerate((Call("connect_robot", (1, 7)), Call("vm", (50, 0, 90)), Call("gs"), Call("st"))):
-        request = tcp_request(call)
+        request = encode_tcp_request(call)
         entries.append(Entry(float(number), OUT, session.name, request, more={"steps": steps} if steps else {}))
         for dt_s, count in steps:
             for _ in range(int(count)):
                 emulator.pass_time(dt_s)
         session.receive(request)
-        entries.append(Entry(float(number), IN, session.name, session.answers(MAX_STEPS)))
+        entries.append(Entry(float(number), IN, session.name, session.process_requests(MAX_STEPS)))
     entries.append(Entry(4.0, "close", session.name))
     top = {"format": FORMAT, "version": VERSION} | header(beginning, "", port=7019, requests_a_turn=5, real_robots=0)
     return "\n".join(json.dumps(value) for value in (top, *map(as_object, entries))).encode() + b"\n"

@@ -14,7 +14,7 @@ from fuzz.reader import Reader, input_file
 from localization.missions.steps import load_mission
 from nclient.errors import FaultPlanError, MissionFileError, SetupFileError, WorldFileError
 from nclient.faults.plan import KINDS, load_plan, parse_plan, plan_text
-from nserver_emu.legacy_setup import read_setups
+from nserver_emu.server.legacy_setup import read_setups
 from nserver_emu.simulation.models import load_models
 from nserver_emu.simulation.noise import KEYS, load_setup
 from worlds.io import SHIPPED, load_world
@@ -120,6 +120,7 @@ def _toml(
     name: str, description: str, read: Callable[[bytes], object], error: type[Exception],
     seeds: Callable[[], Iterable[bytes]], *words: str,
 ) -> Reader:  # fmt: skip
+    # Keywords are inserted more often than bytes are changed: most byte changes are syntax errors.
     own = (*_TOML, *(word.encode() for word in words))
     words_first = any_of(word_mutator(*own), word_mutator(*own), mutate_bytes)
     return Reader(name, description, read, (error,), seeds, words_first)

@@ -11,12 +11,12 @@ from typing import Any, Final
 
 from nclient.protocol.commands import ALL, COMMANDS, Call, Command
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import EVERYTHING, model_named
+from nclient.protocol.types import EVERYTHING, get_model
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.graphics import REFRESHERS
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, Visit
+from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, ConnectionContext
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.simulation import Simulation
@@ -60,7 +60,7 @@ def support(row: Command, model: str, emulator: Emulator | None = None) -> Suppo
     if row.tcp_type is None:
         return Support.NOT_OVER_TCP
     asked = emulator or _emulator(model, Allowed())
-    visit = Visit(tcp_wire_state(model_named(model)), robot_id=1)
+    visit = ConnectionContext(tcp_wire_state(get_model(model)), robot_id=1)
     answer = asked.answer(Call(row.name, examples(row)), visit)
     if not isinstance(answer, Reply) or answer.kind != "error":
         idle = row.name in REFRESHERS or (row.name == "ac" and not _ramps(asked))
@@ -93,7 +93,7 @@ def _emulator(model: str, allowed: Allowed) -> Emulator:
     simulation = Simulation(load_world("thesis_room"))
     simulation.add_robot(1, None, MODELS[model], IDEAL)
     made = Emulator(simulation, allowed=allowed)
-    made.answer(Call("add_obstacle", _TRIANGLE), Visit(robot_id=1))
+    made.answer(Call("add_obstacle", _TRIANGLE), ConnectionContext(robot_id=1))
     return made
 
 

@@ -47,7 +47,7 @@ from localization.live.assumptions import (
     resolve_robot_model,
     resolve_sonar_model,
 )
-from localization.live.localizer import Fit
+from localization.live.localizer import Consistency
 from localization.navigation.recovery import StallDetector
 from nclient import Robot
 from nclient.common.exit_codes import ExitCode
@@ -144,7 +144,7 @@ def run(options: argparse.Namespace) -> int:
     check_writable(options.out)
     robot, simulated = open_robot(options.address)
     sonars = resolve_sonar_model(options.sonars, simulated, options.address)
-    fit = Fit(sonars.rays)
+    fit = Consistency(sonars.rays)
     if sonars.line():
         print(sonars.line(), file=sys.stderr if options.json else sys.stdout, flush=True)
     # 2. Drive.
@@ -158,12 +158,12 @@ def run(options: argparse.Namespace) -> int:
     found, laps = made
     if not options.json:
         print(f"{table(found)}\n{_describe_fit(found, fit, laps)}")
-    if not fit.good:
+    if not fit.is_good:
         if options.json:
             print(fit.line(), file=sys.stderr)
         return ExitCode.UNFIT
     if options.json:
-        quality = {"nis": fit.nis, "refused_share": fit.refused_share, "laps": laps}
+        quality = {"nis": fit.nis, "refused_share": fit.refused_fraction, "laps": laps}
         judgement = {"known_too_little": missing(found), "within_noise_of_zero": noise_in(found)}
         print(json.dumps({**calibration_as_json(found), **quality, **judgement}), flush=True)
     if options.out:
@@ -179,7 +179,7 @@ def _write(path: Path, text: str) -> None:
         raise OutputFileError(describe_write_error(path, error)) from error
 
 
-def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) -> tuple[Calibration, int] | str:
+def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Consistency) -> tuple[Calibration, int] | str:
     """Return the calibration and the number of laps in each direction, or why the run was given up."""
     state = robot.refresh()
     start = options.start or (state.x_in, state.y_in, state.steering_rad)
@@ -190,7 +190,7 @@ def _drive(robot: Robot, world: World, options: argparse.Namespace, fit: Fit) ->
     first = _tasks(world, body.radius_in, start, square, options)
     extra_lap = tasks(square, (first.corner.x_in, first.corner.y_in), 1, options.spins)[1:]
     laps = LapPolicy(extra_lap, 1 if options.laps is not None else MAX_LAPS,
-                    lambda: not (fit.good and missing(calibration_in(method.belief))))  # fmt: skip
+                    lambda: not (fit.is_good and missing(calibration_in(method.belief))))  # fmt: skip
     driver = Driver(first.tasks, options.speed, math.radians(options.turn_speed), laps.more)
     stall_detector, printed_s = StallDetector(options.speed), state.clock_s or 0.0
     began_s = printed_s
@@ -233,10 +233,10 @@ def _tasks(
     return _Route([*path_to((corner.x_in, corner.y_in), here, world, radius_in), *rest], corner)
 
 
-def _describe_fit(found: Calibration, fit: Fit, laps: int) -> str:
+def _describe_fit(found: Calibration, fit: Consistency, laps: int) -> str:
     """Return how well the calibration fits and what is not known well enough, as text."""
     short = missing(found)
-    if not short or not fit.good:
+    if not short or not fit.is_good:
         return fit.line()
     text = f"after {laps} laps in each direction {', '.join(short)} "
     text += "are still inaccurate: use more --laps or a larger room"

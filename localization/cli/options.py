@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from localization.filters.base import THESIS_ODOMETRY, LocalizationConfig
-from localization.filters.belief import Belief, independent
+from localization.filters.belief import POSE, Belief, independent
 from localization.filters.health import HealthStatus
-from localization.filters.odometry import LARGEST, POSE, OdometryNoise, with_parameters
+from localization.filters.odometry import MAX_STATE, OdometryNoise, with_parameters
 from localization.filters.registry import METHODS
 from localization.filters.sonar_cone import ConeSonar
 from localization.filters.sonar_ray import WIRE_SONAR
@@ -95,8 +95,8 @@ def parse_odometry_noise(text: str) -> OdometryNoise:
 def parse_scale_std(text: str) -> tuple[float, ...]:
     """Return the initial standard deviations of the odometry parameters, one to three."""
     stds = tuple(parse_numbers(text, text.count(",") + 1))
-    if len(stds) > LARGEST - POSE or min(stds) < 0:
-        raise argparse.ArgumentTypeError(f"expected one to {LARGEST - POSE} numbers of 0 or more, not {text!r}")
+    if len(stds) > MAX_STATE - POSE or min(stds) < 0:
+        raise argparse.ArgumentTypeError(f"expected one to {MAX_STATE - POSE} numbers of 0 or more, not {text!r}")
     return stds
 
 
@@ -308,7 +308,7 @@ def prepare_localization(robot: Robot, simulated: bool, world: World, options: a
     # 3. All models.
     sonar = WIRE_SONAR if sonars.rays else ConeSonar()
     body = BODIES[options.body]
-    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, errs=calibration)
+    config = LocalizationConfig(world.walls, body, options.odometry_noise, sonar, calibration=calibration)
     return LocalizationSetup(belief, config, sonars)
 
 
@@ -336,7 +336,7 @@ def load_resumed_belief(options: argparse.Namespace, world: World, state: RobotS
         raise EstimateFileError("--start and --resume exclude each other: give one of them")
     saved = saved_estimate.load(options.resume)
     pose = np.array([state.x_in, state.y_in, state.steering_rad])
-    now = EncoderPose(state.clock_s or 0.0, pose, state.turret_rad)
+    now = EncoderPose.of(state.clock_s or 0.0, pose, state.turret_rad)
     signature = map_signature(world, options.body)
     belief = resume_belief(saved, signature, now, options.odometry_noise, options.displacement_std)
     # Parameters of --scale-std that the saved estimate does not contain are added.
@@ -362,6 +362,6 @@ def save_estimate(
         return
     if estimate.health.status is HealthStatus.LOST:
         raise EstimateFileError(f"{options.save}: not written, the estimate is lost: {estimate.health.reason}")
-    encoders = EncoderPose(estimate.clock_s, np.array(odometry), turret_rad)
-    belief = Belief(estimate.belief.mean[:LARGEST], estimate.belief.cov[:LARGEST, :LARGEST])
+    encoders = EncoderPose.of(estimate.clock_s, np.array(odometry), turret_rad)
+    belief = Belief(estimate.belief.mean[:MAX_STATE], estimate.belief.cov[:MAX_STATE, :MAX_STATE])
     saved_estimate.save(options.save, SavedEstimate(map_signature(world, options.body), encoders, belief))

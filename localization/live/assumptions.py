@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from localization.live.localizer import Echo, Fit
+from localization.live.localizer import Consistency, Echo
 from nclient.connect import address_or_default
 from nclient.errors import AddressError, WorldFileError
 from nclient.url import split_address
-from worlds.schema import read_text, toml_of
+from worlds.schema import parse_toml, read_text
 
 SIMULATION: Final = "sim"
 
@@ -101,7 +101,7 @@ def sonar_model_of_address(address: str) -> bool | None:
     if not setup.endswith(".toml"):
         return setup not in RING_SETUPS
     try:
-        values = toml_of(read_text(Path(setup)), setup)
+        values = parse_toml(read_text(Path(setup)), setup)
     except WorldFileError:
         return None
     sonar = values.get("sonar", {})
@@ -113,6 +113,6 @@ def sonar_mismatch_hint(sonars: SonarAssumption, echoes: Iterable[Echo]) -> str:
     """Return a hint if the model was a guess and does not fit the echoes; else ""."""
     if not sonars.line():
         return ""
-    fit = Fit(sonars.rays)
+    fit = Consistency(sonars.rays)
     fit.add(echoes)
-    return "" if fit.good or fit.taken + fit.refused < MIN_READINGS else fit.line()
+    return "" if fit.is_good or fit.used + fit.refused < MIN_READINGS else fit.line()

@@ -53,7 +53,8 @@ def build_message(
         "waypoints": [list(point) for point in waypoints], "passed": moment.passed,
         "trust": estimate.health.status.value, "reason": estimate.health.reason,
         "places": [
-            {"pose": place.belief.mean[:3].tolist(), "share": place.share} for place in estimate.places[:MAX_HYPOTHESES]
+            {"pose": place.belief.mean[:3].tolist(), "share": place.probability}
+            for place in estimate.places[:MAX_HYPOTHESES]
         ],
     }  # fmt: skip
 

@@ -28,21 +28,11 @@ import numpy.typing as npt
 
 from localization.filters.base import LocalizationConfig
 from localization.filters.belief import HEADING, Floats
-from localization.filters.odometry import OdometryNoise, step_jacobian, step_variance
+from localization.filters.odometry import OdometryNoise, process_covariance, step_jacobians
 from localization.filters.reflectors import Reflectors, reflectors
-from localization.filters.sonar_cone import ConeSonar, SonarMount, cone_returns
-from localization.filters.sonar_ray import (
-    STRICT,
-    RaySonar,
-    SonarRing,
-    WallMap,
-    meet,
-    range_jacobian,
-    rays,
-    ring,
-    sight,
-    wall_map,
-)
+from localization.filters.sonar_cone import ConeSonar, SonarMount, expected_echoes
+from localization.filters.sonar_ray import RaySonar, SonarRing, WallMap, ranges_from, wall_map
+from localization.filters.update import Refusal
 from worlds.robots import SONARS
 
 HEADINGS: Final = 4
@@ -96,15 +86,15 @@ def _bound_after_cycles(
 ) -> Floats:
     """Return P (n, 3, 3) after CYCLES of `distance_in` in a direction, each with `information` J (n, 3, 3)."""
     step = np.array([distance_in, 0.0])
-    f, g = step_jacobian(np.array([0.0, 0.0, direction_rad]), step)
-    q = (g * step_variance(step, odometry)) @ g.T
-    cov: Floats = np.tile(np.diag(np.square(START_STD)), (len(information), 1, 1))
+    F, G = step_jacobians(np.array([0.0, 0.0, direction_rad]), step)
+    Q = process_covariance(G, step, odometry)
+    P: Floats = np.tile(np.diag(np.square(START_STD)), (len(information), 1, 1))
     for _ in range(CYCLES):
         # Predict, add the information of one cycle, and keep the matrix symmetric.
-        total: Floats = np.asarray(np.linalg.inv(f @ cov @ f.T + q), dtype=np.float64) + information
-        cov = np.asarray(np.linalg.inv(total), dtype=np.float64)
-        cov = 0.5 * (cov + cov.swapaxes(-1, -2))
-    return cov
+        total: Floats = np.asarray(np.linalg.inv(F @ P @ F.T + Q), dtype=np.float64) + information
+        P = np.asarray(np.linalg.inv(total), dtype=np.float64)
+        P = 0.5 * (P + P.swapaxes(-1, -2))
+    return P
 
 
 def _worst_in(covs: Floats) -> Floats:
@@ -127,26 +117,24 @@ def _cycle_information(config: LocalizationConfig, positions: Floats, heading_ra
 
 
 def _ray_information(poses: Floats, body: SonarRing, sonar: RaySonar, walls: WallMap) -> Floats:
-    aimed = rays(poses[:, None, :], ring(body))
-    met = meet(aimed, walls)
-    lines = walls.lines[met]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        seen = sight(aimed, lines)
-        jacobian = range_jacobian(seen, lines)
-        steep = np.abs(seen.cos_incidence) >= STRICT.min_cos_incidence
-        is_valid = steep & (met >= 0) & (seen.ranges_in > sonar.lowest_in) & (seen.ranges_in < sonar.highest_in)
-        weight = np.where(is_valid, 1.0 / sonar.variance(seen.ranges_in), 0.0)
-    return _sum_information(np.where(is_valid[..., None], jacobian, 0.0), weight)
+    # Readings of valid beams, weighted by their inverse variance.
+    angles_rad = np.asarray(body.sonar_angles_rad, dtype=np.float64)
+    beams = ranges_from(poses, angles_rad, body, walls)
+    used = (beams.refusal == Refusal.NONE) & (beams.range_in > sonar.lowest_in) & (beams.range_in < sonar.highest_in)
+    weight = np.where(used, 1.0 / sonar.variance(beams.range_in), 0.0)
+    return _sum_information(np.where(used[..., None], np.stack(beams.H, axis=-1), 0.0), weight)
 
 
 def _cone_information(poses: Floats, body: SonarRing, model: ConeSonar, around: Reflectors) -> Floats:
     total = np.zeros((len(poses), 3, 3))
     spread: npt.NDArray[np.float64] = np.full(len(poses), _HEADING_STD_RAD)
     for angle in body.sonar_angles_rad:
-        echoes = cone_returns(poses, spread, SonarMount(angle, body.sonar_ring_radius_in), around, model)
-        is_valid = (echoes.ranges_in > model.lowest_in) & (echoes.ranges_in < model.highest_in)
-        probability = (1.0 - model.outlier_probability) * np.where(is_valid, echoes.probability, 0.0)
-        total += _sum_information(echoes.jacobian, probability / model.variance(echoes.ranges_in))
+        mount = SonarMount(angle, body.sonar_ring_radius_in)
+        echoes = expected_echoes(poses, spread, mount, around, model)
+        is_range = (echoes.ranges_in > model.lowest_in) & (echoes.ranges_in < model.highest_in)
+        # Each echo counts with its probability.
+        probability = (1.0 - model.outlier_probability) * np.where(is_range, echoes.probability, 0.0)
+        total += _sum_information(echoes.H, probability / model.variance(echoes.ranges_in))
     return total
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from math import degrees
 from typing import Any, Final
 
-from localization.filters.belief import wrapped
+from localization.filters.belief import wrap_angle
 from localization.live.run import Pose
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import NomadError
@@ -187,4 +187,4 @@ def _pose_as_json(pose: Pose | None) -> dict[str, float] | None:
 
 def _degrees(heading_rad: float) -> float:
     """Return degrees in [-180, 180], for encoders and estimates alike."""
-    return degrees(wrapped(heading_rad))
+    return degrees(wrap_angle(heading_rad))

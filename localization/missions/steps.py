@@ -50,7 +50,7 @@ from localization.missions.settings import (
     read_settings,
     read_within_in,
 )
-from nclient.common.files import read_text, toml_of
+from nclient.common.files import parse_toml, read_text
 from nclient.common.hints import suggest
 from nclient.common.process import TerminatedBySignal
 from nclient.errors import MissionFileError, NomadError, WorldFileError
@@ -289,12 +289,12 @@ def load_mission(path: str | PathLike[str]) -> MissionSpec:
     if file.suffix not in (".toml", ".py"):
         raise MissionFileError(f"{file}: expected a mission as .toml or .py, found {file.suffix or 'no suffix'!r}")
     text = read_text(file, MAX_BYTES, MissionFileError)
-    return parse_program(text, str(file)) if file.suffix == ".py" else parse_toml(text, str(file))
+    return parse_program(text, str(file)) if file.suffix == ".py" else parse_step_list(text, str(file))
 
 
-def parse_toml(text: str, file: str) -> MissionSpec:
+def parse_step_list(text: str, file: str) -> MissionSpec:
     """Return the mission of a TOML text; `file` is its name in errors. Raises MissionFileError."""
-    values = toml_of(text, file, MissionFileError)
+    values = parse_toml(text, file, MissionFileError)
     try:
         top = Table(file, "", values)
         top.allow(_TOP_KEYS, ("fence",))

@@ -18,7 +18,7 @@ import numpy as np
 
 from localization.filters.belief import Floats, add, difference
 from localization.filters.odometry import move, step_between
-from localization.live.sensor_input import LONGEST_GAP_S
+from localization.live.sensor_input import MAX_GAP_S
 from worlds.geometry import nearest_points
 
 OBSERVED_STATES: Final = 6
@@ -75,7 +75,7 @@ MODEL_LIMITS: Final[Mapping[str, AxisLimits]] = MappingProxyType(
 class StateGapLimiter:
     """Reduce the speed when states arrive far apart, as over a slow line or on a busy machine.
 
-    The robot then drives and turns no farther between two states than at full speed in LONGEST_GAP_S. Driven faster,
+    The robot then drives and turns no farther between two states than at full speed in MAX_GAP_S. Driven faster,
     its path between two states is no longer a single arc, as odometry assumes, and commands take effect too late.
     """
 
@@ -85,11 +85,11 @@ class StateGapLimiter:
     def speed_fraction(self, clock_s: float) -> float:
         """Return the allowed fraction of the speed, in (0, 1], after a state with this robot clock.
 
-        It is min(1, LONGEST_GAP_S / longest gap between the recent states); exactly 1 if states arrive in time.
+        It is min(1, MAX_GAP_S / longest gap between the recent states); exactly 1 if states arrive in time.
         """
         self._clocks.append(clock_s)
         longest_s = max((after - before for before, after in pairwise(self._clocks)), default=0.0)
-        return 1.0 if longest_s <= LONGEST_GAP_S else LONGEST_GAP_S / longest_s
+        return 1.0 if longest_s <= MAX_GAP_S else MAX_GAP_S / longest_s
 
 
 class PoseSmoother:

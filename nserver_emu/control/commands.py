@@ -34,7 +34,7 @@ from nserver_emu.server.handlers.runtime_settings import (
 )
 from nserver_emu.server.handlers.server import LONGEST_STEP_MS
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.link import FaultController
 
 log = logging.getLogger(__name__)
 
@@ -48,7 +48,7 @@ class Served(Protocol):
     """A daemon, as far as it is controlled."""
 
     emulator: Emulator
-    faults: FaultDesk
+    faults: FaultController
 
     def step(self, dt_s: float) -> None:
         """Let simulated time pass."""
@@ -74,7 +74,7 @@ class Served(Protocol):
         """The lines there are, by name, and where each is reached."""
         ...
 
-    def visitors(self) -> list[Said]:
+    def connected_clients(self) -> list[Said]:
         """Who is connected: name, robot, waiting, refused."""
         ...
 
@@ -120,7 +120,7 @@ def _done(served: Served, line: bytes) -> Said:
 
 def status(served: Served, _: object = None) -> Said:
     """Everything at a glance: time, world, robots as they really stand, lines, clients, faults."""
-    emulator, pace = served.emulator, served.emulator.pace
+    emulator, pace = served.emulator, served.emulator.clock
     simulation = emulator.simulation
     return {
         "version": version(), "world": simulation.world.name, "seed": simulation.seed,
@@ -132,17 +132,17 @@ def status(served: Served, _: object = None) -> Said:
                 "x_in": round(robot.actual.x_in, 3), "y_in": round(robot.actual.y_in, 3),
                 "steering_deg": round(math.degrees(robot.actual.steering_rad), 2),
                 "turret_deg": round(math.degrees(robot.actual.turret_rad), 2), "noise": noise_of(robot),
-                "held": None if (hold := emulator.holds.of(number)) is None else hold.told(),
+                "held": None if (hold := emulator.estop.of(number)) is None else hold.told(),
             }
             for number, robot in simulation.robots.items()
         ],
         "lines": dict(served.lines()),
-        "connections": served.visitors(),
+        "connections": served.connected_clients(),
         "faults": {"rules": len(served.faults.plan.rules), "struck": _struck(served.faults)},
     }  # fmt: skip
 
 
-def _struck(desk: FaultDesk) -> dict[str, int]:
+def _struck(desk: FaultController) -> dict[str, int]:
     together: Counter[str] = Counter()
     for rules in desk.counts().values():
         together.update(total(rules))
@@ -150,22 +150,22 @@ def _struck(desk: FaultDesk) -> dict[str, int]:
 
 
 def _pause(served: Served, _: object) -> Said:
-    served.emulator.pace.paused = True
+    served.emulator.clock.paused = True
     return _time(served)
 
 
 def _resume(served: Served, _: object) -> Said:
-    served.emulator.pace.paused = False
+    served.emulator.clock.paused = False
     return _time(served)
 
 
 def _speed(served: Served, argument: object) -> Said:
-    if served.emulator.pace.lockstep_s is not None:
+    if served.emulator.clock.lockstep_s is not None:
         raise ControlError("speed: time moves when a client asks; start nserver without --lockstep to let it run")
     if argument == MAX_SPEED:
-        served.emulator.pace.factor = None
+        served.emulator.clock.factor = None
     else:
-        served.emulator.pace.factor = _number(argument, SLOWEST, FASTEST, f"speed: {MAX_SPEED}, or a number")
+        served.emulator.clock.factor = _number(argument, SLOWEST, FASTEST, f"speed: {MAX_SPEED}, or a number")
     return _time(served)
 
 
@@ -175,7 +175,7 @@ def _step(served: Served, argument: object) -> Said:
 
 
 def _time(served: Served) -> Said:
-    served.emulator.look_anew()
+    served.emulator.invalidate_state_cache()
     served.paced()
     told = status(served)
     return {key: told[key] for key in ("time_s", "speed", "paused", "lockstep_s")}
@@ -183,12 +183,12 @@ def _time(served: Served) -> Said:
 
 def _stop(served: Served, argument: object) -> Said:
     served.hold(_robots(served, argument, "stop"), OPERATOR)
-    return {"held": served.emulator.holds.told()}
+    return {"held": served.emulator.estop.told()}
 
 
 def _release(served: Served, argument: object) -> Said:
     served.release(_robots(served, argument, "release"))
-    return {"held": served.emulator.holds.told()}
+    return {"held": served.emulator.estop.told()}
 
 
 def _robots(served: Served, argument: object, command: str) -> list[int]:

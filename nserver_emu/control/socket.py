@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Final
 
 from nclient.errors import ConnectionLost
-from nclient.faults.plan import MOST_BYTES
+from nclient.faults.plan import MAX_BYTES
 
 log = logging.getLogger(__name__)
 
 NAME: Final = "nserver.sock"
 OWNER_ONLY, OWNERS_FOLDER = 0o600, 0o700
-LONGEST_LINE: Final = 8 * MOST_BYTES
+LONGEST_LINE: Final = 8 * MAX_BYTES
 """A plan of faults as JSON at its longest, and more."""
 
 

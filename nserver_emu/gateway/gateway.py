@@ -42,7 +42,7 @@ from nserver_emu.gateway.translate import (
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.handlers.world import done
 from nserver_emu.server.ownership import MOTIONS, moves
-from nserver_emu.server.session import REFUSED, Later, Visit, error_reply
+from nserver_emu.server.session import REFUSED, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.robot import SimulatedRobot
 
 log = logging.getLogger(__name__)
@@ -83,9 +83,9 @@ class Ownership:
 
     def __init__(self, *, read_only: bool = False) -> None:
         self.read_only = read_only
-        self.owner: Visit | None = None
+        self.owner: ConnectionContext | None = None
 
-    def allows(self, call: Call, context: Visit) -> bool:
+    def allows(self, call: Call, context: ConnectionContext) -> bool:
         """Return True if this connection may make the call now.
 
         An allowed motion makes the connection the owner; lp releases the robot.
@@ -100,7 +100,7 @@ class Ownership:
             self.owner = context
         return True
 
-    def is_free_for(self, context: Visit) -> bool:
+    def is_free_for(self, context: ConnectionContext) -> bool:
         """Return True if no other connection owns the robot."""
         return self.owner is None or self.owner is context
 
@@ -138,12 +138,12 @@ class RealRobotProxy:
         self._feed_s = feed_s
         self._last_sent_s = self._owner_seen_s = clock()
         self._is_stopped_by_timeout = False
-        self._stamp_masks: dict[Visit, int] = {}
+        self._stamp_masks: dict[ConnectionContext, int] = {}
         self._stamp_mask = 0
-        self._timeout: tuple[Visit, int] | None = None
+        self._timeout: tuple[ConnectionContext, int] | None = None
         self.robot = RobotWorker(open_backend, self.opening_calls)
 
-    def answer(self, call: Call, context: Visit) -> Reply | Later:
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """Return the reply to a connection's call, or a deferred reply."""
         self._note_owner_alive(context)
         # 1. Translate: the calls for the robot, and the reply that is made from its last answer.
@@ -171,7 +171,7 @@ class RealRobotProxy:
             return translated.build_reply(context, self.last, self.robot.link)
         return self._defer(self.refresh(), translated.build_reply, context)
 
-    def leave(self, context: Visit) -> None:
+    def on_disconnect(self, context: ConnectionContext) -> None:
         """Handle a closed connection: stop a robot that it owned, cancel a time-out that it set."""
         self._stamp_masks.pop(context, None)
         if self.ownership.owner is context:
@@ -236,7 +236,7 @@ class RealRobotProxy:
         self.robot.close(*self.shutdown_calls)
         self.process_results()
 
-    def _note_owner_alive(self, context: Visit) -> None:
+    def _note_owner_alive(self, context: ConnectionContext) -> None:
         """Restart the owner's time-out; a connection that is about to become the owner counts as well."""
         if self.ownership.is_free_for(context):
             self._owner_seen_s = self._clock()
@@ -258,7 +258,7 @@ class RealRobotProxy:
         if self.shadow is not None and self.active:
             self.shadow.update(calls, state)
 
-    def _defer(self, job: Job, build_reply: ReplyBuilder, context: Visit) -> Later:
+    def _defer(self, job: Job, build_reply: ReplyBuilder, context: ConnectionContext) -> DeferredReply:
         def poll() -> Reply | None:
             self._note_owner_alive(context)
             self.process_results()
@@ -266,12 +266,12 @@ class RealRobotProxy:
 
         return poll
 
-    def _reply(self, result: JobResult, build_reply: ReplyBuilder, context: Visit) -> Reply:
+    def _reply(self, result: JobResult, build_reply: ReplyBuilder, context: ConnectionContext) -> Reply:
         if result.code is not None:
             return error_reply(result.code)
         return build_reply(context, result.replies[-1], self.robot.link)
 
-    def _wait(self, args: tuple[int, ...], context: Visit) -> Later:
+    def _wait(self, args: tuple[int, ...], context: ConnectionContext) -> DeferredReply:
         """Return the deferred reply of ws: the state is polled, so that other connections can stop the robot meanwhile.
 
         The time-out runs on the robot's own clock, which is simulated time where the robot is a simulation.
@@ -306,7 +306,7 @@ class RealRobotProxy:
 
         return poll
 
-    def _set_stamp_mask(self, context: Visit) -> tuple[Call, ...]:
+    def _set_stamp_mask(self, context: ConnectionContext) -> tuple[Call, ...]:
         """Return the ct call that a connection's new mask requires; empty if it requires none.
 
         The robot sends all slots, with the position stamps that any of the connections wants.
@@ -364,7 +364,7 @@ class Gateway:
                 proxy.shadow = ShadowSimulation(backend, simulated, link)
                 proxy.refresh()
 
-    def answer(self, call: Call, context: Visit) -> Reply | Later:
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """Return the reply to a call, or a deferred one: from the real robot where the connection's robot is one."""
         proxy = None if context.robot_id is None else self.proxies.get(context.robot_id)
         if proxy is None:
@@ -373,7 +373,7 @@ class Gateway:
             return self._switch(proxy, context, to_real=call.name == REAL)
         if not proxy.active or stays_here(call.name):
             return self._emulator.answer(call, context)
-        effective = self._emulator.holds.meant(call, context.robot_id)
+        effective = self._emulator.estop.effective_call(call, context.robot_id)
         return error_reply(REFUSED) if effective is None else proxy.answer(effective, context)
 
     def hold(self, robot_id: int, by: str) -> None:
@@ -383,18 +383,18 @@ class Gateway:
         if proxy is not None and proxy.active:
             proxy.stop()
 
-    def leave(self, context: Visit) -> None:
+    def on_disconnect(self, context: ConnectionContext) -> None:
         """Handle a closed connection: stop what it drove, real or simulated."""
-        self._emulator.leave(context)
+        self._emulator.on_disconnect(context)
         for proxy in self.proxies.values():
-            proxy.leave(context)
+            proxy.on_disconnect(context)
 
     def tick(self) -> None:
         """Let all real robots process results and time-outs."""
         for proxy in self.proxies.values():
             proxy.tick()
 
-    def _switch(self, proxy: RealRobotProxy, context: Visit, *, to_real: bool) -> Reply:
+    def _switch(self, proxy: RealRobotProxy, context: ConnectionContext, *, to_real: bool) -> Reply:
         assert context.robot_id is not None
         if not proxy.ownership.is_free_for(context):
             return error_reply(REFUSED)
@@ -402,7 +402,7 @@ class Gateway:
             log.warning("robot %d is the %s one from now on", context.robot_id, "real" if to_real else "simulated")
             if to_real:
                 self._simulated(context.robot_id).stop()
-                self._emulator.look_anew()
+                self._emulator.invalidate_state_cache()
             else:
                 proxy.release()
             proxy.active = to_real

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Final
 
 from nclient.backends.base import Backend
-from nclient.backends.wrappers import POLL_S, Capped
+from nclient.backends.wrappers import POLL_S, SpeedLimiter
 from nclient.connect import Connector
 from nclient.url import parse_address
 from nserver_emu.gateway.gateway import TIMEOUT_S, Gateway, RealRobotProxy
 from nserver_emu.server.daemon import Daemon
-from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.link import FaultController
 
 log = logging.getLogger(__name__)
 
@@ -42,21 +42,44 @@ _NEED_REAL: Final = ("real_read_only", "max_speed", "max_turn", "shadow")
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the gateway's options, in a group of their own."""
     group = parser.add_argument_group("a real robot behind the server")
-    group.add_argument("--real", metavar="ADDRESS",
-                       help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
-                       "clients switch with real_robot and simulated_robot; default at the start: real")
-    group.add_argument("--real-read-only", action="store_true",
-                       help="refuse (ERROR 5) all that would move or change the real robot; st works")
-    group.add_argument("--max-speed", type=_speed, metavar="IN_S",
-                       help="limit the speed of the real robot to IN_S inches a second")
-    group.add_argument("--max-turn", type=_speed, metavar="DEG_S",
-                       help="limit the speed of steering and turret to DEG_S degrees a second")
-    group.add_argument("--shadow", action="store_true",
-                       help="let the simulation repeat what the real robot does, and log the differences")
-    group.add_argument("--shadow-report", type=Path, metavar="FILE",
-                       help="write the differences to FILE at the end: CSV where it ends in .csv, else JSON")
-    group.add_argument("--shadow-every", type=_speed, default=SUMMARY_S, metavar="S",
-                       help=f"log a summary of the differences every S seconds (default {SUMMARY_S:g})")
+    group.add_argument(
+        "--real",
+        metavar="ADDRESS",
+        help="drive this robot as robot 1: any address, such as serial:///dev/ttyUSB0?model=n150; "
+        "clients switch with real_robot and simulated_robot; default at the start: real",
+    )
+    group.add_argument(
+        "--real-read-only",
+        action="store_true",
+        help="refuse (ERROR 5) all that would move or change the real robot; st works",
+    )
+    group.add_argument(
+        "--max-speed", type=_speed, metavar="IN_S", help="limit the speed of the real robot to IN_S inches a second"
+    )
+    group.add_argument(
+        "--max-turn",
+        type=_speed,
+        metavar="DEG_S",
+        help="limit the speed of steering and turret to DEG_S degrees a second",
+    )
+    group.add_argument(
+        "--shadow",
+        action="store_true",
+        help="let the simulation repeat what the real robot does, and log the differences",
+    )
+    group.add_argument(
+        "--shadow-report",
+        type=Path,
+        metavar="FILE",
+        help="write the differences to FILE at the end: CSV where it ends in .csv, else JSON",
+    )
+    group.add_argument(
+        "--shadow-every",
+        type=_speed,
+        default=SUMMARY_S,
+        metavar="S",
+        help=f"log a summary of the differences every S seconds (default {SUMMARY_S:g})",
+    )
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -69,12 +92,16 @@ def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         if options.lockstep is not None:
             parser.error("a real robot does not wait for clients: --lockstep and --real do not go together")
         if options.record is not None:
-            parser.error("what a real robot answers cannot be computed again: record its line instead, with "
-                         "record=FILE in the address of --real")
+            parser.error(
+                "what a real robot answers cannot be computed again: record its line instead, with "
+                "record=FILE in the address of --real"
+            )
 
 
 @contextlib.contextmanager
-def connected(options: argparse.Namespace, faults: FaultDesk | None = None) -> Iterator[dict[int, RealRobotProxy]]:
+def connected(
+    options: argparse.Namespace, faults: FaultController | None = None
+) -> Iterator[dict[int, RealRobotProxy]]:
     """Connect to the robot of --real; at the end stop it, disconnect, and write the shadow's report.
 
     Parameters
@@ -163,7 +190,7 @@ def speed_limiter(options: argparse.Namespace) -> Callable[[Backend], Backend]:
     if options.max_speed is None and options.max_turn is None:
         return lambda backend: backend
     speed, turn = options.max_speed or math.inf, options.max_turn or math.inf
-    return lambda backend: Capped(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
+    return lambda backend: SpeedLimiter(backend, max_speed_in_s=speed, max_turn_deg_s=turn)
 
 
 def line_addresses(options: argparse.Namespace) -> dict[str, str]:
@@ -171,7 +198,7 @@ def line_addresses(options: argparse.Namespace) -> dict[str, str]:
     return {} if options.real is None else {LINE: options.real}
 
 
-def _connect(options: argparse.Namespace, faults: FaultDesk | None) -> RealRobotProxy:
+def _connect(options: argparse.Namespace, faults: FaultController | None) -> RealRobotProxy:
     """Connect to the robot of --real.
 
     Speed limits of its address apply as well, the lower of two. Faults are those of the address or, where it names

@@ -26,7 +26,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, FULL_TURN_TENTHS, Model, rad_from_tenths
 from nclient.protocol.wire_state import tcp_wire_state
 from nserver_emu.gateway.translate import Link, whole_state
-from nserver_emu.server.session import Answer, Visit
+from nserver_emu.server.session import Answer, ConnectionContext
 from nserver_emu.server.state_encoder import state_slots
 from nserver_emu.simulation.robot import SimulatedRobot
 
@@ -189,7 +189,7 @@ class SimulatedBackend:
     def __init__(self, simulate: Answer, robot_id: int, model: Model) -> None:
         self.wire_state = tcp_wire_state(model)
         self._simulate = simulate
-        self._context = Visit(self.wire_state, robot_id)
+        self._context = ConnectionContext(self.wire_state, robot_id)
 
     def execute(self, call: Call) -> Reply:
         """Return the simulation's reply.

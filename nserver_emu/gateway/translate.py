@@ -23,12 +23,12 @@ import numpy as np
 
 from nclient.protocol.client_state import ERROR_SLOT, STATE_SIZE
 from nclient.protocol.codec import clamp_to_serial
-from nclient.protocol.commands import BY_NAME, Call, on_line
+from nclient.protocol.commands import BY_NAME, Call, exists_on_serial
 from nclient.protocol.replies import MOTOR_SLOT, Reply
 from nclient.protocol.types import BUMPER_SLOT, COMPASS_SLOT, LASER_SLOT, Model, tenths
 from nclient.protocol.wire_state import LINES, PIXELS, POINTS
 from nserver_emu.server.handlers.world import done
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Visit, error_reply
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, error_reply
 from nserver_emu.server.state_encoder import INFRARED_NOTHING, as_sent
 from nserver_emu.simulation.laser import COLUMNS, PIXEL_IN, LineFit, lines, points
 from worlds.geometry import FloatArray
@@ -70,7 +70,7 @@ class Link:
         return clean
 
 
-ReplyBuilder = Callable[[Visit, Reply, Link], Reply]
+ReplyBuilder = Callable[[ConnectionContext, Reply, Link], Reply]
 """Makes a connection's reply from the robot's answer."""
 
 
@@ -86,7 +86,7 @@ def stays_here(name: str) -> bool:
     return name not in _ROWS and name not in LACKING
 
 
-def plan(call: Call, context: Visit, link: Link) -> TranslatedCall | int:
+def plan(call: Call, context: ConnectionContext, link: Link) -> TranslatedCall | int:
     """Translate a connection's call.
 
     Returns
@@ -101,7 +101,7 @@ def plan(call: Call, context: Visit, link: Link) -> TranslatedCall | int:
     if call.name == "ct" and context.wire_state.mask.position and not link.masks:
         return NOT_AVAILABLE
     calls, build_reply = _ROWS[call.name](call, context, link)
-    if link.own_line and not all(on_line(BY_NAME[sent.name], link.model) for sent in calls):
+    if link.own_line and not all(exists_on_serial(BY_NAME[sent.name], link.model) for sent in calls):
         return NOT_AVAILABLE
     return TranslatedCall(tuple(map(clamp_to_serial, calls)) if link.own_line else calls, build_reply)
 
@@ -122,7 +122,7 @@ def whole_state(reply: Reply, link: Link) -> list[int]:
     return list(slots.values())
 
 
-def state_for(context: Visit, reply: Reply, link: Link) -> Reply:
+def state_for(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """Return the state reply for this connection, by its mask and laser mode.
 
     A slot that the connection's mask leaves out repeats the value last sent there.
@@ -135,7 +135,7 @@ def state_for(context: Visit, reply: Reply, link: Link) -> Reply:
     return replace(reply, slots=dict(enumerate(as_sent(context, slots))), laser=laser)
 
 
-def laser_for(context: Visit, reply: Reply, link: Link, *, segments: bool) -> Reply:
+def laser_for(context: ConnectionContext, reply: Reply, link: Link, *, segments: bool) -> Reply:
     """Return the reply to get_ls or, with `segments`, to get_sg."""
     width = LINES if segments else context.wire_state.get_laser_width
     return replace(reply, laser=shaped(reply.laser, width, link))
@@ -189,78 +189,78 @@ def _points_of_rows(rows: tuple[int, ...], body: Body) -> FloatArray:
     return points(ranges, body)
 
 
-def _unchanged(_context: Visit, reply: Reply, _link: Link) -> Reply:
+def _unchanged(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     return reply
 
 
-def _done(_context: Visit, _reply: Reply, _link: Link) -> Reply:
+def _done(_context: ConnectionContext, _reply: Reply, _link: Link) -> Reply:
     return done()
 
 
-def _numbers(context: Visit, reply: Reply, link: Link) -> Reply:
+def _numbers(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """Reply to a query that sets slots of State; later state replies repeat them."""
     clean = replace(reply, slots=link.clean(reply.slots))
     context.keep(clean.slots)
     return clean
 
 
-def _accelerations(_context: Visit, reply: Reply, _link: Link) -> Reply:
+def _accelerations(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     """Reply to get_ra, which arrives in the slots of the velocities; without any the robot has no such query."""
     return reply if reply.slots else error_reply(NOT_AVAILABLE)
 
 
-def _compass(context: Visit, reply: Reply, link: Link) -> Reply:
+def _compass(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
     """Reply to get_cp made from a whole state."""
     compass = {COMPASS_SLOT: reply.slots[COMPASS_SLOT]}
     return _numbers(context, Reply("compass", compass, clock=reply.clock), link)
 
 
-def _pose(_context: Visit, reply: Reply, _link: Link) -> Reply:
+def _pose(_context: ConnectionContext, reply: Reply, _link: Link) -> Reply:
     return Reply("configuration", values=tuple(reply.slots[slot] for slot in _POSE_SLOTS))
 
 
 # --- Calls -----------------------------------------------------------------------------------------------------------
 
-Row = Callable[[Call, Visit, Link], TranslatedCall]
+Row = Callable[[Call, ConnectionContext, Link], TranslatedCall]
 
 
 def _same_call(build_reply: ReplyBuilder) -> Row:
     return lambda call, _context, _link: TranslatedCall((call,), build_reply)
 
 
-def _refresh(_call: Call, _context: Visit, _link: Link) -> TranslatedCall:
+def _refresh(_call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
     return TranslatedCall((REFRESH,), state_for)
 
 
-def _get_cp(call: Call, _context: Visit, link: Link) -> TranslatedCall:
+def _get_cp(call: Call, _context: ConnectionContext, link: Link) -> TranslatedCall:
     return TranslatedCall((call,), _numbers) if link.masks else TranslatedCall((REFRESH,), _compass)
 
 
-def _conf_cp(call: Call, context: Visit, _link: Link) -> TranslatedCall:
+def _conf_cp(call: Call, context: ConnectionContext, _link: Link) -> TranslatedCall:
     on_its_line = context.wire_state.line
     return TranslatedCall((call,), _unchanged) if on_its_line else TranslatedCall((call, REFRESH), state_for)
 
 
-def _tk(call: Call, context: Visit, _link: Link) -> TranslatedCall:
+def _tk(call: Call, context: ConnectionContext, _link: Link) -> TranslatedCall:
     on_its_line = context.wire_state.line
     return TranslatedCall((call, REFRESH), state_for) if on_its_line else TranslatedCall((call,), _done)
 
 
-def _place(call: Call, _context: Visit, _link: Link) -> TranslatedCall:
+def _place(call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
     x, y, steering, turret = call.args
     return TranslatedCall((Call("dp", (x, y)), Call("da", (steering, turret))), _done)
 
 
-def _get_robot_conf(_call: Call, _context: Visit, _link: Link) -> TranslatedCall:
+def _get_robot_conf(_call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
     return TranslatedCall((Call("get_rc"),), _pose)
 
 
-def _conf_tm(call: Call, _context: Visit, _link: Link) -> TranslatedCall:
+def _conf_tm(call: Call, _context: ConnectionContext, _link: Link) -> TranslatedCall:
     return TranslatedCall((Call("conf_tm", (min(max(call.args[0], 0), MAX_TIMEOUT_S),)),), state_for)
 
 
 def _laser(*, segments: bool) -> Row:
-    def build_reply(context: Visit, reply: Reply, link: Link) -> Reply:
+    def build_reply(context: ConnectionContext, reply: Reply, link: Link) -> Reply:
         return laser_for(context, reply, link, segments=segments)
 
     return _same_call(build_reply)

@@ -18,8 +18,8 @@ from typing import Any, Final
 from nclient.common.hints import version
 from nclient.errors import RecordingError
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.config import Setting
-from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.config import SimulationConfig
+from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.simulation.noise import SUFFIX
 from worlds.io import world_names
@@ -33,8 +33,8 @@ class Beginning:
     """How a daemon's simulation begins. `restored`: the file of the snapshot that it goes on from, at its pace or at
     this one; `snapshot_text`: what stood in it, where that is known."""
 
-    setting: Setting
-    pace: Pace
+    setting: SimulationConfig
+    pace: SimulationClock
     allowed: Allowed
     restored: Path | None = None
     keeps_pace: bool = False
@@ -42,13 +42,13 @@ class Beginning:
 
     def emulator(self) -> Emulator:
         """That simulation, at its beginning. Raises what a daemon's start may raise."""
-        emulator = Emulator(self.setting.simulation(), pace=replace(self.pace), allowed=self.allowed)
+        emulator = Emulator(self.setting.simulation(), clock=replace(self.pace), allowed=self.allowed)
         if self.restored:
             if self.snapshot_text:
                 snapshot.loads(emulator, self.snapshot_text, str(self.restored))
             else:
                 snapshot.restore(emulator, self.restored)
-            emulator.pace = emulator.pace if self.keeps_pace else replace(self.pace)
+            emulator.clock = emulator.clock if self.keeps_pace else replace(self.pace)
         return emulator
 
 
@@ -77,8 +77,8 @@ def beginning_of(found: Mapping[str, Any], name: str) -> Beginning:
         told = dict(found["setting"])
         others = tuple((model, _start(start)) for model, start in told["others"])
         changes = {"start": _start(told["start"]), "others": others, "model_file": _path(told["model_file"])}
-        setting = Setting(**told | changes)
-        pace, allowed = Pace(**found["pace"]), Allowed(**found["allowed"])
+        setting = SimulationConfig(**told | changes)
+        pace, allowed = SimulationClock(**found["pace"]), Allowed(**found["allowed"])
         pace.check()
         _ = found["port"], found["requests_a_turn"]
         digests = dict(found.get("digests", {}))
@@ -91,7 +91,7 @@ def beginning_of(found: Mapping[str, Any], name: str) -> Beginning:
     return Beginning(setting, pace, allowed, restored, bool(found.get("keeps_pace")), text and str(text))
 
 
-def _files(setting: Setting) -> dict[str, Path]:
+def _files(setting: SimulationConfig) -> dict[str, Path]:
     """The files that a setting names, by its fields."""
     named: dict[str, Path] = {}
     if setting.world not in world_names():

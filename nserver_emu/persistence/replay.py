@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from nclient.errors import NomadError, RecordingError
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 from nclient.recording.format import IN, OUT, Entry, Recording
 from nclient.recording.recorder import HANDSHAKE_FIRST, TCP
 from nserver_emu.persistence.recording import DAEMON, beginning_of
-from nserver_emu.server.client_registry import FORGOTTEN_AFTER_S, Acquaintances
+from nserver_emu.server.client_registry import CLOSED_RETENTION_S, ClientRegistry
 from nserver_emu.server.handlers.runtime_settings import change_obstacle, put_world, show_world, switch_noise
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import SCHEME, InProcess, open_address
-from nserver_emu.server.serial_session import LineSession
-from nserver_emu.server.session import Conversation, Session
+from nserver_emu.server.serial_session import SerialSession
+from nserver_emu.server.session import BaseSession, Session
 
 LONGEST_STEP_S: Final = 250.0
 """What a daemon makes up for at once, a quarter of a second, at its fastest; what a client may step is less."""
@@ -107,10 +107,10 @@ class _DaemonAgain:
         self._emulator = beginning_of(recording.header, recording.name).emulator()
         self._emulator.port = recording.header["port"]
         self._most = recording.header["requests_a_turn"]
-        self._sessions: dict[str, Conversation[Any]] = {}
+        self._sessions: dict[str, BaseSession[Any]] = {}
         self._greetings: dict[str, bytes] = {}
         self._line_clock_s = 0.0
-        self._acquaintances = Acquaintances()
+        self._client_registry = ClientRegistry()
         self._leaving: list[tuple[float, str]] = []
 
     def follow(self, entry: Entry) -> bytes:
@@ -132,7 +132,7 @@ class _DaemonAgain:
     def _pass_time(self, entry: Entry) -> None:
         """The time that the entry says had passed before it, and who was forgotten meanwhile."""
         while self._leaving and self._leaving[0][0] <= entry.time_s:
-            self._acquaintances.leave(self._leaving.pop(0)[1])
+            self._client_registry.remove(self._leaving.pop(0)[1])
         for dt_s, count in entry.more.get("steps", ()):
             if dt_s > LONGEST_STEP_S:
                 raise ValueError(f"a step of {dt_s} s")
@@ -142,21 +142,21 @@ class _DaemonAgain:
 
     def _open(self, entry: Entry) -> None:
         answer, name, host = self._emulator.answer, entry.connection, _host(entry.connection)
-        wire, model = entry.more["wire"], model_named(entry.more["model"])
+        wire, model = entry.more["wire"], get_model(entry.more["model"])
         if wire == TCP:
-            self._acquaintances.arrive(name, host)
+            self._client_registry.add_pending(name, host)
             self._sessions[name] = Session(
-                answer, name, lambda wide: self._acquaintances.find(name, host, wide),
+                answer, name, lambda wide: self._client_registry.lookup(name, host, wide),
                 self._emulator.allowed.frame,
             )
             return
         robot_id = entry.more["robot_id"]
         wire_state = self._emulator.serial_wire_state(robot_id)
-        line = LineSession(answer, robot_id, model, lambda: self._line_clock_s, name, wire_state)
+        line = SerialSession(answer, robot_id, model, lambda: self._line_clock_s, name, wire_state)
         self._sessions[name] = line
         self._greetings[name] = line.greeting if wire == HANDSHAKE_FIRST else b""
 
-    def _session(self, entry: Entry) -> Conversation[Any]:
+    def _session(self, entry: Entry) -> BaseSession[Any]:
         session = self._sessions.get(entry.connection)
         if session is None:
             raise _NeverOpened
@@ -166,10 +166,10 @@ class _DaemonAgain:
         session = self._session(entry)
         del self._sessions[entry.connection]
         if session.closing:
-            self._acquaintances.leave(entry.connection, disconnected=True)
+            self._client_registry.remove(entry.connection, disconnected=True)
         else:
-            self._leaving.append((entry.time_s + FORGOTTEN_AFTER_S, entry.connection))
-        self._emulator.leave(session.visit)
+            self._leaving.append((entry.time_s + CLOSED_RETENTION_S, entry.connection))
+        self._emulator.on_disconnect(session.context)
 
     def _turn(self, entry: Entry) -> bytes:
         """What the daemon did at such an entry: greet, look whether time has brought an answer, or take a turn."""
@@ -181,17 +181,17 @@ class _DaemonAgain:
             return session.tick()
         if not session.ready:
             session.tick()  # half a frame was given up, and what is behind it found
-        before = session.met
-        said = session.answers(self._most)
-        if session.met != before:
-            self._acquaintances.note(name, _host(name), session.met)
+        before = session.identity
+        said = session.process_requests(self._most)
+        if session.identity != before:
+            self._client_registry.register(name, _host(name), session.identity)
         return said
 
 
 def _pace(emulator: Emulator, what: tuple[float | None, bool]) -> None:
-    emulator.pace.factor, emulator.pace.paused = what
-    emulator.pace.check()
-    emulator.look_anew()
+    emulator.clock.factor, emulator.clock.paused = what
+    emulator.clock.check()
+    emulator.invalidate_state_cache()
 
 
 def _hold(emulator: Emulator, what: Mapping[str, Any]) -> None:
@@ -201,7 +201,7 @@ def _hold(emulator: Emulator, what: Mapping[str, Any]) -> None:
 
 def _release(emulator: Emulator, robot_ids: list[int]) -> None:
     for robot_id in robot_ids:
-        emulator.holds.release(robot_id)
+        emulator.estop.release(robot_id)
 
 
 _CHANGES: Final[Mapping[str, Callable[[Emulator, Any], object]]] = {

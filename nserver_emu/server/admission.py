@@ -28,24 +28,24 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from nclient.common.allowlist import NOT_ALLOWED, Access
+from nclient.common.allowlist import NOT_ALLOWED, Allowlist
 from nserver_emu.server.limits import Limits
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
-class Door:
+class AdmissionControl:
     """The rules of all ports. `turned_away` counts those who were not let in."""
 
     limits: Limits = field(default_factory=Limits)
-    access: Access = field(default_factory=Access)
-    turned_away: int = 0
+    access: Allowlist = field(default_factory=Allowlist)
+    rejected: int = 0
 
-    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
+    def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """Why a newcomer from this address may not come in; empty: he may. `present`: addresses of those who are;
         `at`: the one of ours that he came to."""
-        if not self.access.admits(host, at):
+        if not self.access.allows(host, at):
             return NOT_ALLOWED
         if len(present) >= self.limits.connections:
             return f"there are {len(present)} connections already (--limit-connections)"
@@ -53,26 +53,26 @@ class Door:
             return f"there are {self.limits.per_address} connections from there already (--limit-per-address)"
         return ""
 
-    def turn_away(self, host: str, reason: str) -> None:
+    def reject(self, host: str, reason: str) -> None:
         """He was not let in."""
-        self.turned_away += 1
-        level = logging.WARNING if self.turned_away == 1 else logging.DEBUG
+        self.rejected += 1
+        level = logging.WARNING if self.rejected == 1 else logging.DEBUG
         log.log(level, "%s: turned away: %s (further ones are counted, and logged at debug)", host, reason)
 
 
 class Rules(Protocol):
     """Whose port it is: whether a newcomer may come in, and who is told where not."""
 
-    def refusal(self, host: str, present: Collection[str], at: str = "") -> str:
+    def rejection_reason(self, host: str, present: Collection[str], at: str = "") -> str:
         """As Door has it."""
         ...
 
-    def turn_away(self, host: str, reason: str) -> None:
+    def reject(self, host: str, reason: str) -> None:
         """As Door has it."""
         ...
 
 
-class Doorkeeper(asyncio.Protocol):
+class AdmissionProtocol(asyncio.Protocol):
     """See the head of this file. `who` makes the one who talks, `present` tells the addresses of those who do."""
 
     def __init__(
@@ -83,9 +83,9 @@ class Doorkeeper(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         peer, own = transport.get_extra_info("peername"), transport.get_extra_info("sockname")
         host = peer[0] if peer else ""
-        reason = self._door.refusal(host, self._present(), own[0] if own else "")
+        reason = self._door.rejection_reason(host, self._present(), own[0] if own else "")
         if reason:
-            self._door.turn_away(host, reason)
+            self._door.reject(host, reason)
             transport.close()
             return
         inside = self._who()
@@ -96,7 +96,7 @@ class Doorkeeper(asyncio.Protocol):
 SAVED_S: Final = 0.1
 
 
-class Allowance:
+class TokenBucket:
     """`rate`: answers a second, more than 0; `turn`: the most that are given at once."""
 
     def __init__(self, rate: float, turn: int, now_s: float) -> None:
@@ -105,7 +105,7 @@ class Allowance:
         self._left = self._most
         self._at_s = now_s
 
-    def spend(self, count: int, now_s: float) -> None:
+    def consume(self, count: int, now_s: float) -> None:
         """So many were given."""
         self._left = min(self._most, self._left + self._rate * (now_s - self._at_s)) - count
         self._at_s = now_s
@@ -120,7 +120,7 @@ _LOOKS: Final = 4
 
 
 @dataclass(slots=True)
-class Patience:
+class ConnectionTimeouts:
     """Limits in seconds, 0 for none, and since when the connection is as it is."""
 
     idle_s: float
@@ -134,7 +134,7 @@ class Patience:
         self._heard_s = self.now_s
 
     @property
-    def look_s(self) -> float | None:
+    def check_interval_s(self) -> float | None:
         """How often to look; None: never."""
         return min((limit / _LOOKS for limit in (self.idle_s, self.stall_s) if limit), default=None)
 
@@ -142,7 +142,7 @@ class Patience:
         """Something came, or is being waited for."""
         self._heard_s = now_s
 
-    def overdue(self, now_s: float, answered: int, stuck: bool) -> str:
+    def timeout_reason(self, now_s: float, answered: int, stuck: bool) -> str:
         """Why the connection should end; empty for not yet. `answered`: requests so far; `stuck`: in the middle."""
         if not stuck or answered != self._answered or self._stuck_s is None:
             self._stuck_s, self._answered = now_s if stuck else None, answered

@@ -15,21 +15,21 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Final
 
-from nserver_emu.server.session import Acquaintance
+from nserver_emu.server.session import ClientIdentity
 
-FORGOTTEN_AFTER_S: Final = 0.2
+CLOSED_RETENTION_S: Final = 0.2
 """Who closes a connection and goes on over one made before is seen to close before the other is seen to be there."""
 
 
 @dataclass(slots=True)
 class _Guest:
     host: str
-    met: Acquaintance
+    identity: ClientIdentity
     continued: bool = False
     gone: bool = False
 
 
-class Acquaintances:
+class ClientRegistry:
     """See the head of this file."""
 
     def __init__(self) -> None:
@@ -40,11 +40,11 @@ class Acquaintances:
     def __len__(self) -> int:
         return len(self._guests)
 
-    def arrive(self, guest: Hashable, host: str) -> None:
+    def add_pending(self, guest: Hashable, host: str) -> None:
         """Somebody has connected, and said nothing yet."""
         self._unknown[guest] = host
 
-    def note(self, guest: Hashable, host: str, met: Acquaintance | None) -> None:
+    def register(self, guest: Hashable, host: str, met: ClientIdentity | None) -> None:
         """What a connection has agreed by now; None: nothing."""
         known = self._guests.get(guest)
         if met is None:
@@ -52,25 +52,25 @@ class Acquaintances:
         elif known is None:
             self._guests[guest] = _Guest(host, met)
         else:
-            known.met = met
+            known.identity = met
         self._tell_apart(guest)
 
-    def find(self, guest: Hashable, host: str, wide: bool | None) -> Acquaintance | None:
+    def lookup(self, guest: Hashable, host: str, wide: bool | None) -> ClientIdentity | None:
         """Whom a new connection from this address goes on for; `wide` as its first bytes tell, None: they do not."""
         here = {
             other: known
             for other, known in self._guests.items()
-            if known.host == host and (wide is None or known.met.wide == wide)
+            if known.host == host and (wide is None or known.identity.wide == wide)
         }
-        silent = [other for other, known in here.items() if known.met.silent and not known.continued]
+        silent = [other for other, known in here.items() if known.identity.silent and not known.continued]
         first = silent[0] if silent else next(reversed(here), None)
         if first is not None:
             here[first].continued = True
             self._first_of[guest] = first
         self._tell_apart(guest)
-        return None if first is None else here[first].met
+        return None if first is None else here[first].identity
 
-    def leave(self, guest: Hashable, *, disconnected: bool = False) -> None:
+    def remove(self, guest: Hashable, *, disconnected: bool = False) -> None:
         """The connection is closed; `disconnected`: it said so, and for its first one too."""
         if guest in self._guests:
             self._guests[guest].gone = True

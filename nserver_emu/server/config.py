@@ -24,11 +24,11 @@ from worlds.world import StartPose
 GAP_IN: Final = 1.0
 """Between neighbours in a ring."""
 
-MOST_RINGS: Final = 60
+MAX_RINGS: Final = 60
 """Around each start: 11,000 places. A world as wide as that has room for a thousand robots."""
 
 
-class FreePlaces:
+class StartPoseAllocator:
     """Places for robots that come one after another; a place that was refused once is not asked for again.
 
     So robots may come meanwhile, but none may go or move.
@@ -40,10 +40,10 @@ class FreePlaces:
 
     def next(self, radius_in: float) -> StartPose | None:
         """The first place where a robot of this radius touches nothing and nobody; None where there is none."""
-        standing, world = self._simulation.standing, self._simulation.world
+        spatial_hash, world = self._simulation.spatial_hash, self._simulation.world
         for place in self._untried.setdefault(radius_in, self._places(2.0 * radius_in + GAP_IN)):
             here = place.x_in, place.y_in
-            if not standing.touched(*here, radius_in) and world.clearance(*here) > radius_in:
+            if not spatial_hash.touched(*here, radius_in) and world.clearance(*here) > radius_in:
                 return place
         return None
 
@@ -52,7 +52,7 @@ class FreePlaces:
         starts = self._simulation.world.starts
         yield from starts
         reach_in = {start: self._reach_in(start) for start in starts}
-        for ring in range(1, MOST_RINGS + 1):
+        for ring in range(1, MAX_RINGS + 1):
             for start in (start for start in starts if ring * spacing_in <= reach_in[start]):
                 for number in range(6 * ring):
                     angle = tau * number / (6 * ring)
@@ -67,19 +67,19 @@ class FreePlaces:
 
 
 FIRST_ROBOT = 1
-MOST_ROBOTS = 1000
+MAX_ROBOTS = 1000
 """That one command line or address puts into a world."""
 
-READY_MODELS = tuple(MODELS)
+MODEL_NAMES = tuple(MODELS)
 """The robots that can be simulated."""
 
 
-Placed = tuple[str, StartPose | None]
+Placement = tuple[str, StartPose | None]
 """A robot by its model, and where it starts; None: where there is room."""
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class SimulationConfig:
     """World by name or file, robot by model, where it starts (None: where the world says), noise and seed.
 
     setup         how real: the name of a setup, or a file of one in TOML; "": as `noisy` says
@@ -93,7 +93,7 @@ class Setting:
     seed: int = 0
     noisy: bool = False
     setup: str = ""
-    others: tuple[Placed, ...] = ()
+    others: tuple[Placement, ...] = ()
     model_file: Path | None = None
 
     def simulation(self) -> Simulation:
@@ -101,8 +101,8 @@ class Setting:
         models = load_models(self.model_file) if self.model_file else MODELS
         simulation = Simulation(load_world(self.world), seed=self.seed)
         setup = setup_named(self.setup or (NOISY.name if self.noisy else IDEAL.name))
-        places = FreePlaces(simulation)
-        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, awake=False)
+        places = StartPoseAllocator(simulation)
+        simulation.add_robot(FIRST_ROBOT, self.start, _model(models, self.robot), setup, powered=False)
         for robot_id, (name, start) in enumerate(self.others, start=FIRST_ROBOT + 1):
             model = _model(models, name)
             place = start or places.next(model.body.radius_in)
@@ -111,12 +111,12 @@ class Setting:
                     f"no room for robot {robot_id} around the starts of {self.world}: take fewer robots or a larger "
                     "world, or give it a --start"
                 )
-            simulation.add_robot(robot_id, place, model, setup, awake=False)
-        simulation.wake()
+            simulation.add_robot(robot_id, place, model, setup, powered=False)
+        simulation.power_on()
         return simulation
 
 
-def placed(models: Sequence[str], starts: Sequence[str], count: int) -> list[Placed]:
+def robot_placements(models: Sequence[str], starts: Sequence[str], count: int) -> list[Placement]:
     """Robots 1, 2, 3 ...: as many as there are models or starts, and `count` at least.
 
     The last model counts for the rest; who has no start gets a free one. Raises AddressError for a start that is none.

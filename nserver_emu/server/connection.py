@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from nclient.faults.frames import Language, TcpLanguage
 from nclient.protocol.types import N150
-from nclient.recording.recorder import OFF, TCP, ConnectionRecorder
-from nserver_emu.server.admission import Allowance, Patience
-from nserver_emu.server.client_registry import FORGOTTEN_AFTER_S
-from nserver_emu.server.link import Arrival, Cable, FaultyCable
-from nserver_emu.server.session import Acquaintance, Conversation, Host, Session
+from nclient.recording.recorder import NULL_RECORDER, TCP, ConnectionRecorder
+from nserver_emu.server.admission import ConnectionTimeouts, TokenBucket
+from nserver_emu.server.client_registry import CLOSED_RETENTION_S
+from nserver_emu.server.link import Arrival, FaultyChannel, SerialChannel
+from nserver_emu.server.session import BaseSession, ClientIdentity, Host, Session
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -34,27 +34,27 @@ log = logging.getLogger(__name__)
 
 READ_SIZE: Final = 4096
 """Bytes that are read from a port at once."""
-HEARD_A_TURN: Final = 512
+MAX_BYTES_PER_TURN: Final = 512
 """Bytes that are looked at before it is the others' turn: a request has four at least, and takes 2 us to be found."""
-REQUESTS_A_TURN: Final = 5
+MAX_REQUESTS_PER_TURN: Final = 5
 """Requests that are answered, 25 us each, before it is the others' turn. Both are what a flood adds to their wait."""
 
 
-class Talker(ABC):
+class ConnectionHandler(ABC):
     """See the head of this file. `session` and `_tape` are there once the port is open."""
 
-    session: Conversation[Any]
+    session: BaseSession[Any]
     line: str
     """What a plan of faults calls this line."""
 
-    def __init__(self, daemon: Daemon, cable: Cable | None = None) -> None:
+    def __init__(self, daemon: Daemon, cable: SerialChannel | None = None) -> None:
         self._daemon = daemon
         self._loop = asyncio.get_running_loop()
         self._cable = cable
         self._faulty = False
         self._delivering = False
-        self._tape: ConnectionRecorder = OFF
-        self._allowance: Allowance | None = None
+        self._tape: ConnectionRecorder = NULL_RECORDER
+        self._allowance: TokenBucket | None = None
         """How fast it is answered; None: as fast as it asks."""
         self.here = True
         """Whether there is anybody: a port may be open with nobody at its other end."""
@@ -62,7 +62,7 @@ class Talker(ABC):
         """Whether what is said is not taken at present."""
         self._held_back = False
         """Whether it is not read from because too much was on its way when that was looked at last."""
-        self._unheard = b""
+        self._receive_backlog = b""
         """What came and was not looked at yet."""
         self._turn: asyncio.Handle | None = None
         self._alarm: asyncio.TimerHandle | None = None
@@ -74,43 +74,48 @@ class Talker(ABC):
             self._guarded(self.session.tick, by_time=True)
             self._answer()
 
-    def _came(self, data: bytes) -> None:
+    def data_received(self, data: bytes) -> None:
         """Bytes from the port."""
-        self._plug_in_faults()
+        self._install_faults()
         if self._cable is None:
-            self._heard(data)
+            self.process(data)
             return
         self._cable.to_robot(data, self._loop.time())
         self._deliver()
 
-    def _say(self, data: bytes) -> None:
-        self._plug_in_faults()
+    def send(self, data: bytes) -> None:
+        self._install_faults()
         if self._cable is None:
             self._send(data)
             return
         self._cable.to_host(data, self._loop.time() if self._moment_s is None else self._moment_s)
         self._deliver()
 
-    def _heard(self, data: bytes) -> None:
-        if self._unheard or len(data) > HEARD_A_TURN:
-            self._unheard += data
-            data = b"" if self._turn else self._next_unheard()
+    def process(self, data: bytes) -> None:
+        if self._receive_backlog or len(data) > MAX_BYTES_PER_TURN:
+            self._receive_backlog += data
+            data = b"" if self._turn else self._next_chunk()
         if data:
             self._tape.to_robot(data)
             self.session.receive(data)
         self._answer()
 
-    def _next_unheard(self) -> bytes:
+    def _next_chunk(self) -> bytes:
         """What is to be looked at in this turn."""
-        if not self._hearing:
+        if not self._has_backlog:
             return b""
-        data, self._unheard = self._unheard[:HEARD_A_TURN], self._unheard[HEARD_A_TURN:]
+        data, self._receive_backlog = (
+            self._receive_backlog[:MAX_BYTES_PER_TURN],
+            self._receive_backlog[MAX_BYTES_PER_TURN:],
+        )
         return data
 
     @property
-    def _hearing(self) -> bool:
+    def _has_backlog(self) -> bool:
         """Whether something came that is to be looked at now."""
-        return bool(self._unheard) and not (self.session.ready or self.session.crowded or self.session.closing)
+        return bool(self._receive_backlog) and not (
+            self.session.ready or self.session.is_queue_full or self.session.closing
+        )
 
     def _answer(self) -> None:
         if not self.blocked and self._turn is None:
@@ -118,9 +123,9 @@ class Talker(ABC):
                 self._pace()
                 return
             before = self.session.answered
-            self._guarded(lambda: self.session.answers(REQUESTS_A_TURN))
+            self._guarded(lambda: self.session.process_requests(MAX_REQUESTS_PER_TURN))
             if self._allowance is not None:
-                self._allowance.spend(self.session.answered - before, self._loop.time())
+                self._allowance.consume(self.session.answered - before, self._loop.time())
         self._pace()
 
     def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
@@ -134,7 +139,7 @@ class Talker(ABC):
         if asked or replies:
             self._tape.to_host(replies, by_time)
         if replies:
-            self._say(replies)
+            self.send(replies)
         if self.session.closing:
             self._hang_up()
 
@@ -143,17 +148,17 @@ class Talker(ABC):
 
         While an answer takes its time the reading goes on, up to a crowd, so that a client's leaving is seen.
         """
-        ready = (self.session.ready or self._hearing) and not self.blocked
+        ready = (self.session.ready or self._has_backlog) and not self.blocked
         if ready and self._turn is None:
             owed_s = self._owed_s()
             later = self._loop.call_later
             self._turn = later(owed_s, self._next_turn) if owed_s else self._loop.call_soon(self._next_turn)
         self._held_back = self._cable is not None and self._cable.full
-        self._listen(not (ready or self.blocked or self._held_back or self.session.crowded))
+        self._listen(not (ready or self.blocked or self._held_back or self.session.is_queue_full))
 
     def _next_turn(self) -> None:
         self._turn = None
-        self._heard(b"")
+        self.process(b"")
 
     def _deliver(self) -> None:
         """What has come through the cable, to where it goes; for what is still on its way an alarm is set.
@@ -182,23 +187,23 @@ class Talker(ABC):
             self._hang_up()
         elif arrival.to_robot:
             self._moment_s = arrival.at_s
-            self._heard(arrival.data)
+            self.process(arrival.data)
             self._moment_s = None
         else:
             self._send(arrival.data)
 
-    def _plug_in_faults(self) -> None:
+    def _install_faults(self) -> None:
         """From the first plan that acts on this line on, its faults lie between port and session."""
         desk, line = self._daemon.faults, self.line
         if self._faulty or not desk.plan.rules or self._unfinished or not desk.acts_on(line):
             return
         self._faulty = True
-        self._cable = FaultyCable(self._language(), lambda: desk.injector(line), self._cable)
+        self._cable = FaultyChannel(self._language(), lambda: desk.injector(line), self._cable)
 
     @property
     def _unfinished(self) -> bool:
         """Whether more is needed of what was begun, or is to be looked at."""
-        return bool(self.session.unfinished or self._unheard)
+        return bool(self.session.unfinished or self._receive_backlog)
 
     def _silence(self) -> None:
         """Nothing more comes through the cable, and nobody gets a turn."""
@@ -240,7 +245,7 @@ if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
 
 
-class Connection(Talker, asyncio.BufferedProtocol):
+class Connection(ConnectionHandler, asyncio.BufferedProtocol):
     """A client's socket."""
 
     line = "nserver"
@@ -249,10 +254,10 @@ class Connection(Talker, asyncio.BufferedProtocol):
         super().__init__(daemon)
         self._behind: Host = daemon.host
         self._inbox = bytearray(READ_SIZE)
-        self._met: Acquaintance | None = None
-        limits, now_s = daemon.door.limits, self._loop.time()
-        self._allowance = Allowance(limits.rate, REQUESTS_A_TURN, now_s) if limits.rate else None
-        self._patience = Patience(limits.idle, limits.stall, now_s)
+        self._met: ClientIdentity | None = None
+        limits, now_s = daemon.admission.limits, self._loop.time()
+        self._allowance = TokenBucket(limits.rate, MAX_REQUESTS_PER_TURN, now_s) if limits.rate else None
+        self._patience = ConnectionTimeouts(limits.idle, limits.stall, now_s)
         self._look: asyncio.TimerHandle | None = None
         self._closed_by_us = False
         self.host = ""
@@ -263,10 +268,10 @@ class Connection(Talker, asyncio.BufferedProtocol):
         peer = transport.get_extra_info("peername")
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self.host = peer[0] if peer else ""
-        self._transport.set_write_buffer_limits(high=self._daemon.door.limits.write_queue)
+        self._transport.set_write_buffer_limits(high=self._daemon.admission.limits.write_queue)
         self._meet(f"{peer[0]}:{peer[1]}" if peer else "client")
         self._daemon.connections.add(self)
-        self._daemon.acquaintances.arrive(self, self.host)
+        self._daemon.client_registry.add_pending(self, self.host)
         self._look_later()
         log.info("%s: connected", self.session.name)
 
@@ -276,13 +281,17 @@ class Connection(Talker, asyncio.BufferedProtocol):
             self._look.cancel()
         self._daemon.connections.discard(self)
         if self.session.closing:
-            self._daemon.acquaintances.leave(self, disconnected=True)
+            self._daemon.client_registry.remove(self, disconnected=True)
         else:
-            self._loop.call_later(FORGOTTEN_AFTER_S, self._daemon.acquaintances.leave, self)
+            self._loop.call_later(CLOSED_RETENTION_S, self._daemon.client_registry.remove, self)
         if not self._closed_by_us and (exc or self.session.unfinished):
-            log.warning("%s: vanished%s%s", self.session.name, " in mid-request" if self.session.unfinished else "",
-                        f": {exc}" if exc else "")
-        self._behind.leave(self.session.visit)
+            log.warning(
+                "%s: vanished%s%s",
+                self.session.name,
+                " in mid-request" if self.session.unfinished else "",
+                f": {exc}" if exc else "",
+            )
+        self._behind.on_disconnect(self.session.context)
         self._daemon.gone_answered += self.session.answered
         self._daemon.gone_refused += self.session.refused
         self._tape.close()
@@ -295,7 +304,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         self._patience.heard(self._loop.time())
-        self._came(bytes(self._inbox[:nbytes]))
+        self.data_received(bytes(self._inbox[:nbytes]))
 
     def pause_writing(self) -> None:
         self.blocked = True
@@ -309,8 +318,8 @@ class Connection(Talker, asyncio.BufferedProtocol):
         self._transport.close()
 
     def _look_later(self) -> None:
-        look_s = self._patience.look_s
-        self._look = None if look_s is None else self._loop.call_later(look_s, self._look_at)
+        check_interval_s = self._patience.check_interval_s
+        self._look = None if check_interval_s is None else self._loop.call_later(check_interval_s, self._look_at)
 
     def _look_at(self) -> None:
         """Whether this one is still to be put up with."""
@@ -318,7 +327,7 @@ class Connection(Talker, asyncio.BufferedProtocol):
         if waiting:
             self._patience.heard(now_s)
         stuck = self.blocked or (bool(self.session.unfinished) and not waiting)
-        reason = self._patience.overdue(now_s, self.session.answered, stuck)
+        reason = self._patience.timeout_reason(now_s, self.session.answered, stuck)
         if not reason:
             self._look_later()
             return
@@ -331,22 +340,24 @@ class Connection(Talker, asyncio.BufferedProtocol):
         # A session that held its connection would keep both until Python looks for garbage, seldom (garbage.py).
         asks = weakref.WeakMethod(self._met_before)
         self.session = Session(
-            self._behind.answer, name, lambda wide: ask(wide) if (ask := asks()) else None,
+            self._behind.answer,
+            name,
+            lambda wide: ask(wide) if (ask := asks()) else None,
             self._daemon.emulator.allowed.frame,
         )
         self._tape = self._daemon.recorder.open(name, TCP, N150)
 
-    def _met_before(self, wide: bool | None) -> Acquaintance | None:
-        return self._daemon.acquaintances.find(self, self.host, wide)
+    def _met_before(self, wide: bool | None) -> ClientIdentity | None:
+        return self._daemon.client_registry.lookup(self, self.host, wide)
 
     def _guarded(self, speak: Callable[[], bytes], by_time: bool = False) -> None:
         super()._guarded(speak, by_time)
-        if self.session.met != self._met:
-            self._met = self.session.met
-            self._daemon.acquaintances.note(self, self.host, self._met)
+        if self.session.identity != self._met:
+            self._met = self.session.identity
+            self._daemon.client_registry.register(self, self.host, self._met)
 
     def _language(self) -> Language:
-        return TcpLanguage(None if self.session.met is None else self.session.met.wide)
+        return TcpLanguage(None if self.session.identity is None else self.session.identity.wide)
 
     def _send(self, data: bytes) -> None:
         self._transport.write(data)

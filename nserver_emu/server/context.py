@@ -32,14 +32,14 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from nclient.protocol.replies import Reply
-from nclient.protocol.types import model_named
+from nclient.protocol.types import get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state
 from nserver_emu.server.graphics import Graphics, Traces
 from nserver_emu.server.layers import layers
 from nserver_emu.server.limits import Limits
-from nserver_emu.server.ownership import ALL_AXES, Drivers, Holds
-from nserver_emu.server.session import Later, Told, Visit
-from nserver_emu.server.state_encoder import Look, clock_ms, state_reply
+from nserver_emu.server.ownership import ALL_AXES, AxisOwnership, EStop
+from nserver_emu.server.session import CachedStateReply, ConnectionContext, DeferredReply
+from nserver_emu.server.state_encoder import StateSnapshot, clock_ms, state_reply
 from nserver_emu.simulation.arm import Arm
 from nserver_emu.simulation.robot import SimulatedRobot
 from nserver_emu.simulation.segments import PS_PER_S, to_ps, to_s
@@ -48,14 +48,14 @@ from worlds.world import World
 
 SLOWEST: Final = 0.1
 FASTEST: Final = 999.0
-LONGEST_LOCKSTEP_S: Final = 10.0
+MAX_LOCKSTEP_S: Final = 10.0
 """The longest step in lockstep, simulated seconds."""
 AS_FAST_AS_IT_CAN: Final = 9999
 """What State[0] shows where the simulated time runs as fast as it can."""
 
 
 @dataclass(slots=True)
-class Pace:
+class SimulationClock:
     """See the head of this file; `factor` within SLOWEST..FASTEST, `lockstep_s` None or above 0."""
 
     factor: float | None = 1.0
@@ -64,7 +64,7 @@ class Pace:
 
     def check(self) -> None:
         """Raises ValueError where this is no pace: a value that came from outside may be anything."""
-        steps = (self.factor, SLOWEST, FASTEST), (self.lockstep_s, 0.0, LONGEST_LOCKSTEP_S)
+        steps = (self.factor, SLOWEST, FASTEST), (self.lockstep_s, 0.0, MAX_LOCKSTEP_S)
         for value, low, high in steps:
             if value is not None and (isinstance(value, bool) or not low <= value <= high):
                 raise ValueError(f"a pace of {value}")
@@ -72,7 +72,7 @@ class Pace:
             raise ValueError("a pace that neither passes nor stands")
 
     @property
-    def runs_alone(self) -> bool:
+    def is_free_running(self) -> bool:
         """Whether time passes by itself."""
         return not self.paused and self.lockstep_s is None
 
@@ -84,7 +84,7 @@ class Pace:
     @property
     def speed_tenths(self) -> int:
         """State[0]: the factor x 10, 0 when paused or in lockstep, 9999 for as fast as it can."""
-        if not self.runs_alone:
+        if not self.is_free_running:
             return 0
         return AS_FAST_AS_IT_CAN if self.factor is None else round(10 * self.factor)
 
@@ -94,26 +94,26 @@ ClickedPose = tuple[int, int, int, int]
 
 
 @dataclass(eq=False, slots=True)
-class Wish:
+class PoseRequest:
     """One who waits."""
 
     robot_id: int
-    visit: Visit
+    context: ConnectionContext
     pose: ClickedPose | None = None
 
 
-class Clicks:
+class PoseRequests:
     """See the head of this file. `open`: whether a page is there to click at."""
 
     def __init__(self) -> None:
         self.open = False
-        self._wishes: list[Wish] = []
+        self._wishes: list[PoseRequest] = []
 
     def ask(
-        self, robot_id: int, visit: Visit, otherwise: Callable[[], ClickedPose]
+        self, robot_id: int, context: ConnectionContext, otherwise: Callable[[], ClickedPose]
     ) -> Callable[[], ClickedPose | None]:
         """Wait for a pose of this robot: what to ask again until it gives one. `otherwise`: without a page."""
-        wish = Wish(robot_id, visit)
+        wish = PoseRequest(robot_id, context)
         self._wishes.append(wish)
 
         def clicked() -> ClickedPose | None:
@@ -139,9 +139,9 @@ class Clicks:
         self._wishes = [wish for wish in self._wishes if wish.pose is None]
         return bool(waiting)
 
-    def forget(self, visit: Visit) -> None:
+    def forget(self, context: ConnectionContext) -> None:
         """This connection is gone."""
-        self._wishes = [wish for wish in self._wishes if wish.visit is not visit]
+        self._wishes = [wish for wish in self._wishes if wish.context is not context]
 
 
 KEPT: Final = 1000
@@ -172,11 +172,11 @@ class Transcript:
         self._said.append(utterance)
 
 
-class Promise:
+class PolledReply:
     """A Later that holds on to its reply."""
 
-    def __init__(self, visit: Visit, later: Later) -> None:
-        self.visit = visit
+    def __init__(self, context: ConnectionContext, later: DeferredReply) -> None:
+        self.context = context
         self.reply: Reply | None = None
         self._later = later
 
@@ -187,18 +187,18 @@ class Promise:
         return self.reply
 
 
-class Promises:
+class DeferredReplies:
     """All that is yet to be kept."""
 
     def __init__(self) -> None:
-        self._open: list[Promise] = []
+        self._open: list[PolledReply] = []
 
     def __len__(self) -> int:
         return len(self._open)
 
-    def make(self, visit: Visit, later: Later) -> Promise:
+    def make(self, context: ConnectionContext, later: DeferredReply) -> PolledReply:
         """Note that this connection waits for this answer."""
-        promise = Promise(visit, later)
+        promise = PolledReply(context, later)
         self._open.append(promise)
         return promise
 
@@ -206,9 +206,9 @@ class Promises:
         """Time has passed: keep those that can be kept."""
         self._open = [promise for promise in self._open if promise() is None]
 
-    def drop(self, visit: Visit) -> None:
+    def drop(self, context: ConnectionContext) -> None:
         """This connection no longer waits."""
-        self._open = [promise for promise in self._open if promise.visit is not visit]
+        self._open = [promise for promise in self._open if promise.context is not context]
 
 
 _LIMITS: Final = Limits()
@@ -228,15 +228,20 @@ class Allowed:
     frame: int = _LIMITS.frame
 
 
-class Stage:
+class ServerState:
     """See the head of this file. `port` is what CONNECT answers; `quitting` is set once a client ended the server."""
 
     def __init__(
-        self, simulation: Simulation, *, port: int = 1, pace: Pace | None = None, allowed: Allowed | None = None
+        self,
+        simulation: Simulation,
+        *,
+        port: int = 1,
+        clock: SimulationClock | None = None,
+        allowed: Allowed | None = None,
     ) -> None:
         self.simulation = simulation
         self.port = port
-        self.pace = pace or Pace()
+        self.clock = clock or SimulationClock()
         self.allowed = allowed or Allowed()
         self.quitting = False
         self.graphics = Graphics()
@@ -244,30 +249,30 @@ class Stage:
         self.traces.note(simulation)
         self.transcript = Transcript()
         self.arms: dict[int, Arm] = {}
-        self.drivers = Drivers()
-        self.holds = Holds()
+        self.axis_ownership = AxisOwnership()
+        self.estop = EStop()
         self.shown: dict[str, World] = {}
         """Worlds whose text was told to somebody, who may want to have them back (switches.py)."""
         self._serial_wire_states: dict[int, WireState] = {}
-        self.clicks = Clicks()
-        self._looked: dict[int, tuple[float, Look]] = {}
-        self._promises = Promises()
+        self.pose_requests = PoseRequests()
+        self._looked: dict[int, tuple[float, StateSnapshot]] = {}
+        self._promises = DeferredReplies()
 
-    def leave(self, visit: Visit) -> None:
+    def on_disconnect(self, context: ConnectionContext) -> None:
         """A connection is gone: what moves by its commands stops."""
-        self.look_anew()
-        self._promises.drop(visit)
-        self.clicks.forget(visit)
-        self.drivers.leave(visit, self.simulation.robots)
-        for robot_id in self.drivers.leave_arms(visit):
+        self.invalidate_state_cache()
+        self._promises.drop(context)
+        self.pose_requests.forget(context)
+        self.axis_ownership.on_disconnect(context, self.simulation.robots)
+        for robot_id in self.axis_ownership.release_arms(context):
             self.stop_arm(robot_id)
 
     def hold(self, robot_id: int, by: str) -> None:
         """Stop a robot, and let nobody move it until it is released (holds.py). Raises KeyError for no robot."""
         self.simulation.robots[robot_id].stop()
         self.stop_arm(robot_id)
-        self.look_anew()
-        self.holds.put(robot_id, by)
+        self.invalidate_state_cache()
+        self.estop.put(robot_id, by)
 
     def pass_time(self, seconds: float) -> None:
         """Let simulated time pass, for whatever reason; who waits for it is answered as of the moment it is due."""
@@ -281,49 +286,49 @@ class Stage:
             self._promises.ask()
             left_ps -= piece_ps
 
-    def promise(self, visit: Visit, later: Later) -> Later:
+    def promise(self, context: ConnectionContext, later: DeferredReply) -> DeferredReply:
         """The same answer, made at the moment it is there even if nobody asks for it then."""
-        return self._promises.make(visit, later)
+        return self._promises.make(context, later)
 
-    def break_promises(self, visit: Visit) -> None:
+    def cancel_deferred(self, context: ConnectionContext) -> None:
         """This connection is told no more of what it waited for."""
-        self._promises.drop(visit)
+        self._promises.drop(context)
 
-    def look_anew(self) -> None:
+    def invalidate_state_cache(self) -> None:
         """Something changed other than by time: no look at a robot is still good."""
         self._looked.clear()
 
-    def robot_of(self, visit: Visit) -> SimulatedRobot:
+    def robot_of(self, context: ConnectionContext) -> SimulatedRobot:
         """The robot that this connection talks to."""
-        assert visit.robot_id is not None
-        return self.simulation.robots[visit.robot_id]
+        assert context.robot_id is not None
+        return self.simulation.robots[context.robot_id]
 
-    def feed(self, visit: Visit) -> None:
+    def feed(self, context: ConnectionContext) -> None:
         """A connection asks something, or waits: the time-out of its robot begins anew, unless only others drive it."""
-        assert visit.robot_id is not None
-        robot = self.robot_of(visit)
-        if self.drivers.may_feed(visit, visit.robot_id, robot):
+        assert context.robot_id is not None
+        robot = self.robot_of(context)
+        if self.axis_ownership.may_feed_watchdog(context, context.robot_id, robot):
             robot.feed()
 
-    def drive(self, visit: Visit, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
+    def drive(self, context: ConnectionContext, axes: Iterable[int] = ALL_AXES) -> SimulatedRobot:
         """The robot, these axes of it from now on obeying this connection."""
-        assert visit.robot_id is not None
-        self.drivers.take(visit, visit.robot_id, axes)
-        return self.robot_of(visit)
+        assert context.robot_id is not None
+        self.axis_ownership.take(context, context.robot_id, axes)
+        return self.robot_of(context)
 
     def serial_wire_state(self, robot_id: int) -> WireState:
         """Mask and laser mode in force on a robot's own lines: the robot's, whoever asks by which of them, and after
         he has left. As at power-on in a simulation that is restored."""
         if robot_id not in self._serial_wire_states:
             family = self.simulation.robots[robot_id].model.family
-            self._serial_wire_states[robot_id] = serial_wire_state(model_named(family))
+            self._serial_wire_states[robot_id] = serial_wire_state(get_model(family))
         return self._serial_wire_states[robot_id]
 
-    def arm_of(self, visit: Visit) -> Arm:
+    def arm_of(self, context: ConnectionContext) -> Arm:
         """The arm of the connection's robot, as it is now."""
-        assert visit.robot_id is not None
-        self.arms.setdefault(visit.robot_id, Arm())
-        return self._arm(visit.robot_id)
+        assert context.robot_id is not None
+        self.arms.setdefault(context.robot_id, Arm())
+        return self._arm(context.robot_id)
 
     def stop_arm(self, robot_id: int) -> None:
         """An arm stops, where that robot has one that was ever moved."""
@@ -339,23 +344,23 @@ class Stage:
         arm.advance_to(self.simulation.time_s)
         return arm
 
-    def state(self, visit: Visit) -> Reply:
+    def state(self, context: ConnectionContext) -> Reply:
         """The state reply that most commands answer with.
 
         Between two steps a robot changes by commands only, so many who ask cost one look at it; on a line they get
         the same reply.
         """
-        assert visit.robot_id is not None
-        robot, now_s = self.simulation.robots[visit.robot_id], self.simulation.time_s
-        looked_s, look = self._looked.get(visit.robot_id, (None, None))
+        assert context.robot_id is not None
+        robot, now_s = self.simulation.robots[context.robot_id], self.simulation.time_s
+        looked_s, look = self._looked.get(context.robot_id, (None, None))
         if look is None or looked_s != now_s:
-            look = Look(robot, self.pace.speed_tenths)
-            self._looked[visit.robot_id] = (now_s, look)
-        if not visit.wire_state.line:
-            return state_reply(robot, visit, now_s, look)
-        told, mask, mode = visit.told, visit.wire_state.mask, visit.wire_state.laser_mode
+            look = StateSnapshot(robot, self.clock.speed_tenths)
+            self._looked[context.robot_id] = (now_s, look)
+        if not context.wire_state.line:
+            return state_reply(robot, context, now_s, look)
+        told, mask, mode = context.told, context.wire_state.mask, context.wire_state.laser_mode
         if told is None or told.look is not look or told.mask is not mask or told.laser_mode != mode:
-            told = visit.told = Told(look, mask, mode, state_reply(robot, visit, now_s, look))
+            told = context.told = CachedStateReply(look, mask, mode, state_reply(robot, context, now_s, look))
         return told.reply
 
     def layers(self, robot_id: int) -> dict[str, Any]:

@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from nclient.errors import ConnectionLost
-from nclient.recording.format import LogWriter
-from nclient.recording.recorder import OFF, AnyRecorder, Recorder
-from nserver_emu.garbage import Tidying
-from nserver_emu.server.admission import Door, Doorkeeper
-from nserver_emu.server.client_registry import Acquaintances
-from nserver_emu.server.connection import Connection, Talker
+from nclient.recording.format import RecordingWriter
+from nclient.recording.recorder import NULL_RECORDER, Recorder, TrafficRecorder
+from nserver_emu.server.admission import AdmissionControl, AdmissionProtocol
+from nserver_emu.server.client_registry import ClientRegistry
+from nserver_emu.server.connection import Connection, ConnectionHandler
+from nserver_emu.server.garbage_collection import GarbageCollector
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.link import FaultController
 from nserver_emu.server.session import Host
 
 log = logging.getLogger(__name__)
@@ -51,13 +51,17 @@ class Daemon:
     decides what the simulation does, in its order."""
 
     def __init__(
-        self, emulator: Emulator, speed: float | None = 1.0, host: Host | None = None, faults: FaultDesk | None = None
+        self,
+        emulator: Emulator,
+        speed: float | None = 1.0,
+        host: Host | None = None,
+        faults: FaultController | None = None,
     ) -> None:
         self.emulator = emulator
         self.host: Host = emulator if host is None else host
-        self.recorder: AnyRecorder = OFF
-        self.connections: set[Talker] = set()
-        self.door = Door()
+        self.recorder: TrafficRecorder = NULL_RECORDER
+        self.connections: set[ConnectionHandler] = set()
+        self.admission = AdmissionControl()
         self.lost_s = 0.0
         """Real time that was not made up for."""
         self.ticked_s = 0.0
@@ -66,19 +70,19 @@ class Daemon:
         """How often time was made to pass."""
         self.gone_answered = self.gone_refused = 0
         """What those who are gone were answered, and refused."""
-        self.acquaintances = Acquaintances()
-        self.faults = FaultDesk(time.monotonic) if faults is None else faults
+        self.client_registry = ClientRegistry()
+        self.faults = FaultController(time.monotonic) if faults is None else faults
         self.places: dict[str, str] = {}
         """Where each line is reached, by its name."""
         self._servers: list[asyncio.Server] = []
-        emulator.pace.factor = speed
+        emulator.clock.factor = speed
 
     async def listen(self, host: str, port: int) -> int:
         """Open the door; the port it is on (port 0: a free one). Raises ConnectionLost, naming the remedy."""
-        port = await self.open_door(lambda: Connection(self), host, port, "--port")
+        port = await self.open_listener(lambda: Connection(self), host, port, "--port")
         if host in LOOPBACK_NAMES:
             with contextlib.suppress(ConnectionLost):  # not every machine has it, and no client needs it but by name
-                await self.open_door(lambda: Connection(self), HOST_NAME_LOOPBACK, port, "--port")
+                await self.open_listener(lambda: Connection(self), HOST_NAME_LOOPBACK, port, "--port")
         self.emulator.port = port
         self.places[Connection.line] = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         return port
@@ -87,44 +91,47 @@ class Daemon:
         """Where each line is reached, by its name."""
         return self.places
 
-    def visitors(self) -> list[dict[str, Any]]:
+    def connected_clients(self) -> list[dict[str, Any]]:
         """Who is connected: the name, the robot's number, whether it waits for an answer, how much it was refused."""
         return [
-            {"name": session.name, "robot": session.visit.robot_id, "waiting": session.waiting,
+            {"name": session.name, "robot": session.context.robot_id, "waiting": session.waiting,
              "refused": session.refused}
             for session in (talker.session for talker in self.connections if talker.here)
         ]  # fmt: skip
 
     def paced(self) -> None:
         """The emulator's pace was changed by who may, not by a client."""
-        self.recorder.paced(self.emulator.pace.factor, self.emulator.pace.paused)
+        self.recorder.record_pace(self.emulator.clock.factor, self.emulator.clock.paused)
 
     def hold(self, robot_ids: Iterable[int], by: str) -> None:
         """Stop these robots, and let nobody move them until they are released (holds.py)."""
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
             self.host.hold(robot_id, by)
-        log.warning("stopped and held by %s: %s, until somebody lets go, at the page or by nserver ctl release",
-                    by, _named(robot_ids))
+        log.warning(
+            "stopped and held by %s: %s, until somebody lets go, at the page or by nserver ctl release",
+            by,
+            _named(robot_ids),
+        )
         self.changed({"hold": {"robots": robot_ids, "by": by}})
 
     def release(self, robot_ids: Iterable[int]) -> None:
         """They may be moved again."""
         robot_ids = list(robot_ids)
         for robot_id in robot_ids:
-            self.emulator.holds.release(robot_id)
+            self.emulator.estop.release(robot_id)
         log.warning("released: %s", _named(robot_ids))
         self.changed({"release": robot_ids})
 
     def changed(self, what: Mapping[str, Any]) -> None:
         """The simulation was changed by who may, not by a client (switches.py, holds.py)."""
-        self.recorder.changed(what)
+        self.recorder.record_change(what)
 
-    async def open_door(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
+    async def open_listener(self, who: Callable[[], Connection], host: str, port: int, option: str) -> int:
         """Listen for connections of a kind; the port. Raises ConnectionLost, naming the remedy: `option` 0."""
         try:
             loop = asyncio.get_running_loop()
-            server = await loop.create_server(lambda: Doorkeeper(self.door, self._hosts, who), host, port)
+            server = await loop.create_server(lambda: AdmissionProtocol(self.admission, self._hosts, who), host, port)
         except OSError as error:
             remedy = f"is another nserver running? {option} 0 takes a free port"
             if error.errno != errno.EADDRINUSE:
@@ -140,7 +147,7 @@ class Daemon:
     def record(self, path: Path, header: Mapping[str, Any]) -> None:
         """From now on, write all that is said to a file. Raises RecordingError when it cannot be made."""
         clock = asyncio.get_running_loop().time
-        log_writer = LogWriter(path, header, self.door.limits.log)
+        log_writer = RecordingWriter(path, header, self.admission.limits.log)
         self.recorder = Recorder(log_writer, lambda: self.emulator.simulation.time_s, clock)
 
     async def serve(self, stop: asyncio.Event, before_close: Callable[[], None] = lambda: None) -> None:
@@ -164,20 +171,20 @@ class Daemon:
 
     async def _run_clock(self) -> None:
         loop = asyncio.get_running_loop()
-        last, tidying = loop.time(), Tidying(loop.time)
+        last, collector = loop.time(), GarbageCollector(loop.time)
         while not self.emulator.quitting:
-            pace = self.emulator.pace
-            await asyncio.sleep(0 if pace.runs_alone and pace.factor is None else TICK_S)
+            pace = self.emulator.clock
+            await asyncio.sleep(0 if pace.is_free_running and pace.factor is None else TICK_S)
             now = self.ticked_s = loop.time()
             elapsed, last = now - last, now
             self._pass_time(elapsed)
-            tidying.tidy()
+            collector.run()
 
     def _pass_time(self, elapsed_s: float) -> None:
-        pace = self.emulator.pace
-        if pace.runs_alone and pace.factor is None:
+        pace = self.emulator.clock
+        if pace.is_free_running and pace.factor is None:
             self.step(FAST_STEP_S)
-        elif pace.runs_alone and pace.factor is not None:
+        elif pace.is_free_running and pace.factor is not None:
             if elapsed_s > LONGEST_CATCH_UP_S:
                 self.lost_s += elapsed_s - LONGEST_CATCH_UP_S
                 log.info("%.2f s of real time lost: the machine was busy or asleep", elapsed_s - LONGEST_CATCH_UP_S)
@@ -197,7 +204,7 @@ class Daemon:
     def step(self, dt_s: float) -> None:
         """Let simulated time pass."""
         self.steps += 1
-        self.recorder.stepped(dt_s)
+        self.recorder.record_step(dt_s)
         self.emulator.pass_time(dt_s)
 
     def tick(self) -> None:

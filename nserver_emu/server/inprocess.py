@@ -18,12 +18,12 @@ from urllib.parse import parse_qs
 
 from nclient.common.hints import suggest
 from nclient.errors import AddressError
-from nclient.protocol.types import model_named
-from nserver_emu.server.config import FIRST_ROBOT, MOST_ROBOTS, Setting, placed
+from nclient.protocol.types import get_model
+from nserver_emu.server.config import FIRST_ROBOT, MAX_ROBOTS, SimulationConfig, robot_placements
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_session import LineSession
-from nserver_emu.server.session import REFUSED, Conversation, Session
+from nserver_emu.server.serial_session import SerialSession
+from nserver_emu.server.session import REFUSED, BaseSession, Session
 from worlds.io import DEFAULT_WORLD
 
 SCHEME = "sim"
@@ -39,24 +39,24 @@ class InProcess:
     """One client's end: what it sends is answered at once, in simulated time."""
 
     def __init__(
-        self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: Conversation[Any] | None = None
+        self, emulator: Emulator, step_s: float = DEFAULT_STEP_S, session: BaseSession[Any] | None = None
     ) -> None:
         self.emulator = emulator
-        emulator.pace.lockstep_s = step_s
+        emulator.clock.lockstep_s = step_s
         self._session = session or Session(emulator.answer, "in process")
         self._outgoing = bytearray()
 
     def send(self, data: bytes) -> None:
         """Requests, in any cuts."""
         self._session.receive(data)
-        while self._session.ready or (self._session.waiting and self.emulator.pace.asked_s):
+        while self._session.ready or (self._session.waiting and self.emulator.clock.asked_s):
             if self._session.waiting:
-                self.emulator.pass_time(self.emulator.pace.asked_s)
+                self.emulator.pass_time(self.emulator.clock.asked_s)
                 self._outgoing += self._session.tick()
-            self._outgoing += self._session.answers(most=1)
-            if self._session.waiting and not self.emulator.pace.asked_s:
-                self.emulator.break_promises(self._session.visit)
-                self._outgoing += self._session.break_promise(REFUSED)
+            self._outgoing += self._session.process_requests(most=1)
+            if self._session.waiting and not self.emulator.clock.asked_s:
+                self.emulator.cancel_deferred(self._session.context)
+                self._outgoing += self._session.cancel_deferred(REFUSED)
 
     def receive(self) -> bytes:
         """What has been answered; empty when no more will come before something is sent."""
@@ -67,16 +67,16 @@ class InProcess:
     def close(self) -> None:
         """The client is gone; its robot stops."""
         self._session.closing = True
-        self.emulator.leave(self._session.visit)
+        self.emulator.on_disconnect(self._session.context)
 
 
 class InProcessLine(InProcess):
     """The end of one on robot 1's own line."""
 
     def __init__(self, emulator: Emulator, step_s: float = DEFAULT_STEP_S) -> None:
-        model = model_named(emulator.simulation.robots[FIRST_ROBOT].model.family)
+        model = get_model(emulator.simulation.robots[FIRST_ROBOT].model.family)
         wire_state = emulator.serial_wire_state(FIRST_ROBOT)
-        session = LineSession(
+        session = SerialSession(
             emulator.answer, FIRST_ROBOT, model, lambda: emulator.simulation.time_s, "in process, on its line",
             wire_state,
         )
@@ -84,13 +84,13 @@ class InProcessLine(InProcess):
 
     def send(self, data: bytes) -> None:
         super().send(data)
-        if not self._outgoing and self.emulator.pace.asked_s:
-            self.emulator.pass_time(self.emulator.pace.asked_s)
+        if not self._outgoing and self.emulator.clock.asked_s:
+            self.emulator.pass_time(self.emulator.clock.asked_s)
             self._outgoing += self._session.tick()
 
     def beside(self) -> InProcess:
         """The simulation behind the line, as a server has it."""
-        return InProcess(self.emulator, self.emulator.pace.lockstep_s or DEFAULT_STEP_S)
+        return InProcess(self.emulator, self.emulator.clock.lockstep_s or DEFAULT_STEP_S)
 
 
 def open_address(address: str) -> InProcess:
@@ -118,8 +118,8 @@ def open_address(address: str) -> InProcess:
             raise AddressError(f"{address}: {name} is given {len(values)} times; expected once")
     options = {name: values[-1] for name, values in given.items()}
     count = _count(address, options.get("robots", "1"))
-    (robot, start), *others = placed(given.get("robot", ["n150"]), given.get("start", []), count)
-    setting = Setting(
+    (robot, start), *others = robot_placements(given.get("robot", ["n150"]), given.get("start", []), count)
+    setting = SimulationConfig(
         world=path or DEFAULT_WORLD,
         robot=robot,
         start=start,
@@ -135,8 +135,8 @@ def open_address(address: str) -> InProcess:
 
 
 def _count(address: str, text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= MOST_ROBOTS:
-        raise AddressError(f"{address}: robots is a whole number from 1 to {MOST_ROBOTS}, not {text!r}")
+    if not text.isdecimal() or not 1 <= int(text) <= MAX_ROBOTS:
+        raise AddressError(f"{address}: robots is a whole number from 1 to {MAX_ROBOTS}, not {text!r}")
     return int(text)
 
 

@@ -17,15 +17,15 @@ from nclient.protocol.tcp_framing import MAX_UNKNOWN_WORDS
 
 _LIMIT: Final = "limit"
 FOR_A_PAGE: Final = 7
-"""Connections that a browser opens for a page at the same time: six for its files, and the websocket."""
+"""Connections that a browser opens for a page at once: six for files, and the websocket."""
 SNAPSHOT_BYTES: Final = 1 << 29
-"""The longest snapshot. One with the limits' defaults takes a few MB; a million shapes take 200."""
+"""Maximum size of a snapshot. With default limits it takes a few MB; with a million shapes 200 MB."""
 NONE: Final = 0
-"""The value that lets go of a limit, for those that may be let go."""
+"""Value that disables a limit, where that is allowed."""
 
 
 class Limit(NamedTuple):
-    """A row: the field and its option, the default, least and most, the unit, who enforces it, what happens."""
+    """A limit: field, default, range, unit, subject, effect when exceeded, and the module that enforces it."""
 
     name: str
     default: int
@@ -39,7 +39,7 @@ class Limit(NamedTuple):
 
     @property
     def option(self) -> str:
-        """As it is said on the command line."""
+        """Return the command-line option."""
         return f"--limit-{self.name.replace('_', '-')}"
 
 
@@ -52,49 +52,49 @@ def _limit(
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """A value for each limit."""
+    """Values of all limits."""
 
     connections: int = _limit(
-        500, (1, 100_000), "connections", "clients and hosts of robots' own lines over TCP, all together",
-        "the newcomer is closed at once, without a word", "server/admission.py")
+        500, (1, 100_000), "connections", "clients, and hosts of serial lines over TCP, in total",
+        "a new connection is closed at once, without a reply", "server/admission.py")
     per_address: int = _limit(
         300, (1, 100_000), "connections", "the same, from one address",
-        "the newcomer is closed at once, without a word", "server/admission.py")
+        "a new connection is closed at once, without a reply", "server/admission.py")
     rate: int = _limit(
-        10_000, (10, 1_000_000), "requests a second", "answers that one connection gets",
-        "it is read and answered later, as if the network were slow; nothing is lost or refused",
+        10_000, (10, 1_000_000), "requests per second", "replies to one connection",
+        "requests are read and answered later, as over a slow network; nothing is lost or refused",
         "server/admission.py", none=True)
     frame: int = _limit(
-        254, (17, 254), "words", "the longest request, which only text and packets for the arm reach",
-        "ERROR 2; the request is passed over, the connection goes on; one of more than "
-        f"{MAX_UNKNOWN_WORDS} words ends it", "server/session.py")
+        254, (17, 254), "words", "length of a request; only texts and arm packets are long",
+        "ERROR 2; the request is skipped and the connection continues; a request above "
+        f"{MAX_UNKNOWN_WORDS} words closes it", "server/session.py")
     idle: int = _limit(
-        14_400, (1, 31_536_000), "seconds", "a connection that says nothing and waits for nothing",
-        "it is closed; what it drove stops", "server/admission.py", none=True)
+        14_400, (1, 31_536_000), "seconds", "time without requests from a connection that waits for no reply",
+        "it is closed; robots that it drives stop", "server/admission.py", none=True)
     stall: int = _limit(
-        30, (1, 86_400), "seconds", "a request begun and not finished; replies that are not taken",
-        "it is closed; what it drove stops", "server/admission.py", none=True)
+        30, (1, 86_400), "seconds", "time for an incomplete request, or for replies that are not read",
+        "it is closed; robots that it drives stop", "server/admission.py", none=True)
     write_queue: int = _limit(
-        65_536, (1024, 16_777_216), "bytes", "replies that wait for a slow reader",
-        "it is neither read nor answered until it has taken most of them", "server/connection.py")
+        65_536, (1024, 16_777_216), "bytes", "replies queued for a slow reader",
+        "its requests are not processed until it has read most of the replies", "server/connection.py")
     viewers: int = _limit(
-        50, (1, 1000), "pages", "pages that are open at the same time",
-        "the page's websocket is refused with HTTP 503; it asks again by itself. Of connections to its port there are "
-        f"{FOR_A_PAGE} times as many; who asks nothing is closed as by --limit-stall", "viewer/server.py")
+        50, (1, 1000), "pages", "open viewer pages",
+        "the page's websocket is refused with HTTP 503 and retried by the page. The port accepts "
+        f"{FOR_A_PAGE} times as many connections; idle ones are closed as by --limit-stall", "viewer/server.py")
     obstacles: int = _limit(
-        1000, (1, 100_000), "polygons", "obstacles in the world that clients may add to",
+        1000, (1, 100_000), "polygons", "obstacles in the world",
         "ERROR 5 to add_obstacle", "server/handlers/world.py")
     graphics: int = _limit(
-        20_000, (1, 1_000_000), "shapes", "what draw_robot, draw_line and draw_arc leave in the window",
-        "the oldest shape is forgotten for the new one", "server/handlers/graphics.py")
+        20_000, (1, 1_000_000), "shapes", "shapes drawn by draw_robot, draw_line and draw_arc",
+        "the oldest shape is removed", "server/handlers/graphics.py")
     log: int = _limit(
-        1_000_000_000, (10_000, 10**15), "bytes", "the file of --record",
-        "the recording ends there, whole, and the daemon says so once; the run goes on", "nclient/recording/format.py",
-        none=True)
+        1_000_000_000, (10_000, 10**15), "bytes", "file of --record",
+        "the recording ends, is valid up to there, and the daemon logs it once; the run continues",
+        "nclient/recording/format.py", none=True)
 
     @property
     def page_connections(self) -> int:
-        """Connections at the page's port."""
+        """Return the maximum number of connections to the viewer's port."""
         return FOR_A_PAGE * self.viewers
 
 
@@ -104,8 +104,8 @@ TABLE: Final[tuple[Limit, ...]] = tuple(
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """An option for each limit."""
-    group = parser.add_argument_group("limits", "what a client may take; what happens beyond is in docs/limits.md")
+    """Add an option for each limit."""
+    group = parser.add_argument_group("limits", "limits per client; docs/limits.md describes the effects")
     for row in TABLE:
         none = f"; {NONE}: no limit" if row.may_be_none else ""
         group.add_argument(row.option, type=_reader(row), default=row.default, metavar="N",
@@ -113,7 +113,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def limits_of(options: argparse.Namespace) -> Limits:
-    """The limits that the options say."""
+    """Return the limits that the options set."""
     return Limits(**{row.name: getattr(options, f"{_LIMIT}_{row.name}") for row in TABLE})
 
 
@@ -131,11 +131,11 @@ def _reader(row: Limit) -> Callable[[str], int]:
 log = logging.getLogger(__name__)
 
 OWN: Final = 64
-"""Descriptors of the daemon's own: ports, logs, recordings, lines, the loop."""
+"""File descriptors of the daemon itself: ports, logs, recordings, lines, event loop."""
 
 
 def make_room(connections: int) -> None:
-    """Raise the process's own limit as far as it may be; say so where that is not enough for so many connections."""
+    """Raise the limit of open files for that many connections; log a warning if that is not possible."""
     try:
         import resource
     except ImportError:
@@ -149,5 +149,5 @@ def make_room(connections: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (may, hard))
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft < wanted:
-        log.warning("this process may have %d files open, and --limit-connections and --limit-viewers let in %d: raise "
-                    "the one (ulimit -n, LimitNOFILE=) or lower the others", soft, connections)  # fmt: skip
+        log.warning("this process may have %d files open, and --limit-connections and --limit-viewers allow %d: raise "
+                    "the limit (ulimit -n, LimitNOFILE=) or lower the options", soft, connections)  # fmt: skip

@@ -30,7 +30,7 @@ from typing import Final, NamedTuple, Protocol
 
 from nclient.errors import FaultPlanError
 from nclient.faults.frames import Injector, Language
-from nclient.faults.inject import FaultyLine, InTransit
+from nclient.faults.inject import DelayQueue, FaultyLine
 from nclient.faults.plan import Plan
 
 BITS_A_BYTE: Final = 10
@@ -51,7 +51,7 @@ class Arrival(NamedTuple):
     hang_up: bool = False
 
 
-class Cable(Protocol):
+class SerialChannel(Protocol):
     """See the head of this file."""
 
     @property
@@ -77,7 +77,7 @@ class Cable(Protocol):
         ...
 
 
-class Wire:
+class WiredChannel:
     """One direction of a serial cable."""
 
     def __init__(self, baud: int) -> None:
@@ -107,11 +107,11 @@ class Wire:
         return at_s, piece
 
 
-class PacedCable:
+class RateLimitedChannel:
     """A serial cable at so many bits a second. `lost`: bytes to a host that asks more than the wire can carry."""
 
     def __init__(self, baud: int) -> None:
-        self._in, self._out = Wire(baud), Wire(baud)
+        self._in, self._out = WiredChannel(baud), WiredChannel(baud)
         self._late_s = 0.0
         self._answered_s = -math.inf
         self.lost = 0
@@ -147,13 +147,15 @@ class PacedCable:
         return Arrival(at_s, data, inward)
 
 
-class FaultyCable:
+class FaultyChannel:
     """See the head of this file. `injector`: what acts on this line at present; `cable`: what lies behind."""
 
-    def __init__(self, language: Language, injector: Callable[[], Injector], cable: Cable | None = None) -> None:
+    def __init__(
+        self, language: Language, injector: Callable[[], Injector], cable: SerialChannel | None = None
+    ) -> None:
         self._line = FaultyLine(language, injector)
-        self._cable = Wireless() if cable is None else cable
-        self._asked, self._answered = InTransit(), InTransit()
+        self._cable = ImmediateChannel() if cable is None else cable
+        self._asked, self._answered = DelayQueue(), DelayQueue()
         self._patient_until_s: float | None = None
         self._ending = False
 
@@ -171,10 +173,12 @@ class FaultyCable:
     def to_robot(self, data: bytes, now_s: float) -> None:
         """The host sends these."""
         deliveries = self._line.request(data, now_s)
-        self._asked.add((delivery for delivery in deliveries if not delivery.back), now_s)
-        self._answered.add((delivery for delivery in deliveries if delivery.back), now_s)
-        patience_s = self._line.patience_s
-        self._patient_until_s = now_s + patience_s if self._line.asking and patience_s is not None else None
+        self._asked.add((delivery for delivery in deliveries if not delivery.to_sender), now_s)
+        self._answered.add((delivery for delivery in deliveries if delivery.to_sender), now_s)
+        patience_s = self._line.partial_timeout_s
+        self._patient_until_s = (
+            now_s + patience_s if self._line.has_partial_request and patience_s is not None else None
+        )
 
     def to_host(self, data: bytes, now_s: float) -> None:
         """The robot sends these."""
@@ -185,7 +189,7 @@ class FaultyCable:
         self._move_on(now_s)
         arrival = self._cable.arrived(now_s)
         if arrival is None and self._ending and self._cable.due_s is None:
-            self._ending, self._asked, self._answered = False, InTransit(), InTransit()
+            self._ending, self._asked, self._answered = False, DelayQueue(), DelayQueue()
             return Arrival(now_s, b"", to_robot=False, hang_up=True)
         return arrival
 
@@ -193,7 +197,7 @@ class FaultyCable:
         """What was late enters the cable; a part of a request that has waited long enough goes as it is."""
         if self._patient_until_s is not None and now_s >= self._patient_until_s:
             self._patient_until_s = None
-            self._asked.add(self._line.rest_of_request(now_s), now_s)
+            self._asked.add(self._line.flush_request(now_s), now_s)
         for transit, enter in ((self._asked, self._cable.to_robot), (self._answered, self._cable.to_host)):
             while not self._ending and (late := transit.take(now_s)):
                 at_s, delivery = late
@@ -202,7 +206,7 @@ class FaultyCable:
                 self._ending = delivery.hang_up
 
 
-class Wireless:
+class ImmediateChannel:
     """A cable that takes no time. What comes through together comes out together, as it does from a socket."""
 
     full = False
@@ -239,7 +243,7 @@ class Wireless:
 NOTHING = Plan()
 
 
-class FaultDesk:
+class FaultController:
     """See the head of this file. `clock`: seconds that only grow."""
 
     def __init__(self, clock: Callable[[], float]) -> None:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from nclient.protocol.commands import Call
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.axis import Command
 from nserver_emu.simulation.robot import SimulatedRobot
 
@@ -44,7 +44,7 @@ def moves(call: Call) -> bool:
 
 
 @dataclass(slots=True)
-class Hold:
+class RobotHold:
     """One robot is held. `by`: who stopped it; `ignored`: how often it was told to move since."""
 
     by: str
@@ -55,21 +55,21 @@ class Hold:
         return {"by": self.by, "ignored": self.ignored}
 
 
-class Holds:
+class EStop:
     """See the head of this file."""
 
     def __init__(self) -> None:
-        self._holds: dict[int, Hold] = {}
+        self._holds: dict[int, RobotHold] = {}
 
     def put(self, robot_id: int, by: str) -> None:
         """A robot is held from now on; who stopped it first is told of."""
-        self._holds.setdefault(robot_id, Hold(by))
+        self._holds.setdefault(robot_id, RobotHold(by))
 
     def release(self, robot_id: int) -> None:
         """It is held no more, if it was."""
         self._holds.pop(robot_id, None)
 
-    def of(self, robot_id: int | None) -> Hold | None:
+    def of(self, robot_id: int | None) -> RobotHold | None:
         """How a robot is held; None where it is not."""
         return None if robot_id is None else self._holds.get(robot_id)
 
@@ -77,7 +77,7 @@ class Holds:
         """Every robot that is held, as plain data."""
         return {str(robot_id): hold.told() for robot_id, hold in self._holds.items()}
 
-    def meant(self, call: Call, robot_id: int | None) -> Call | None:
+    def effective_call(self, call: Call, robot_id: int | None) -> Call | None:
         """What is done in place of a call to this robot: the call itself, st, or None for a refusal."""
         hold = self.of(robot_id)
         if hold is None or call.name not in _STOPPED | _REFUSED:
@@ -95,59 +95,59 @@ class Holds:
 ALL_AXES: Final = (0, 1, 2)
 
 
-class Drivers:
+class AxisOwnership:
     """See the head of this file."""
 
     def __init__(self) -> None:
-        self._drivers: dict[int, list[Visit | None]] = {}
-        self._of_arm: dict[int, Visit] = {}
+        self._drivers: dict[int, list[ConnectionContext | None]] = {}
+        self._of_arm: dict[int, ConnectionContext] = {}
         self._orphans: set[int] = set()
 
-    def take(self, visit: Visit, robot_id: int, axes: Iterable[int]) -> None:
+    def take(self, context: ConnectionContext, robot_id: int, axes: Iterable[int]) -> None:
         """These axes of a robot obey this connection from now on."""
         drivers = self._drivers.setdefault(robot_id, [None] * len(ALL_AXES))
         for axis in axes:
-            drivers[axis] = visit
+            drivers[axis] = context
 
-    def take_arm(self, visit: Visit, robot_id: int) -> None:
+    def claim_arm(self, context: ConnectionContext, robot_id: int) -> None:
         """The arm of a robot obeys this connection from now on."""
-        self._of_arm[robot_id] = visit
+        self._of_arm[robot_id] = context
 
-    def leave_arms(self, visit: Visit) -> list[int]:
+    def release_arms(self, context: ConnectionContext) -> list[int]:
         """This connection is gone: the robots whose arms obeyed it."""
-        robot_ids = [robot_id for robot_id, driver in self._of_arm.items() if driver is visit]
+        robot_ids = [robot_id for robot_id, driver in self._of_arm.items() if driver is context]
         for robot_id in robot_ids:
             del self._of_arm[robot_id]
         return robot_ids
 
-    def orphan(self, robot_ids: Iterable[int]) -> None:
+    def release_all(self, robot_ids: Iterable[int]) -> None:
         """These robots come from elsewhere, and whoever set them going is not here: nobody drives them."""
         self._drivers.clear()
         self._of_arm.clear()
         self._orphans = set(robot_ids)
 
-    def adopt(self, visit: Visit, robot_id: int, robot: SimulatedRobot) -> None:
+    def claim_unowned(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> None:
         """The first to connect to such a robot answers for what still moves on its own."""
         if robot_id not in self._orphans:
             return
         self._orphans.discard(robot_id)
-        self._of_arm.setdefault(robot_id, visit)
+        self._of_arm.setdefault(robot_id, context)
         drivers = self._drivers.get(robot_id, [None] * len(ALL_AXES))
-        self.take(visit, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
+        self.take(context, robot_id, [axis for axis in ALL_AXES if robot.moving[axis] and drivers[axis] is None])
 
-    def may_feed(self, visit: Visit, robot_id: int, robot: SimulatedRobot) -> bool:
+    def may_feed_watchdog(self, context: ConnectionContext, robot_id: int, robot: SimulatedRobot) -> bool:
         """Whether the time-out of a robot begins anew at what this connection asks: it drives it, or nobody does."""
         drivers = self._drivers.get(robot_id, ())
         driving = [driver for driver, moves in zip(drivers, robot.moving, strict=False) if moves and driver is not None]
         if robot_id in self._of_arm:
             driving.append(self._of_arm[robot_id])
-        return not driving or any(driver is visit for driver in driving)
+        return not driving or any(driver is context for driver in driving)
 
-    def leave(self, visit: Visit, robots: Mapping[int, SimulatedRobot]) -> None:
+    def on_disconnect(self, context: ConnectionContext, robots: Mapping[int, SimulatedRobot]) -> None:
         """This connection is gone: what still moves because of it brakes and holds."""
         for robot_id, drivers in self._drivers.items():
             robot = robots[robot_id]
-            for axis in (axis for axis in ALL_AXES if drivers[axis] is visit):
+            for axis in (axis for axis in ALL_AXES if drivers[axis] is context):
                 drivers[axis] = None
                 if robot.moving[axis]:
                     robot.command_axis(axis, Command.VELOCITY, 0.0)

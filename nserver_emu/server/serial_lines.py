@@ -29,11 +29,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from nclient.errors import AddressError, ConnectionLost
 from nclient.faults.frames import Language, LineLanguage
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFramer
-from nclient.protocol.types import Model, model_named
-from nclient.recording.recorder import HANDSHAKE_FIRST, OFF, SERIAL
-from nserver_emu.server.connection import READ_SIZE, Connection, Talker
-from nserver_emu.server.link import Cable, PacedCable
-from nserver_emu.server.serial_session import LineSession
+from nclient.protocol.types import Model, get_model
+from nclient.recording.recorder import HANDSHAKE_FIRST, NULL_RECORDER, SERIAL
+from nserver_emu.server.connection import READ_SIZE, Connection, ConnectionHandler
+from nserver_emu.server.link import RateLimitedChannel, SerialChannel
+from nserver_emu.server.serial_session import SerialSession
 
 if TYPE_CHECKING:
     from nserver_emu.server.daemon import Daemon
@@ -49,20 +49,20 @@ SETTLE_S = 0.02
 """How long bytes may take from a host's end to ours, when one host has followed another."""
 
 
-class OwnLine(NamedTuple):
+class RobotLine(NamedTuple):
     """Whose line it is."""
 
     robot_id: int
     model: Model
 
 
-def own_line(daemon: Daemon, robot_id: int) -> OwnLine:
+def robot_line(daemon: Daemon, robot_id: int) -> RobotLine:
     """The line of a robot. Raises AddressError where there is none of that number."""
     robots = daemon.emulator.simulation.robots
     if robot_id not in robots:
         known = ", ".join(map(str, robots))
         raise AddressError(f"a line for robot {robot_id}: there is no such robot, but {known}; --robots makes more")
-    return OwnLine(robot_id, model_named(robots[robot_id].model.family))
+    return RobotLine(robot_id, get_model(robots[robot_id].model.family))
 
 
 def last_frame(data: bytes) -> int:
@@ -74,13 +74,17 @@ def last_frame(data: bytes) -> int:
     return starts[-1] if starts[-1] < len(data) else starts[-2] if len(starts) > 1 else 0
 
 
-class SerialLine(Talker):
+class PtyConnection(ConnectionHandler):
     """A pseudo-terminal and the robot behind it. `new_cable` makes what lies between them, anew for each host."""
 
-    session: LineSession
+    session: SerialSession
 
     def __init__(
-        self, daemon: Daemon, own: OwnLine, terminal: PseudoTerminal, new_cable: Callable[[], Cable] | None = None
+        self,
+        daemon: Daemon,
+        own: RobotLine,
+        terminal: PseudoTerminal,
+        new_cable: Callable[[], SerialChannel] | None = None,
     ) -> None:
         super().__init__(daemon)
         self.own = own
@@ -122,7 +126,7 @@ class SerialLine(Talker):
         """A conversation for the next host."""
         emulator, name = self._daemon.emulator, f"serial {self.terminal.path}"
         wire_state = emulator.serial_wire_state(self.own.robot_id)
-        self.session = LineSession(emulator.answer, *self.own, self._loop.time, name, wire_state)
+        self.session = SerialSession(emulator.answer, *self.own, self._loop.time, name, wire_state)
         self._cable = None if self._new_cable is None else self._new_cable()
         self._faulty = False
 
@@ -142,7 +146,7 @@ class SerialLine(Talker):
         if self.terminal.comings.changed():
             self._handed_over(data)
         elif data:
-            self._came(data)
+            self.data_received(data)
 
     def _noticed(self) -> None:
         """Somebody opened or closed the link."""
@@ -154,7 +158,7 @@ class SerialLine(Talker):
 
     def _handed_over(self, data: bytes) -> None:
         """The host left, and another came before it was seen that nobody was there; `data`: what both sent so far."""
-        self._daemon.emulator.leave(self.session.visit)
+        self._daemon.emulator.on_disconnect(self.session.context)
         self._listen(False)
         self._muted = True
         self._gathered = data
@@ -166,12 +170,12 @@ class SerialLine(Talker):
         data = self._gathered + (self.terminal.read(READ_SIZE) or b"")
         split = last_frame(data)
         if split:
-            self._came(data[:split])
+            self.data_received(data[:split])
         self._left()
         self.terminal.flush()
         self._arrived_here()
         if data[split:]:
-            self._came(data[split:])
+            self.data_received(data[split:])
 
     def _left(self) -> None:
         """The host is gone: its robot stops, and what was on its way to it is forgotten."""
@@ -186,9 +190,9 @@ class SerialLine(Talker):
         if self.here:
             log.info("%s: left after %d refusals", self.session.name, self.session.refused)
         self.here = False
-        self._daemon.emulator.leave(self.session.visit)
+        self._daemon.emulator.on_disconnect(self.session.context)
         self._tape.close()
-        self._tape = OFF
+        self._tape = NULL_RECORDER
         self._begin()
 
     def _language(self) -> Language:
@@ -229,7 +233,7 @@ class SerialLine(Talker):
 class RobotdConnection(Connection):
     """One host that reached a robot over TCP."""
 
-    def __init__(self, daemon: Daemon, own: OwnLine) -> None:
+    def __init__(self, daemon: Daemon, own: RobotLine) -> None:
         super().__init__(daemon)
         self.own = own
         self.line = f"robotd:{own.robot_id}"
@@ -240,7 +244,7 @@ class RobotdConnection(Connection):
         super().connection_made(transport)
         if self.greeting:
             self._tape.to_host(self.greeting)
-            self._say(self.greeting)
+            self.send(self.greeting)
         self._greeted = True
 
     def _language(self) -> Language:
@@ -248,7 +252,7 @@ class RobotdConnection(Connection):
 
     def _meet(self, name: str) -> None:
         wire_state = self._daemon.emulator.serial_wire_state(self.own.robot_id)
-        session = LineSession(self._behind.answer, *self.own, self._loop.time, name, wire_state)
+        session = SerialSession(self._behind.answer, *self.own, self._loop.time, name, wire_state)
         self.session, self.greeting = session, session.greeting
         wire = HANDSHAKE_FIRST if self.greeting else SERIAL
         self._tape = self._daemon.recorder.open(name, wire, self.own.model, self.own.robot_id)
@@ -273,15 +277,32 @@ class Wanted(NamedTuple):
 def add_options(parser: argparse.ArgumentParser) -> None:
     """The options of this room."""
     group = parser.add_argument_group("robots' own lines")
-    group.add_argument("--serial-link", action="append", type=_link, default=[], metavar="PATH[@ROBOT]",
-                       help="a robot's own serial line: a pseudo-terminal, and PATH a symbolic link to it; once more "
-                       "for robot 2, and so on; clients find it at serial://PATH?model=MODEL")
-    group.add_argument("--robotd", action="append", type=_port, nargs="?", const=Wanted(str(ROBOTD_PORT), None),
-                       default=[], metavar="PORT[@ROBOT]",
-                       help=f"the same over TCP (default {ROBOTD_PORT}; 0 takes a free port); clients find it at "
-                       "robotd://HOST:PORT?model=MODEL")
-    group.add_argument("--baud", type=_baud, metavar="RATE",
-                       help="let serial lines be as slow as a real one, 38400 for a Nomad's (default: no time at all)")
+    group.add_argument(
+        "--serial-link",
+        action="append",
+        type=_link,
+        default=[],
+        metavar="PATH[@ROBOT]",
+        help="a robot's own serial line: a pseudo-terminal, and PATH a symbolic link to it; once more "
+        "for robot 2, and so on; clients find it at serial://PATH?model=MODEL",
+    )
+    group.add_argument(
+        "--robotd",
+        action="append",
+        type=_port,
+        nargs="?",
+        const=Wanted(str(ROBOTD_PORT), None),
+        default=[],
+        metavar="PORT[@ROBOT]",
+        help=f"the same over TCP (default {ROBOTD_PORT}; 0 takes a free port); clients find it at "
+        "robotd://HOST:PORT?model=MODEL",
+    )
+    group.add_argument(
+        "--baud",
+        type=_baud,
+        metavar="RATE",
+        help="let serial lines be as slow as a real one, 38400 for a Nomad's (default: no time at all)",
+    )
 
 
 def refuse(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -303,25 +324,25 @@ def at_port(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def _lines(daemon: Daemon, wanted: list[Wanted]) -> list[tuple[OwnLine, str]]:
+def _lines(daemon: Daemon, wanted: list[Wanted]) -> list[tuple[RobotLine, str]]:
     return [
-        (own_line(daemon, number if robot_id is None else robot_id), place)
+        (robot_line(daemon, number if robot_id is None else robot_id), place)
         for number, (place, robot_id) in enumerate(wanted, start=1)
     ]
 
 
-async def _open_robotd(daemon: Daemon, own: OwnLine, host: str, port: int) -> str:
-    place = at_port(host, await daemon.open_door(lambda: RobotdConnection(daemon, own), host, port, "--robotd"))
+async def _open_robotd(daemon: Daemon, own: RobotLine, host: str, port: int) -> str:
+    place = at_port(host, await daemon.open_listener(lambda: RobotdConnection(daemon, own), host, port, "--robotd"))
     _note(daemon, f"robotd:{own.robot_id}", place)
     return place
 
 
-def _open_serial(daemon: Daemon, own: OwnLine, path: str, baud: int | None) -> str:
+def _open_serial(daemon: Daemon, own: RobotLine, path: str, baud: int | None) -> str:
     try:
         from nserver_emu.server.pty import PseudoTerminal
     except ImportError:
         raise ConnectionLost(f"no serial link {path}: this system has no pseudo-terminals; use --robotd") from None
-    SerialLine(daemon, own, PseudoTerminal(Path(path)), None if baud is None else lambda: PacedCable(baud))
+    PtyConnection(daemon, own, PseudoTerminal(Path(path)), None if baud is None else lambda: RateLimitedChannel(baud))
     _note(daemon, f"serial:{own.robot_id}", path)
     return path
 

@@ -24,7 +24,7 @@ from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import HOST_LIMIT, SerialFrame, SerialFramer
 from nclient.protocol.types import BUMPER_SLOT, Model, Stamp
 from nclient.protocol.wire_state import WireState, serial_wire_state
-from nserver_emu.server.session import Answer, Conversation, Visit
+from nserver_emu.server.session import Answer, BaseSession, ConnectionContext
 
 EXPIRY_S: Final = 0.5
 """A frame must be whole so long after its first byte: half the time that a host waits, and twice what the longest
@@ -37,7 +37,7 @@ _SHORT, _LONG = 0x7FFF, 0x7FFFFFFF
 """The farthest that sign-magnitude numbers of two and of four bytes go."""
 
 
-class LineSession(Conversation[SerialFrame]):
+class SerialSession(BaseSession[SerialFrame]):
     """One host on the line of robot `robot_id`. `clock`: seconds that only grow, of any beginning; `terms`: what is in
     force on that robot's lines, None: as at power-on."""
 
@@ -50,7 +50,7 @@ class LineSession(Conversation[SerialFrame]):
         name: str = "line",
         wire_state: WireState | None = None,
     ) -> None:
-        super().__init__(answer, name, Visit(wire_state or serial_wire_state(model), robot_id))
+        super().__init__(answer, name, ConnectionContext(wire_state or serial_wire_state(model), robot_id))
         self.model = model
         self._clock = clock
         self._framer = SerialFramer(limit=HOST_LIMIT)
@@ -62,7 +62,7 @@ class LineSession(Conversation[SerialFrame]):
     @property
     def greeting(self) -> bytes:
         """What the robot says first when it is reached over TCP: the hello of a N200, of others nothing."""
-        wire_state = self.visit.wire_state
+        wire_state = self.context.wire_state
         return build_handshake(Handshake(wire_state.mask, wire_state.laser_mode)) if self.model.sends_mask else b""
 
     @property
@@ -108,18 +108,18 @@ class LineSession(Conversation[SerialFrame]):
 
     def _answer_one(self, request: SerialFrame) -> bytes:
         self._later = None
-        wire_state = self.visit.wire_state
+        wire_state = self.context.wire_state
         call = self._known.get(request)
         if call is None:
             try:
-                call = codec.line_call(request, wire_state)
+                call = codec.decode_serial_request(request, wire_state)
             except WireError as error:
                 self._count_refusal(str(error))
-                return codec.line_reply(BY_NAME["gs"], NAK, wire_state)
+                return codec.encode_serial_reply(BY_NAME["gs"], NAK, wire_state)
             if len(self._known) < MOST_KNOWN:
                 self._known[request] = call
         codec.update_from_request(call, wire_state)
-        return self._say(call.name, self._answer(call, self.visit))
+        return self._say(call.name, self._answer(call, self.context))
 
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
@@ -127,7 +127,7 @@ class LineSession(Conversation[SerialFrame]):
             reply = NAK
         if reply.kind == "state":
             return self._state_frame(name, reply)
-        return codec.line_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.wire_state)
+        return codec.encode_serial_reply(BY_NAME[name], as_the_line_has_it(reply, self.model), self.context.wire_state)
 
     def _state_frame(self, name: str, reply: Reply) -> bytes:
         """A state packet; the one reply that is told again and again between two steps is built once a command."""
@@ -136,8 +136,8 @@ class LineSession(Conversation[SerialFrame]):
             frames = {}
             self._told = (reply, frames)
         if name not in frames:
-            frames[name] = codec.line_reply(
-                BY_NAME[name], as_the_line_has_it(reply, self.model), self.visit.wire_state
+            frames[name] = codec.encode_serial_reply(
+                BY_NAME[name], as_the_line_has_it(reply, self.model), self.context.wire_state
             )
         return frames[name]
 

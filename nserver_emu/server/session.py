@@ -36,7 +36,7 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import STATE_SIZE
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, request_bounds, shorter
+from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame, TcpFramer, limit_words, request_bounds
 from nclient.protocol.types import N150, Mask
 from nclient.protocol.wire_state import WireState, tcp_wire_state
 from nserver_emu.server.limits import Limits
@@ -51,22 +51,22 @@ _CONNECT_TYPES: Final = frozenset(BY_NAME[name].tcp_type for name in _CONNECTS)
 _MASK_TYPE: Final = BY_NAME["ct"].tcp_type
 
 
-def enough(head: bytes) -> bool:
+def has_header(head: bytes) -> bool:
     """Whether these first bytes tell all that they can."""
     if len(head) < _HEADER_BYTES:
-        return len(head) >= 2 and (connects(head) or request_bounds(_type(head)) is None)
+        return len(head) >= 2 and (is_connect(head) or request_bounds(_type(head)) is None)
     bounds = request_bounds(_type(head))
-    if connects(head) or bounds is None or not bounds[0] <= _count(head) <= bounds[1]:
+    if is_connect(head) or bounds is None or not bounds[0] <= _count(head) <= bounds[1]:
         return True
     return len(head) >= _HEADER_BYTES + _WORD_BYTES * min(_count(head), _MOST_WORDS)
 
 
-def connects(head: bytes) -> bool:
+def is_connect(head: bytes) -> bool:
     """Whether the first message says by itself who comes."""
     return _type(head) in _CONNECT_TYPES
 
 
-def width(head: bytes) -> bool | None:
+def sniff_word_size(head: bytes) -> bool | None:
     """True for words of 64 bits, False for 32, None where these bytes do not tell."""
     words = [head[at : at + _WORD_BYTES] for at in range(_HEADER_BYTES, len(head) - 3, _WORD_BYTES)]
     words = words[: _count(head)]
@@ -91,7 +91,7 @@ CROWD = 100
 _CONNECTS_SESSION = frozenset({"connect_robot", "create_robot", "disconnect_robot"})
 
 
-class Told(NamedTuple):
+class CachedStateReply(NamedTuple):
     """A state reply, and what it was made from: one look at the robot, on these terms."""
 
     look: object
@@ -101,7 +101,7 @@ class Told(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class Visit:
+class ConnectionContext:
     """What the server knows of one connection: whose robot, on what terms, and the State values last sent.
 
     told             the state last told on a robot's own line, where nothing else decides what a packet says
@@ -112,7 +112,7 @@ class Visit:
     wire_state: WireState = field(default_factory=lambda: tcp_wire_state(N150))
     robot_id: int | None = None
     kept: list[int] = field(default_factory=lambda: [0] * STATE_SIZE)
-    told: Told | None = None
+    told: CachedStateReply | None = None
     laser_columns: int = 0
     segments: tuple[int, int, int] | None = None
 
@@ -121,20 +121,20 @@ class Visit:
         self.kept = [slots.get(slot, value) for slot, value in enumerate(self.kept)]
 
 
-Later = Callable[[], Reply | None]
+DeferredReply = Callable[[], Reply | None]
 """An answer that is not there yet: ask again until it gives one."""
-Answer = Callable[[Call, Visit], Reply | Later]
+Answer = Callable[[Call, ConnectionContext], Reply | DeferredReply]
 """Who answers: a reply, or a promise of one."""
 
 
 class Host(Protocol):
     """Who answers all connections, and is told when one is gone."""
 
-    def answer(self, call: Call, visit: Visit) -> Reply | Later:
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """What an Answer gives."""
         ...
 
-    def leave(self, visit: Visit) -> None:
+    def on_disconnect(self, context: ConnectionContext) -> None:
         """The connection is gone; what it drove stops."""
         ...
 
@@ -143,7 +143,7 @@ class Host(Protocol):
         ...
 
 
-class Acquaintance(NamedTuple):
+class ClientIdentity(NamedTuple):
     """What a CONNECT agreed: which robot, whether the client is a 64-bit one, and whether it said nothing since."""
 
     robot_id: int
@@ -159,11 +159,11 @@ def error_reply(code: int) -> Reply:
 Request = TypeVar("Request")
 
 
-class Conversation(ABC, Generic[Request]):
+class BaseSession(ABC, Generic[Request]):
     """What a conversation is in either language: requests in their order, one answer that may come later."""
 
-    def __init__(self, answer: Answer, name: str, visit: Visit) -> None:
-        self.visit = visit
+    def __init__(self, answer: Answer, name: str, context: ConnectionContext) -> None:
+        self.context = context
         self.name = name
         self.closing = False
         """Whether the connection is to be closed, once what was given back is sent."""
@@ -171,7 +171,7 @@ class Conversation(ABC, Generic[Request]):
         self.answered = 0
         self._answer = answer
         self._queue: deque[Request] = deque()
-        self._later: tuple[str, Later] | None = None
+        self._later: tuple[str, DeferredReply] | None = None
 
     @property
     def ready(self) -> bool:
@@ -179,7 +179,7 @@ class Conversation(ABC, Generic[Request]):
         return bool(self._queue) and self._later is None and not self.closing
 
     @property
-    def crowded(self) -> bool:
+    def is_queue_full(self) -> bool:
         """Whether so many requests wait that no more should be read."""
         return len(self._queue) >= CROWD
 
@@ -189,7 +189,7 @@ class Conversation(ABC, Generic[Request]):
         return self._later is not None
 
     @property
-    def met(self) -> Acquaintance | None:
+    def identity(self) -> ClientIdentity | None:
         """What the conversation has agreed that another connection may go on with; None for nothing."""
         return None
 
@@ -202,7 +202,7 @@ class Conversation(ABC, Generic[Request]):
     def receive(self, data: bytes) -> None:
         """Take in what the client sent; `answers` gives what there is to say to it."""
 
-    def answers(self, most: int) -> bytes:
+    def process_requests(self, most: int) -> bytes:
         """The replies to at most so many of the requests that wait."""
         replies = bytearray()
         while most > 0 and self.ready:
@@ -222,14 +222,14 @@ class Conversation(ABC, Generic[Request]):
         self._later = None
         return self._encode(name, reply)
 
-    def break_promise(self, code: int) -> bytes:
+    def cancel_deferred(self, code: int) -> bytes:
         """The ERROR reply to a request whose answer cannot come; the conversation goes on."""
         if self._later is None:
             return b""
         name, self._later = self._later[0], None
         return self._encode(name, error_reply(code))
 
-    def _say(self, name: str, answer: Reply | Later) -> bytes:
+    def _say(self, name: str, answer: Reply | DeferredReply) -> bytes:
         """An answer to a command: now, or when it is there."""
         if isinstance(answer, Reply):
             return self._encode(name, answer)
@@ -248,7 +248,7 @@ class Conversation(ABC, Generic[Request]):
     def _encode(self, name: str, reply: Reply) -> bytes: ...
 
 
-class Session(Conversation[TcpFrame | InvalidFrame]):
+class Session(BaseSession[TcpFrame | InvalidFrame]):
     """One client's conversation. `name` stands in the log; `acquaintance` tells who came from that address before, of
     the word width that the first bytes show (None: they do not); a request has `most_words` at most."""
 
@@ -256,41 +256,41 @@ class Session(Conversation[TcpFrame | InvalidFrame]):
         self,
         answer: Answer,
         name: str = "client",
-        acquaintance: Callable[[bool | None], Acquaintance | None] = lambda _: None,
+        find_identity: Callable[[bool | None], ClientIdentity | None] = lambda _: None,
         most_words: int = Limits().frame,
     ) -> None:
-        super().__init__(answer, name, Visit())
-        self._acquaintance = acquaintance
+        super().__init__(answer, name, ConnectionContext())
+        self._find_identity = find_identity
         self._head: bytes | None = b""
         self._silent = False
-        self._framer = TcpFramer(shorter(request_bounds, most_words), gives_up=True)
+        self._framer = TcpFramer(limit_words(request_bounds, most_words), drop_after_loss=True)
 
     @property
     def unfinished(self) -> int:
-        return self._framer.pending + self._framer.owed + len(self._head or b"")
+        return self._framer.pending + self._framer.bytes_to_skip + len(self._head or b"")
 
     @property
-    def met(self) -> Acquaintance | None:
+    def identity(self) -> ClientIdentity | None:
         """What this connection has agreed so far; None before its CONNECT and after one that found no robot."""
-        robot_id = self.visit.robot_id
-        return None if robot_id is None else Acquaintance(robot_id, self.visit.wire_state.wide, self._silent)
+        robot_id = self.context.robot_id
+        return None if robot_id is None else ClientIdentity(robot_id, self.context.wire_state.wide, self._silent)
 
     def receive(self, data: bytes) -> None:
         if self.closing:
             return
         if self._head is not None:
             data = self._head = self._head + data
-            if not enough(data):
+            if not has_header(data):
                 return
             self._head = None
             self._recognise(data)
         self._queue.extend(self._framer.receive(data))
 
     def _recognise(self, head: bytes) -> None:
-        known = None if connects(head) else self._acquaintance(width(head))
+        known = None if is_connect(head) else self._find_identity(sniff_word_size(head))
         if known is not None:
             log.info("%s: goes on without CONNECT, as robot %d", self.name, known.robot_id)
-            self.visit.robot_id = known.robot_id
+            self.context.robot_id = known.robot_id
             self._framer.wide = known.wide
 
     def _answer_one(self, request: TcpFrame | InvalidFrame) -> bytes:
@@ -300,15 +300,15 @@ class Session(Conversation[TcpFrame | InvalidFrame]):
                 log.warning("%s: closed: %s", self.name, request.reason)
             return self._refuse(request.code, request.reason)
         try:
-            call = codec.tcp_call(request)
+            call = codec.decode_tcp_request(request)
         except WireError as error:
             return self._refuse(BAD_VALUES, str(error))
         row = BY_NAME[call.name]
-        if self.visit.robot_id is None and call.name not in _CONNECTS_SESSION:
+        if self.context.robot_id is None and call.name not in _CONNECTS_SESSION:
             return self._refuse(NOT_CONNECTED, f"{call.name} before connect_robot")
-        self.visit.wire_state.wide = bool(self._framer.wide)
-        codec.update_from_request(call, self.visit.wire_state)
-        answer = self._answer(call, self.visit)
+        self.context.wire_state.wide = bool(self._framer.wide)
+        codec.update_from_request(call, self.context.wire_state)
+        answer = self._answer(call, self.context)
         self._silent = call.name in _CONNECTS_SESSION
         self.closing = not row.has_tcp_reply
         if self.closing:
@@ -318,9 +318,9 @@ class Session(Conversation[TcpFrame | InvalidFrame]):
     def _encode(self, name: str, reply: Reply) -> bytes:
         if reply.kind == "error":
             self._count_refusal(f"{name}: error {reply.values[0]}")
-        return codec.tcp_reply(BY_NAME[name], reply, self.visit.wire_state)
+        return codec.encode_tcp_reply(BY_NAME[name], reply, self.context.wire_state)
 
     def _refuse(self, code: int, reason: str) -> bytes:
         self._count_refusal(reason)
-        self.visit.wire_state.wide = bool(self._framer.wide)
-        return codec.tcp_reply(BY_NAME["gs"], error_reply(code), self.visit.wire_state)
+        self.context.wire_state.wide = bool(self._framer.wide)
+        return codec.encode_tcp_reply(BY_NAME["gs"], error_reply(code), self.context.wire_state)

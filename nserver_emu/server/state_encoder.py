@@ -38,14 +38,14 @@ from nclient.protocol.types import (
     Mask,
     Position,
     Stamp,
-    clamped_word,
+    clamp_word,
     heading_tenths,
     rad_from_tenths,
     raw_volts,
     tenths,
 )
 from nclient.protocol.wire_state import LINES, POINTS
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation import segments
 from nserver_emu.simulation.laser import LineFit, lines, pixels, points
 from nserver_emu.simulation.robot import SimulatedRobot, battery_v
@@ -56,7 +56,7 @@ def axis_values(robot: SimulatedRobot, tenths: tuple[int, ...]) -> tuple[float, 
     """Three numbers of a command, as its axes count."""
     first, second, third = (
         number / 10 if rolls else rad_from_tenths(number)
-        for number, rolls in zip(tenths, robot.model.rolls, strict=True)
+        for number, rolls in zip(tenths, robot.model.in_inches, strict=True)
     )
     return first, second, third
 
@@ -65,7 +65,7 @@ def axis_tenths(robot: SimulatedRobot, values: tuple[float, float, float]) -> tu
     """What the axes say, in tenths; what is not zero never becomes zero."""
     first, second, third = (
         away_from_zero(value * 10 if rolls else math.degrees(value) * 10)
-        for value, rolls in zip(values, robot.model.rolls, strict=True)
+        for value, rolls in zip(values, robot.model.in_inches, strict=True)
     )
     return first, second, third
 
@@ -81,23 +81,23 @@ def is_on(mode: int) -> bool:
     return bool(mode & 1)
 
 
-def laser_vector(robot: SimulatedRobot, visit: Visit, width: int) -> tuple[int, ...]:
+def laser_vector(robot: SimulatedRobot, context: ConnectionContext, width: int) -> tuple[int, ...]:
     """The vector with so many words a reading, on the terms of this connection; (0,) where nothing is seen."""
-    seen = robot.look_with_laser(visit.laser_columns)
+    seen = robot.scan_laser(context.laser_columns)
     if width not in (POINTS, LINES):
         rows = pixels(seen)
         return (len(rows), *rows)
     found = points(seen, robot.model.body)
     if width == LINES:
-        found = lines(found, _line_fit(visit))
+        found = lines(found, _line_fit(context))
     return (len(found), *[tenths(number) for number in found.ravel().tolist()])
 
 
-def _line_fit(visit: Visit) -> LineFit:
+def _line_fit(context: ConnectionContext) -> LineFit:
     """How this connection's laser points become lines."""
-    if visit.segments is None:
+    if context.segments is None:
         return LineFit()
-    threshold, min_points, gap = visit.segments
+    threshold, min_points, gap = context.segments
     return LineFit(threshold / 10, min_points, gap / 10)
 
 
@@ -151,7 +151,7 @@ _PARTS: Final[tuple[tuple[int, int, Callable[[SimulatedRobot], Sequence[int]]], 
 """The parts of State that a mask can leave out: first slot, the one after the last, what they show."""
 
 
-class Look:
+class StateSnapshot:
     """What State shows of a robot at one moment, however many ask: each part is worked out when the first one is
     shown it, and once. `speed` is State[0]."""
 
@@ -174,38 +174,38 @@ class Look:
 
 def state_slots(robot: SimulatedRobot, speed: int) -> list[int]:
     """State[0..44] as it is now, all sensors in."""
-    return Look(robot, speed).slots()
+    return StateSnapshot(robot, speed).slots()
 
 
-def state_reply(robot: SimulatedRobot, visit: Visit, time_s: float, look: Look) -> Reply:
+def state_reply(robot: SimulatedRobot, context: ConnectionContext, time_s: float, look: StateSnapshot) -> Reply:
     """The whole state of a robot, `look` as of now, on the terms of this connection."""
-    mask = visit.wire_state.mask
-    slots, laser = with_laser(robot, visit, look.slots(mask), wanted=mask.has(LASER_SLOT))
-    slots = as_sent(visit, slots)
+    mask = context.wire_state.mask
+    slots, laser = with_laser(robot, context, look.slots(mask), wanted=mask.has(LASER_SLOT))
+    slots = as_sent(context, slots)
     stamps = all_stamps(robot, mask.position, time_s) if mask.position else {}
     return Reply("state", dict(enumerate(slots)), laser, stamps, robot_clock_ms(robot, time_s), volts_raw(time_s))
 
 
-def as_sent(visit: Visit, slots: list[int]) -> list[int]:
+def as_sent(context: ConnectionContext, slots: list[int]) -> list[int]:
     """State[0..44] as this connection gets it; from now on that is what it was sent last."""
-    mask, kept = visit.wire_state.mask, visit.kept
-    if not mask.whole and not visit.wire_state.line:
-        slots = [
-            value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)
-        ]
-    visit.kept = slots
+    mask, kept = context.wire_state.mask, context.kept
+    if not mask.whole and not context.wire_state.line:
+        slots = [value if slot in UNMASKED_SLOTS or mask.has(slot) else kept[slot] for slot, value in enumerate(slots)]
+    context.kept = slots
     return slots
 
 
 def with_laser(
-    robot: SimulatedRobot, visit: Visit, slots: list[int], *, wanted: bool = True
+    robot: SimulatedRobot, context: ConnectionContext, slots: list[int], *, wanted: bool = True
 ) -> tuple[list[int], tuple[int, ...] | None]:
     """The slots with the laser mode of this connection, and what the laser sees in the shape it reads now."""
-    if not robot.model.sees:
+    if not robot.model.has_light_sensors:
         return slots, None
-    wire_state = visit.wire_state
+    wire_state = context.wire_state
     told = [*slots[:LASER_SLOT], wire_state.laser_mode, *slots[LASER_SLOT + 1 :]]
-    return told, laser_vector(robot, visit, wire_state.laser_width) if wanted and is_on(wire_state.laser_mode) else None
+    return told, laser_vector(robot, context, wire_state.laser_width) if wanted and is_on(
+        wire_state.laser_mode
+    ) else None
 
 
 def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str, Stamp]:
@@ -215,7 +215,7 @@ def all_stamps(robot: SimulatedRobot, position: int, time_s: float) -> dict[str,
         stamps |= infrared_stamps(robot)
     if position & Position.BUMPER:
         stamps["bumper"] = stamp_now(robot, time_s)
-    if position & Position.LASER and robot.model.sees:
+    if position & Position.LASER and robot.model.has_light_sensors:
         stamps["laser"] = stamp_now(robot, time_s)
     if position & Position.COMPASS:
         stamps |= compass_stamps(robot, time_s)
@@ -236,8 +236,8 @@ def infrared_stamps(robot: SimulatedRobot) -> dict[str, Stamp]:
 
 def _pose_tenths(pose: Pose) -> tuple[int, int, int, int]:
     return (
-        clamped_word(tenths(pose.x_in)),
-        clamped_word(tenths(pose.y_in)),
+        clamp_word(tenths(pose.x_in)),
+        clamp_word(tenths(pose.y_in)),
         heading_tenths(pose.steering_rad),
         heading_tenths(pose.turret_rad),
     )
@@ -253,7 +253,7 @@ def compass_stamps(robot: SimulatedRobot, time_s: float) -> dict[str, Stamp]:
     """The pose of now, and when the compass was read: up to a tenth of a second ago; none for a robot without."""
     if robot.compass is None:
         return {}
-    taken_ms = robot_clock_ms(robot, to_s(robot.compass.taken_ps))
+    taken_ms = robot_clock_ms(robot, to_s(robot.compass.read_ps))
     return {"compass": stamp_now(robot, time_s)._replace(sensor_time=taken_ms)}
 
 

@@ -1,4 +1,4 @@
-"""The calibration benchmark: one robot, little asked, and its sums."""
+"""The calibration benchmark: one short run, and its statistics."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import calibration
 import pytest
 
 
-def said(off: float) -> dict[str, Any]:
-    """A robot of which everything is found too large by that share, each known to a hundredth."""
+def estimate(off: float) -> dict[str, Any]:
+    """Return a robot whose parameters are all estimated too large by this fraction, each with 1 % uncertainty."""
     true = calibration.robot(3)
     stds = dict.fromkeys(("way_scale", "turn_scale", "drift_rad_in", "turned_rad"), 0.01)
-    more = 1.0 + off
+    factor = 1.0 + off
     return {
-        "way_scale": 1.0 + more * (true.distance_scale - 1.0),
-        "turn_scale": 1.0 + more * (true.turn_scale - 1.0),
-        "drift_rad_in": more * true.drift_rad_in,
-        "offsets_in": [more * offset for offset in true.offsets_in],
-        "turned_rad": more * true.turned_rad,
+        "way_scale": 1.0 + factor * (true.distance_scale - 1.0),
+        "turn_scale": 1.0 + factor * (true.turn_scale - 1.0),
+        "drift_rad_in": factor * true.drift_rad_in,
+        "offsets_in": [factor * offset for offset in true.offsets_in],
+        "turned_rad": factor * true.turned_rad,
         "spread": {**stds, "offsets_in": [0.01] * 16},
     }
 
 
-def test_shares_and_counts() -> None:
+def test_fractions_and_counts() -> None:
     true = calibration.robot(3)
-    outcomes = [calibration.outcome(3, true, said(off)) for off in (0.05, -0.2)]
+    outcomes = [calibration.outcome(3, true, estimate(off)) for off in (0.05, -0.2)]
     assert outcomes[0].shares == pytest.approx([0.05] * 6)
     assert outcomes[1].sigmas[0] == pytest.approx(-0.2 * (true.distance_scale - 1.0) / 0.01)
     lines = calibration.table(outcomes).splitlines()
@@ -34,14 +34,14 @@ def test_shares_and_counts() -> None:
     assert lines[4] == "| runs within 10 % | 1 | 1 | 1 | 1 | 1 | 1 |"
 
 
-def test_robots_differ_and_err_as_told() -> None:
+def test_robots_have_the_given_noise() -> None:
     robots = [calibration.robot(seed) for seed in range(30)]
     assert all(0.03 <= abs(robot.distance_scale - 1.0) <= 0.06 for robot in robots)
     assert all(1.0 <= abs(offset) <= 2.0 for robot in robots for offset in robot.offsets_in)
     assert {robot.turned_rad > 0.0 for robot in robots} == {True, False}
 
 
-def test_a_run_whole(capsys: pytest.CaptureFixture[str]) -> None:
+def test_complete_run(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--", "--sonars", "cones", "--laps", "1", "--square", "5,5,30", "--spins", "0"]
     assert calibration.main(["--seeds", "1", "--first", "4", "--json", *words]) == 0
     (outcome,) = json.loads(capsys.readouterr().out)

@@ -1,4 +1,4 @@
-"""A faulty line in simulated time: what is believed is what the robot said, and the counts are the plan's.
+"""A faulty line in simulated time: accepted replies are correct, and the counts equal those of the plan.
 
 The whole run, 100,000 exchanges a plan, is `python benchmarks/faulty_exchanges.py`; here are its first ones.
 """
@@ -40,7 +40,7 @@ def test_one_faulty_byte_in_every_tenth_exchange(direction: Direction) -> None:
 
 
 @pytest.mark.parametrize("fault", [Corrupt(), Corrupt(change="bit"), DropByte(), InsertBytes(place=20)])
-def test_each_kind_alone_costs_the_answers_that_it_struck(fault: Fault) -> None:
+def test_each_fault_costs_only_its_own_replies(fault: Fault) -> None:
     outcome = exchange(one_byte((fault,), Direction.REPLY, seed=1), 300)
     assert outcome.struck == {fault.kind: 30}
     assert outcome.lost == list(range(10, 301, 10))
@@ -48,7 +48,7 @@ def test_each_kind_alone_costs_the_answers_that_it_struck(fault: Fault) -> None:
 
 
 @pytest.mark.parametrize("place", [0, 48])
-def test_a_stray_byte_beside_an_answer_costs_nothing(place: int) -> None:
+def test_stray_byte_costs_no_reply(place: int) -> None:
     outcome = exchange(one_byte((InsertBytes(place=place),), Direction.REPLY, seed=1), 300)
     assert outcome.struck == {"stray": 30}
     assert (outcome.right, outcome.lost) == (300, [])
@@ -57,7 +57,7 @@ def test_a_stray_byte_beside_an_answer_costs_nothing(place: int) -> None:
 
 @pytest.mark.parametrize("checks", [False, True])
 def test_noise_on_every_byte(checks: bool) -> None:
-    """The bound of the whole run, 30 in 100,000, is that of 1,500 exchanges rounded up."""
+    """The bound of the full run, 30 in 100,000, rounded up for 1,500 exchanges."""
     outcome = exchange(noise(seed=2), 1500, checks=checks)
     assert outcome.wrong <= 1
     assert outcome.right + outcome.wrong + len(outcome.lost) == 1500
@@ -76,8 +76,8 @@ def test_missed_targets_are_named() -> None:
     assert missed(Outcome(100_000, wrong=31, struck={"noise": 9})) == ["31 wrong values, 30 at most"]
 
 
-def test_what_passes_the_checksum_is_seen_to_be_wrong() -> None:
-    """Two corrupted bytes or more in most answers: one in 256 of those has a good checksum all the same."""
+def test_corrupt_reply_with_valid_checksum_is_detected() -> None:
+    """With two or more corrupted bytes, one reply in 256 still has a valid checksum."""
     noisy = Plan((Rule("noise", (Noise(corrupt_percent=4.0),)),), seed=8)
     bare, checked = (exchange(noisy, 600, checks=checks) for checks in (False, True))
     assert 1 <= bare.wrong <= 8
@@ -85,7 +85,7 @@ def test_what_passes_the_checksum_is_seen_to_be_wrong() -> None:
     assert checked.link["implausible"] >= 1
 
 
-def test_a_packet_is_read_by_its_layout_alone() -> None:
+def test_packet_is_decoded_by_its_layout() -> None:
     packet = PACKET.pack(bytes(range(16)), bytes((0xF0, 1, 2)), 10, 0x8000 | 20, *range(6), 7, 1 << 31, 200, 201)
     read = read_packet(build_frame(7, packet))
     assert read[:18] == (*range(16), 0xF00102, 10)
@@ -94,7 +94,7 @@ def test_a_packet_is_read_by_its_layout_alone() -> None:
     assert read_packet(build_frame(7, packet[1:])) == read_packet(build_frame(9, packet)) == ()
 
 
-def test_the_script_prints_a_table_and_json() -> None:
+def test_script_prints_table_and_json() -> None:
     command = [sys.executable, str(SCRIPT), "--exchanges", "30"]
     table = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
     assert table[0].startswith("| faults | struck | right | lost | wrong |")

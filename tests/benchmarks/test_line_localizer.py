@@ -1,4 +1,4 @@
-"""The localizer of `nomad localize` on a robot's own line: unchanged, and as good as over TCP."""
+"""The localizer of `nomad localize` on a robot's own line is as good as over TCP."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ SPEED = 2.0
 
 
 @pytest.mark.parametrize("line", ["tcp", "serial"])
-def test_the_estimate_stays_within_the_same_bounds(line: str) -> None:
-    with daemon(1, SPEED) as places, connect(places["tcp"] + "?tm_s=0") as eye:
-        result = localized(places[line], eye).summary()
+def test_estimate_stays_within_bounds(line: str) -> None:
+    with daemon(1, SPEED) as places, connect(places["tcp"] + "?tm_s=0") as observer:
+        result = localized(places[line], observer).summary()
     assert result["reached"] == 2
     assert result["rmse_position_in"] < RMSE_IN
     assert result["end_error_in"] < END_IN < result["odometry_end_error_in"]
     assert result["echoes_used"] > 100
 
 
-def test_the_program_drives_a_robot_on_its_line() -> None:
+def test_documented_program_drives_robot_on_line() -> None:
     words = ["--map", "thesis_room", "--waypoints", "0,0", "60,40", "--json"]
-    with daemon(2, SPEED) as places, connect(places["tcp"] + "?tm_s=0") as eye:
+    with daemon(2, SPEED) as places, connect(places["tcp"] + "?tm_s=0") as observer:
         command = [*NOMAD, "localize", places["serial"], *words]
         done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
-        truth = eye.truth()
+        truth = observer.truth()
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert (result["reached"], result["truth"]) == (2, None)
     assert result["estimate"][:2] == pytest.approx([truth.x_in, truth.y_in], abs=END_IN)
 
 
-def test_a_run_of_each_line_in_a_table() -> None:
+def test_results_of_each_line_in_a_table() -> None:
     command = [sys.executable, str(SCRIPT), "--seeds", "1", "--speed", "3"]
     table = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100).stdout.splitlines()
     assert [row.split(" | ")[:2] for row in table[2:]] == [["| tcp", "1 of 1"], ["| serial", "1 of 1"]]

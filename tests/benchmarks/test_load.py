@@ -1,4 +1,4 @@
-"""The parts of the benchmark of hostile clients: its bound, its clients, its hostility, its outcome."""
+"""The load benchmark: its bound, its clients, its hostile clients, its result."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import pytest
 
 
 @pytest.mark.parametrize(("alone", "bound"), [(0.5, 2.5), (2.0, 4.0), (3.0, 6.0), (0.0, 2.0)])
-def test_the_larger_of_a_factor_of_2_and_2_ms(alone: float, bound: float) -> None:
+def test_bound_is_larger_of_factor_2_and_2_ms(alone: float, bound: float) -> None:
     assert load.bound_ms(alone) == bound
 
 
-def test_the_percentile_is_numpys() -> None:
+def test_percentile_equals_numpy() -> None:
     trips = [random.Random(1).expovariate(1.0) for _ in range(5000)]
     assert load.p99(trips) == pytest.approx(np.percentile(trips, 99, method="weibull"))
 
 
-def test_a_late_answer_counts_from_when_it_was_due() -> None:
-    """A server that holds one answer back for 0.35 s is late for the ones that were due meanwhile, too."""
+async def test_latency_counts_from_due_time() -> None:
+    """A server that delays one reply by 0.35 s is also late for the replies due meanwhile."""
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.readexactly(len(load.CONNECT))
@@ -34,15 +34,11 @@ def test_a_late_answer_counts_from_when_it_was_due() -> None:
             writer.write(bytes(load.REPLY_SIZE))
         writer.close()
 
-    async def scenario() -> list[float]:
-        server = await asyncio.start_server(serve, load.HOST, 0)
-        async with server:
-            now = asyncio.get_running_loop().time()
-            client = await load.connected(server.sockets[0].getsockname()[1])
-            trips: list[float] = await load.asking(client, now + 0.05, now + 1.0)
-        return trips
-
-    trips = asyncio.run(scenario())
+    server = await asyncio.start_server(serve, load.HOST, 0)
+    async with server:
+        now = asyncio.get_running_loop().time()
+        client = await load.connected(server.sockets[0].getsockname()[1])
+        trips: list[float] = await load.asking(client, now + 0.05, now + 1.0)
     assert len(trips) == 10
     assert [trip >= 0.35 - 0.1 * late for late, trip in enumerate(trips[3:6])] == [True] * 3
 
@@ -56,7 +52,7 @@ def test_every_kind_is_measured(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["flood", "deaf"])
-def test_the_hostile_one_asks_again_and_again(kind: str) -> None:
+def test_hostile_client_repeats_requests(kind: str) -> None:
     with socket.create_server((load.HOST, 0)) as server, load.hostility(kind, server.getsockname()[1]):
         victim, _ = server.accept()
         with victim:
@@ -66,7 +62,7 @@ def test_the_hostile_one_asks_again_and_again(kind: str) -> None:
                 assert victim.recv(len(load.GS) * load.MANY, socket.MSG_WAITALL) == load.GS * load.MANY
 
 
-def test_a_round_without_its_hostile_one_fails() -> None:
+def test_round_without_hostile_client_fails() -> None:
     with socket.create_server((load.HOST, 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(RuntimeError, match="no flood"), load.hostility("flood", port):
@@ -74,16 +70,16 @@ def test_a_round_without_its_hostile_one_fails() -> None:
 
 
 @pytest.mark.parametrize(("beside_ms", "code"), [(3.0, 0), (3.1, 1)])
-def test_a_bound_that_is_not_kept_is_the_exit_code(
+def test_exceeded_bound_sets_exit_code(
     beside_ms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = {"alone_p99_ms": 1.0, "beside_p99_ms": beside_ms, "bound_ms": 3.0, "kept": beside_ms <= 3.0}
     monkeypatch.setattr(load, "measure", lambda *_: found)
     assert load.main(["--hostile", "deaf"]) == code
-    assert ("NOT KEPT" in capsys.readouterr().out) is bool(code)
+    assert ("FAILED" in capsys.readouterr().out) is bool(code)
 
 
-def test_ahead_of_all_else_the_clients_come_before_the_daemon_and_that_before_the_hostile_one(
+def test_priorities_of_clients_server_and_hostile_client(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scheduled: list[tuple[int, int, int]] = []
@@ -97,7 +93,7 @@ def test_ahead_of_all_else_the_clients_come_before_the_daemon_and_that_before_th
     assert load.scheduled(["it"], None) == ["it"]
 
 
-def test_the_stalled_one_stops_in_the_middle_and_comes_again() -> None:
+def test_stalled_client_stops_and_reconnects() -> None:
     with socket.create_server((load.HOST, 0)) as server, load.hostility("stall", server.getsockname()[1]):
         for _ in range(2):
             victim, _ = server.accept()

@@ -1,4 +1,4 @@
-"""The benchmark runs, compares like with like, and prints what it says. Its times are not judged here."""
+"""The benchmark runs, its variants compute the same, and it prints its results. Times are not checked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def run(*arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def test_json_holds_each_figure_beside_its_yardstick_and_target() -> None:
+def test_json_has_figures_references_and_targets() -> None:
     found = json.loads(run("--json", "--rounds", "1", "--robots", "4", "50"))
     one, unread = found["one"], found["one, sonars never read"]
     assert (one["setup"], one["walls"], one["target_steps_per_s"]) == ("ideal", 50, 10_000)
@@ -36,7 +36,7 @@ def test_json_holds_each_figure_beside_its_yardstick_and_target() -> None:
     assert "pip install" in against if isinstance(against, str) else against["ratio"] > 0
 
 
-def test_words_and_help_answer() -> None:
+def test_commands_and_help_reply() -> None:
     words = run("--rounds", "1", "--robots", "4", "--setup", "noisy")
     assert "4 robots, sonars never read: robots 4, setup noisy" in words
     assert "--growth" in run("--help")

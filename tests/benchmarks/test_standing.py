@@ -1,4 +1,4 @@
-"""A robot that only stands, in simulation: the filter is as sure as it may be and no surer, however long it listens."""
+"""A simulated robot that stands still: the filter stays consistent, for any number of readings."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ LEAST, MOST = (chi_square_quantile(share, 3 * SEEDS) for share in (0.001, 0.999)
 @pytest.mark.parametrize(
     ("name", "method", "seconds"), [("exact", "ekf", 20.0), ("exact", "finder", 20.0), ("noisy", "smoother", 60.0)]
 )
-def test_the_same_echoes_again_make_nobody_too_sure(name: str, method: str, seconds: float) -> None:
-    """Three degrees of freedom a robot."""
+def test_repeated_echoes_do_not_reduce_variance(name: str, method: str, seconds: float) -> None:
+    """Use three degrees of freedom per robot."""
     total = sum(standing.stood(SCENARIOS[name], seed, (seconds,), method)[0, 0] for seed in range(SEEDS))
     assert LEAST < total < MOST
 
 
-def test_a_pose_that_is_drawn_is_free() -> None:
+def test_drawn_pose_is_free() -> None:
     for seed in range(20):
         x, y, _ = standing.somewhere(np.random.default_rng(seed)).tolist()
         standing.WORLD.require_free(x, y, standing.N150.radius_in)
 
 
-def test_what_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_text(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--noise", "exact", "noisy", "--seeds", "2", "--at", "1", "3"]
     standing.main([*words, "--json"])
     rows = json.loads(capsys.readouterr().out)

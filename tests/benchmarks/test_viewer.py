@@ -1,22 +1,20 @@
-"""The benchmark of viewers: what is counted as theirs, and that they look."""
+"""The viewer benchmark: attribution of time, and the activity of its viewers."""
 
 from __future__ import annotations
-
-import asyncio
 
 import pytest
 import viewer
 from viewer import Share, Taken, share
 
 
-def test_what_steps_alone_would_have_taken_is_not_the_viewers() -> None:
+def test_time_of_steps_is_not_attributed_to_viewers() -> None:
     alone = Taken(whole_s=1.0, stepping_s=0.8, steps=1000, wall_s=1.0)
     assert share(alone, alone) == Share(0.0, 0.0)
     half = Taken(whole_s=0.5, stepping_s=0.4, steps=500, wall_s=2.0)
     assert share(alone, half) == pytest.approx(Share(0.0, 0.0))
 
 
-def test_the_pages_work_and_slower_steps_are_told_apart_and_their_sum_is_the_pace_lost() -> None:
+def test_cost_of_pages_and_slower_steps_is_separated() -> None:
     alone = Taken(whole_s=1.0, stepping_s=0.8, steps=1000, wall_s=1.0)
     watched = Taken(whole_s=1.0, stepping_s=0.80, steps=900, wall_s=1.0)
     found = share(alone, watched)
@@ -26,8 +24,8 @@ def test_the_pages_work_and_slower_steps_are_told_apart_and_their_sum_is_the_pac
 
 
 @pytest.mark.long
-def test_a_round_is_measured() -> None:
-    found = asyncio.run(viewer.measure(rounds=1, seconds=0.5, count=3))
+async def test_round_is_measured() -> None:
+    found = await viewer.measure(rounds=1, seconds=0.5, count=3)
     assert found["pictures_a_second"] > 2.0
     assert found["share"] == pytest.approx(found["share_page"] + found["share_steps"])
     assert -1.0 < found["share"] < 1.0

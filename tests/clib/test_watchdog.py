@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,17 +18,11 @@ from nclient.protocol.commands import Call
 from nclient.robot import Robot
 from tests.clib.clib_build import PROGRAMS, SANITIZED, BuildCache, run_calls, run_nserver
 from tests.clib.scripted_pty import serve_pty
-from tests.nclient.answering import ScriptedServer, by_script, on_socket
-from tests.nclient.robot_line import ScriptedLine
+from tests.nclient.scripted_line import ScriptedLine
+from tests.nclient.scripted_server import ScriptedServer, by_script, on_socket
+from tests.waiting import wait_until
 
 TIMEOUT_S = 30.0
-
-
-def wait_until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + TIMEOUT_S
-    while not true():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 def is_moving(observer: Robot) -> bool:

@@ -1,4 +1,4 @@
-"""Who the hardware tests are run on: the robot of `--robot ADDRESS`, or emulated ones on pseudo-terminals."""
+"""The robot of the hardware tests: that of `--robot ADDRESS`, or simulated ones on pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tests.programs.forked import Forked
 
 EMULATED = ("n150", "n200", "scout")
 FASTER = 2
-"""How many times faster than a real robot's the emulated ones' time runs."""
+"""Simulated seconds per real second."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """One robot where one is named, else an emulated one of each model."""
+    """Use the given robot, or one simulated robot of each model."""
     if "bench" in metafunc.fixturenames:
         named = metafunc.config.getoption("--robot")
         metafunc.parametrize("bench", [named] if named else EMULATED, indirect=True, scope="session")
@@ -25,7 +25,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """The robot that is named, or an emulated one that lives as long as the tests."""
+    """Return the given robot, or run a simulated one for the session."""
     if request.param not in EMULATED:
         yield Bench(limited(request.param))
         return
@@ -44,11 +44,11 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.fixture
 def walk(bench: Bench) -> Iterator[Walk]:
-    """The robot, at rest. After the test it is stopped, and must be about where it was."""
+    """Return the robot at rest. After the test, stop it and check that it is near its start pose."""
     robot = bench.connect()
     try:
         state = robot.stop()
-        assert not state.touching, f"something touches bumpers {state.bumpers}; put the robot where it stands free"
+        assert not state.touching, f"bumpers {state.bumpers} are pressed; move the robot to a free place"
         robot.set_speeds(translation_in_s=SPEED_IN_S)
         walk = Walk(robot, robot.refresh().pose)
     except BaseException:

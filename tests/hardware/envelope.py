@@ -1,7 +1,6 @@
-"""The envelope of the hardware tests: limits on the address, and a watch on how far the robot has gone.
+"""Safety limits of the hardware tests: options of the address, and a check of the distance driven.
 
-Rules: they are put on every address, the emulated robots' too, so that what is tried without a robot is what a robot
-gets.
+They apply to every address, also to simulated robots, so that the tests do the same with and without a robot.
 """
 
 from __future__ import annotations
@@ -21,41 +20,41 @@ SPEED_IN_S, TURN_DEG_S, TIMEOUT_S = 5, 30, 2
 LIMITS = {"max_speed_in_s": SPEED_IN_S, "max_turn_deg_s": TURN_DEG_S, "tm_s": TIMEOUT_S, "bumper_stop": 1, "feed": 1}
 REACH_IN = 30 / 2.54
 HOME_IN = 1.0
-"""How far from where it was met a test may leave the robot."""
+"""Maximum distance from the start pose at the end of a test."""
 
 
 @dataclass
 class Bench:
-    """A robot within the envelope. `faster`: its seconds a real one."""
+    """A robot with the safety limits. `faster`: its seconds per real second."""
 
     address: str
     faster: float = 1.0
 
     def connect(self) -> Robot:
-        """A connection to it, limited."""
+        """Connect to it, with the limits."""
         return connect(self.address)
 
     def sleep(self, robots_s: float) -> None:
-        """Say nothing for so many of the robot's seconds."""
+        """Send nothing for this many seconds of the robot's time."""
         time.sleep(robots_s / self.faster)
 
 
 @dataclass
 class Walk:
-    """A robot that stays within reach of where it was met."""
+    """A robot that must stay near its start pose."""
 
     robot: Robot
     start: Pose
 
     def distance_in(self, state: RobotState) -> float:
-        """How far from there its encoders have it."""
+        """Return the distance from the start pose by the encoders."""
         return math.dist((state.x_in, state.y_in), (self.start.x_in, self.start.y_in))
 
-    def watch(self, until: Callable[[RobotState], bool], most_s: float = 20.0) -> list[RobotState]:
-        """States until one is as wanted. The robot is stopped, and the test fails, where it goes out of reach."""
+    def watch(self, wait_until: Callable[[RobotState], bool], most_s: float = 20.0) -> list[RobotState]:
+        """Return the states until a condition is true. Stop the robot and fail if it drives too far."""
         states = [self.robot.refresh()]
         start_s = states[0].clock_s or 0.0
-        while not until(states[-1]):
+        while not wait_until(states[-1]):
             states.append(self.robot.refresh())
             if self.distance_in(states[-1]) > REACH_IN or (states[-1].clock_s or 0.0) > start_s + most_s:
                 self.robot.stop()
@@ -63,16 +62,16 @@ class Walk:
         return states
 
     def until_still(self) -> RobotState:
-        """The state in which it has come to rest."""
+        """Wait until it stands still and return the state."""
         return self.watch(lambda state: not state.moving)[-1]
 
     def until_later(self, seconds: float) -> list[RobotState]:
-        """States for so long on its clock."""
+        """Return the states of this many seconds of its clock."""
         end_s = (self.robot.refresh().clock_s or 0.0) + seconds
         return self.watch(lambda state: (state.clock_s or 0.0) >= end_s)
 
     def back(self) -> RobotState:
-        """Home along the way that it came, straight ahead or back."""
+        """Drive back to the start along a straight line."""
         state = self.robot.refresh()
         x, y = state.x_in - self.start.x_in, state.y_in - self.start.y_in
         along = x * math.cos(state.steering_rad) + y * math.sin(state.steering_rad)
@@ -81,7 +80,7 @@ class Walk:
 
 
 def limited(address: str) -> str:
-    """The address with the envelope; what it says itself of the same things is left out."""
+    """Return the address with the limits, which replace its own options."""
     text = split_address(address).without(LIMITS)
     limits = "&".join(f"{name}={value}" for name, value in LIMITS.items())
     return f"{text}{'&' if '?' in text else '?'}{limits}"

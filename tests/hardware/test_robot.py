@@ -1,10 +1,11 @@
-"""What a robot must do, on a real one:  pytest --robot serial:///dev/ttyUSB0?model=n150
+"""Tests for a real robot:  pytest --robot serial:///dev/ttyUSB0?model=n150
 
-Envelope: it stays within 30 cm of where it stands, and no faster than 5 in/s and 30 deg/s, so give it 50 cm all around
-and keep a hand at the switch. The limits are put on the address (envelope.py), whatever it says itself: speeds are
-capped, the robot stops 2 s after the program is gone, and at a bumper hit. Tests drive 4 in at most, one at a time, and
-go back; a robot that is farther than 30 cm from where it was met is stopped. Its encoders judge, its clock counts.
-Without `--robot` the same tests run against an emulated robot of each model, on a pseudo-terminal.
+The robot stays within 30 cm of its start pose, at most 5 in/s and 30 deg/s: leave 50 cm free around it, and keep a hand
+at the emergency switch. The limits are added to the address (envelope.py) and replace its own: speeds are capped, and
+the robot stops at a bumper hit and 2 s after the program ends. Tests drive at most 4 in, one at a time, and return; a
+robot that is farther than 30 cm from its start is stopped. Positions are those of its encoders, times those of its
+clock.
+Without `--robot` the tests run on a simulated robot of each model, on a pseudo-terminal.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from tests.hardware.envelope import SPEED_IN_S, Bench, Walk
 
 pytestmark = pytest.mark.long
 
-WAY_IN = 4.0
+DISTANCE_IN = 4.0
 SLOW_IN_S = 2.0
 ENCODER_IN, ENCODER_DEG = 0.3, 2.0
-"""How exactly a motion ends where it was to end."""
+"""Accuracy of a motion."""
 CLOCK_S = 3.0
-"""As long as its clock is compared with ours: a tenth of this is more than a machine stalls, be it another's work."""
+"""Time over which clocks are compared: a tenth of it is longer than a busy machine stalls."""
 LINE = 200
-"""Exchanges that tell what a line is like."""
+"""Number of exchanges to measure the quality of a line."""
 
 
-def test_every_sensor_that_the_model_has_answers(walk: Walk) -> None:
+def test_every_sensor_of_the_model_replies(walk: Walk) -> None:
     robot = walk.robot
     robot.read_sonars()
     robot.read_bumpers()
@@ -42,7 +43,7 @@ def test_every_sensor_that_the_model_has_answers(walk: Walk) -> None:
     robot.read_accelerations()
 
 
-def test_what_the_model_lacks_is_refused_before_it_is_sent(walk: Walk) -> None:
+def test_unavailable_commands_are_not_sent(walk: Walk) -> None:
     robot = walk.robot
     assert robot.link is not None
     for question in (robot.read_infrareds, robot.read_compass, robot.read_laser):
@@ -52,10 +53,10 @@ def test_what_the_model_lacks_is_refused_before_it_is_sent(walk: Walk) -> None:
         before = robot.link.exchanges
         with pytest.raises(RobotRefused, match=robot.model.name):
             question()
-        assert robot.link.exchanges - before <= 1  # the feeder's
+        assert robot.link.exchanges - before <= 1  # of the keep-alive
 
 
-def test_the_line_is_good(walk: Walk) -> None:
+def test_line_has_no_errors(walk: Walk) -> None:
     link = walk.robot.link
     assert link is not None
     answers, exchanges = link.answers, link.exchanges
@@ -66,7 +67,7 @@ def test_the_line_is_good(walk: Walk) -> None:
     assert link.latency_s(0.5) < 0.1
 
 
-def test_the_clock_goes_on_at_its_pace(bench: Bench, walk: Walk) -> None:
+def test_clock_runs_at_real_time(bench: Bench, walk: Walk) -> None:
     before = walk.robot.refresh()
     bench.sleep(CLOCK_S)
     after = walk.robot.refresh()
@@ -76,7 +77,7 @@ def test_the_clock_goes_on_at_its_pace(bench: Bench, walk: Walk) -> None:
     assert after.pose == before.pose
 
 
-def test_the_encoders_are_set_and_read_back(walk: Walk) -> None:
+def test_encoders_are_set_and_read_back(walk: Walk) -> None:
     robot, start = walk.robot, walk.start
     state = robot.set_position(x_in=12.3, y_in=-45.6)
     assert (state.x_in, state.y_in) == (12.3, -45.6)
@@ -88,28 +89,28 @@ def test_the_encoders_are_set_and_read_back(walk: Walk) -> None:
     robot.set_angles(steering_deg=start.steering_deg, turret_deg=start.turret_deg)
 
 
-def test_a_way_there_and_back(walk: Walk) -> None:
+def test_drive_there_and_back(walk: Walk) -> None:
     robot = walk.robot
-    moving = robot.move(translation_in=WAY_IN)
+    moving = robot.move(translation_in=DISTANCE_IN)
     assert moving.moving
     there = walk.until_still()
-    assert walk.distance_in(there) == pytest.approx(WAY_IN, abs=ENCODER_IN)
+    assert walk.distance_in(there) == pytest.approx(DISTANCE_IN, abs=ENCODER_IN)
     assert there.translation_in_s == 0
-    robot.move(translation_in=-WAY_IN)
+    robot.move(translation_in=-DISTANCE_IN)
     assert walk.distance_in(walk.until_still()) < ENCODER_IN
 
 
-def test_ws_answers_when_the_robot_stands(walk: Walk) -> None:
+def test_ws_replies_when_the_robot_stands(walk: Walk) -> None:
     robot = walk.robot
-    robot.move(translation_in=WAY_IN)
+    robot.move(translation_in=DISTANCE_IN)
     there = robot.wait_until_still(10)
     assert not there.moving
-    assert walk.distance_in(there) == pytest.approx(WAY_IN, abs=ENCODER_IN)
-    robot.move(translation_in=-WAY_IN)
+    assert walk.distance_in(there) == pytest.approx(DISTANCE_IN, abs=ENCODER_IN)
+    robot.move(translation_in=-DISTANCE_IN)
     robot.wait_until_still(10)
 
 
-def test_a_velocity_is_shown_until_st(walk: Walk) -> None:
+def test_velocity_is_reported_until_st(walk: Walk) -> None:
     robot = walk.robot
     assert robot.drive(translation_in_s=SLOW_IN_S).translation_in_s > 0
     states = walk.watch(lambda state: walk.distance_in(state) > 1.0)
@@ -117,11 +118,11 @@ def test_a_velocity_is_shown_until_st(walk: Walk) -> None:
     robot.stop()
     still = walk.until_still()
     assert still.translation_in_s == 0
-    assert walk.distance_in(still) < WAY_IN
+    assert walk.distance_in(still) < DISTANCE_IN
     walk.back()
 
 
-def test_no_speed_beyond_the_cap(walk: Walk) -> None:
+def test_speed_is_limited(walk: Walk) -> None:
     walk.robot.drive(translation_in_s=6)
     states = walk.watch(lambda state: walk.distance_in(state) > 1.5)
     assert SLOW_IN_S < max(state.translation_in_s for state in states) <= SPEED_IN_S + 0.2
@@ -130,7 +131,7 @@ def test_no_speed_beyond_the_cap(walk: Walk) -> None:
     walk.back()
 
 
-def test_axes_turn_and_turn_back(walk: Walk) -> None:
+def test_axes_turn_and_return(walk: Walk) -> None:
     robot = walk.robot
     for axis in ("steering", "turret") if robot.model.has_turret else ("steering",):
         before = getattr(walk.until_still(), f"{axis}_deg")
@@ -146,18 +147,18 @@ def _turning(turret: bool) -> dict[str, float]:
     return {"steering_deg_s": 20, "turret_deg_s": 20} if turret else {}
 
 
-def test_a_robot_that_nobody_talks_to_stops(bench: Bench, walk: Walk) -> None:
-    """conf_tm said by the program itself: from then on nobody feeds."""
+def test_robot_stops_without_requests(bench: Bench, walk: Walk) -> None:
+    """After the program sends conf_tm itself, there is no keep-alive."""
     walk.robot.set_timeout(1)
     walk.robot.drive(translation_in_s=SLOW_IN_S / 2)
     bench.sleep(4.0)
     state = walk.robot.refresh()
     assert (state.translation_in_s, state.moving) == (0, False)
-    assert 0.3 < walk.distance_in(state) < WAY_IN
+    assert 0.3 < walk.distance_in(state) < DISTANCE_IN
     walk.back()
 
 
-def test_a_robot_moves_on_while_its_program_sleeps(bench: Bench, walk: Walk) -> None:
+def test_robot_moves_while_program_sleeps(bench: Bench, walk: Walk) -> None:
     walk.robot.drive(translation_in_s=SLOW_IN_S / 2)
     bench.sleep(3.0)
     state = walk.robot.refresh()
@@ -168,10 +169,10 @@ def test_a_robot_moves_on_while_its_program_sleeps(bench: Bench, walk: Walk) -> 
     walk.back()
 
 
-def test_leaving_stops_the_robot(bench: Bench, walk: Walk) -> None:
+def test_exit_stops_the_robot(bench: Bench, walk: Walk) -> None:
     with walk.robot as robot:
         robot.drive(translation_in_s=SLOW_IN_S)
         walk.watch(lambda state: walk.distance_in(state) > 0.5)
     walk.robot = bench.connect()
-    assert walk.distance_in(walk.until_still()) < WAY_IN
+    assert walk.distance_in(walk.until_still()) < DISTANCE_IN
     walk.back()

@@ -1,4 +1,4 @@
-"""Experiments on a Dask cluster of two worker processes: the same numbers to the bit as in this process."""
+"""Experiments on a Dask cluster of two worker processes give bit-identical results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def address() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
-def test_live_trials_are_the_same_to_the_bit(address: str, tmp_path: Path) -> None:
+def test_live_trials_are_identical(address: str, tmp_path: Path) -> None:
     arguments = ["--scenario", "exact", "measured", "--figures", "5.4", "--methods", "ekf", "mcl", "--seeds", "2"]
     whole = ["live", *arguments, "--periods", "12", "--no-pictures", "--out", str(tmp_path), "--cluster", address]
     assert experiments.main(whole) == 0
@@ -39,7 +39,7 @@ def test_live_trials_are_the_same_to_the_bit(address: str, tmp_path: Path) -> No
         assert live_trial.run(TrialJob(trial)).result.same_numbers(there)
 
 
-def test_figures_are_the_same_to_the_bit(address: str) -> None:
+def test_figures_are_identical(address: str) -> None:
     reports: list[int] = []
     there = drive_on_cluster(FIGURES["5.6"], range(30), address, reports.append)
     here = drive_part(FIGURES["5.6"], range(30))
@@ -48,7 +48,7 @@ def test_figures_are_the_same_to_the_bit(address: str) -> None:
     assert reports[-1] == sum(result.steps for result in here.results)
 
 
-def test_the_command_drives_figures_there(address: str, tmp_path: Path) -> None:
+def test_command_drives_squares(address: str, tmp_path: Path) -> None:
     arguments = ["5.6", "--seeds", "2", "--no-pictures", "--json", "--out", str(tmp_path)]
     numbers = []
     for who in (["--cluster", address], ["--jobs", "1"]):
@@ -57,7 +57,7 @@ def test_the_command_drives_figures_there(address: str, tmp_path: Path) -> None:
     assert numbers[0] == numbers[1]
 
 
-def test_workers_that_would_run_other_code_are_refused_by_their_names(address: str) -> None:
-    with pytest.raises(ClusterError, match=r"other code or another numpy than here on tcp://127.0.0.1"):
+def test_workers_with_other_code_are_rejected(address: str) -> None:
+    with pytest.raises(ClusterError, match="tcp://"):
         list(on_cluster(math.factorial, [3], address, os.getpid))
     assert list(on_cluster(math.factorial, [3], address, code_hash)) == [6]

@@ -1,4 +1,4 @@
-"""nomad doctor and nomad stop on a robot's own line, as real programs, over a line that is not clean, too."""
+"""nomad doctor and nomad stop as programs on a robot's own line, with and without faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ every = 3
 
 @contextlib.contextmanager
 def robot_on_a_line(link: Path) -> Iterator[tuple[str, str]]:
-    """A daemon with a pseudo-terminal: the addresses of both."""
+    """Run a server with a pseudo-terminal and yield the addresses of both."""
     with Forked("nserver", "--port", "0", "--noisy", "--serial-link", str(link)) as daemon:
         try:
             places = dict(daemon.stdout.readline().split()[1:] for _ in range(2))
@@ -50,7 +50,7 @@ def test_a_robot_on_its_own_line(tmp_path: Path) -> None:
             assert not driver.refresh().moving
 
 
-def test_a_line_that_loses_every_third_frame(tmp_path: Path) -> None:
+def test_doctor_on_line_that_drops_every_third_frame(tmp_path: Path) -> None:
     plan = tmp_path / "faults.toml"
     plan.write_text(FAULTS)
     with robot_on_a_line(tmp_path / "robot") as (tcp, line):

@@ -1,4 +1,4 @@
-"""A real daemon with a plan of faults on all its lines, and its owner at the control socket."""
+"""A running server with a fault plan on all lines, and its control socket."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ at = 2
 
 
 class Bench:
-    """A daemon with a pseudo-terminal and a control socket, and what it said when it began."""
+    """A server with a pseudo-terminal and a control socket, and its listening addresses."""
 
     def __init__(self, folder: Path, listening: dict[str, str]) -> None:
         self.folder, self.listening = folder, listening
@@ -55,8 +55,8 @@ class Bench:
 
     def ctl(self, *words: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
         assert cli.main(["ctl", "--control", self.control, "--json", *words]) == 0
-        said: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return said
+        lines: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return lines
 
     def over_tcp(self) -> NserverBackend:
         return NserverBackend(TcpStream("127.0.0.1", int(self.listening["nserver"].rpartition(":")[2])))
@@ -67,12 +67,12 @@ class Bench:
 
 @contextmanager
 def bench(folder: Path, *words: str) -> Iterator[Bench]:
-    """The daemon on free places in a folder; it is told to stop at the end, and stops cleanly."""
+    """Run a server with its sockets in a folder; end it cleanly."""
     places = ("--port", "0", "--serial-link", str(folder / "robot"), "--control", str(folder / "s.sock"))
     with Forked("nserver", *places, *words, stderr=True) as daemon:
         try:
-            told = [daemon.stdout.readline().split() for _ in range(3)]
-            yield Bench(folder, {kind: place for _, kind, place in told})
+            lines = [daemon.stdout.readline().split() for _ in range(3)]
+            yield Bench(folder, {kind: place for _, kind, place in lines})
         finally:
             daemon.send_signal(signal.SIGTERM)
             _, err = daemon.communicate(timeout=20)
@@ -83,7 +83,7 @@ def bench(folder: Path, *words: str) -> Iterator[Bench]:
 
 @pytest.fixture
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short path: a Unix socket's has about a hundred bytes."""
+    """Return a short path: that of a Unix socket is limited to about 100 bytes."""
     return tmp_path_factory.mktemp("f")
 
 
@@ -99,7 +99,7 @@ def answered(backend: DirectBackend | NserverBackend, call: Call, times: int) ->
     return found
 
 
-def test_a_plan_on_all_lines_its_counts_and_its_end(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fault_plan_on_all_lines_with_counts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "plan.toml").write_text(PLAN)
     planned = bench(folder, "--faults", str(folder / "plan.toml"))
     with planned as daemon, closing(daemon.on_its_line()) as line, closing(daemon.over_tcp()) as tcp:
@@ -121,7 +121,7 @@ def test_a_plan_on_all_lines_its_counts_and_its_end(folder: Path, capsys: pytest
         assert daemon.ctl("status", capsys=capsys)["robots"][0]["moving"]
 
 
-def test_a_plan_put_in_force_while_clients_talk_hangs_them_up(
+def test_fault_plan_at_run_time_disconnects_clients(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "plan.toml").write_text(HANG_UP)
@@ -141,7 +141,7 @@ def test_a_plan_put_in_force_while_clients_talk_hangs_them_up(
         assert counts == {name: {"rule 1": {"seen": 5, "hang_up": 1}} for name in ("nserver", "serial:1")}
 
 
-def test_time_is_the_owners_and_what_is_wrong_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_of_time_and_its_errors(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with bench(folder, "--paused") as daemon:
         before = daemon.ctl("status", capsys=capsys)["time_s"]
         assert daemon.ctl("step", "2.5", capsys=capsys)["time_s"] == pytest.approx(before + 2.5)
@@ -158,25 +158,25 @@ def test_time_is_the_owners_and_what_is_wrong_is_told(folder: Path, capsys: pyte
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "lines"),
     [
         (["--faults", "nowhere.toml"], "nowhere.toml: cannot be read"),
         (["--control", "/nowhere/s.sock"], "cannot be controlled at /nowhere/s.sock"),
     ],
 )
-def test_what_cannot_be_exits_1(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failure_exits_1(words: list[str], lines: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--port", "0", *words]) == 1
-    assert told in capsys.readouterr().err
+    assert lines in capsys.readouterr().err
 
 
-def test_a_world_is_no_socket(capsys: pytest.CaptureFixture[str]) -> None:
+def test_world_file_is_not_a_socket(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main(["--control", "thesis_room"])
     assert "not 'thesis_room'; the world goes before --control" in capsys.readouterr().err
 
 
-def test_faults_on_the_line_to_a_real_robot_and_on_its_own(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The gateway's robot is another daemon's; what the plan refuses never comes to it."""
+def test_faults_between_gateway_and_robot(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The robot of the gateway is that of another server; requests that the plan rejects never reach it."""
     with bench(folder) as robot:
         own = folder / "gateway"
         own.mkdir()
@@ -194,7 +194,7 @@ def test_faults_on_the_line_to_a_real_robot_and_on_its_own(folder: Path, capsys:
             assert robot.ctl("status", capsys=capsys)["robots"][0]["moving"]
 
 
-def test_the_users_own_place_is_the_default(
+def test_default_control_socket_is_in_runtime_dir(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
@@ -203,7 +203,7 @@ def test_the_users_own_place_is_the_default(
     assert f"cannot be controlled at {folder / 'nserver.sock'}: something that is no socket" in capsys.readouterr().err
 
 
-def test_without_control_a_plan_may_be_in_force(folder: Path) -> None:
+def test_fault_plan_without_control_socket(folder: Path) -> None:
     (folder / "plan.toml").write_text("[[rule]]\ndo = 'nak'\ncommand = 'vm'\ndirection = 'request'")
     with Forked("nserver", "--port", "0", "--faults", str(folder / "plan.toml")) as daemon:
         port = int(daemon.stdout.readline().rpartition(":")[2])

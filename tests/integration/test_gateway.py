@@ -1,4 +1,4 @@
-"""`nserver --real` as a program: a second nserver is its robot, over a real socket, killed and started again."""
+"""`nserver --real` as a program: its robot is a second nserver, which is killed and restarted."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ import json
 import re
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from nclient import connect
 from nclient.errors import ConnectionLost, RobotRefused
 from nclient.robot import Robot
 from tests.programs.forked import Forked
+from tests.waiting import wait_until
 
-WHOLE_S = 30.0
+TIMEOUT_S = 30.0
 
 
 class Program:
-    """An nserver that runs; `port` is where it listens."""
+    """A running nserver and its port."""
 
     def __init__(self, process: Forked) -> None:
         line = process.stdout.readline()
@@ -30,13 +31,13 @@ class Program:
         self.address = f"nserver://127.0.0.1:{self.port}/1"
 
     def other_line(self) -> str:
-        """What it says next of where it listens, such as `serial /tmp/nomad`."""
+        """Return its next listening address, such as `serial /tmp/nomad`."""
         return str(self.process.stdout.readline()).removeprefix("listening ").strip()
 
     def end(self, how: signal.Signals = signal.SIGTERM) -> str:
-        """What it said on stderr."""
+        """End it and return its stderr."""
         self.process.send_signal(how)
-        return str(self.process.communicate(timeout=WHOLE_S)[1])
+        return str(self.process.communicate(timeout=TIMEOUT_S)[1])
 
 
 @contextlib.contextmanager
@@ -49,15 +50,8 @@ def nserver(*words: str) -> Iterator[Program]:
                 process.kill()
 
 
-def until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + WHOLE_S
-    while not true():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-
-
-def code_of(robot: Robot) -> int | None:
-    """What a question is refused with, None where it is answered."""
+def error_code(robot: Robot) -> int | None:
+    """Return the error code of a request; None if it succeeds."""
     try:
         robot.refresh()
     except RobotRefused as error:
@@ -65,47 +59,47 @@ def code_of(robot: Robot) -> int | None:
     return None
 
 
-def test_a_client_of_one_drives_the_robot_of_the_other_and_the_shadow_goes_along(tmp_path: Path) -> None:
+def test_gateway_drives_robot_and_shadow_follows(tmp_path: Path) -> None:
     report = tmp_path / "shadow.json"
     with (
         nserver("--port", "0") as robot,
-        connect(robot.address) as seen,
+        connect(robot.address) as observer,
         nserver("--port", "0", "--real", robot.address, "--shadow-report", str(report)) as gateway,
     ):
         with connect(gateway.address) as driver:
             driver.set_speeds(translation_in_s=10)
             driver.move(translation_in=12)
             state = driver.wait_until_still(timeout_s=20)
-            assert (state.x_in, seen.truth().x_in) == (12.0, 12.0)
+            assert (state.x_in, observer.truth().x_in) == (12.0, 12.0)
             driver.drive(translation_in_s=5)
-        until(lambda: not seen.refresh().moving)
+        wait_until(lambda: not observer.refresh().moving)
         gateway.end()
         assert gateway.process.returncode == 0
     found = json.loads(report.read_text())["quantities"]
-    assert abs(found["x_in"]["max"]) < 5.0  # half a second at 10 in/s: two daemons on one busy machine
+    assert abs(found["x_in"]["max"]) < 5.0  # half a second at 10 in/s: two servers on a busy machine
     assert abs(found["x_in"]["mean"]) < 1.0
     assert found["sonars_in"]["count"] > 16
 
 
-def test_a_robot_that_goes_away_is_error_6_and_comes_back() -> None:
+def test_lost_robot_is_error_6_until_it_returns() -> None:
     with contextlib.ExitStack() as again, nserver("--port", "0") as robot:
         port = str(robot.port)
         gateway = again.enter_context(nserver("--port", "0", "--real", robot.address))
         with connect(gateway.address) as driver, connect(gateway.address) as watcher:
             driver.drive(translation_in_s=5)
             robot.end(signal.SIGKILL)
-            until(lambda: code_of(watcher) == 6)
-            assert code_of(driver) == 6
+            wait_until(lambda: error_code(watcher) == 6)
+            assert error_code(driver) == 6
             again.enter_context(nserver("--port", port))
-            until(lambda: code_of(watcher) is None)
-            until(lambda: code_of(driver) is None)  # the loss that its feeder met comes first
+            wait_until(lambda: error_code(watcher) is None)
+            wait_until(lambda: error_code(driver) is None)  # the keep-alive thread has noticed the loss first
             assert driver.move(translation_in=1).raw[38] > 0
-        said = gateway.end()
-    assert said.count("the real robot does not answer") == 1
-    assert said.count("the real robot answers again") == 1
+        errors = gateway.end()
+    assert errors.count("the real robot does not answer") == 1
+    assert errors.count("the real robot answers again") == 1
 
 
-def test_a_robot_on_its_own_line_is_driven_capped_and_comes_back_when_the_line_does(tmp_path: Path) -> None:
+def test_gateway_limits_speed_and_reconnects_to_line(tmp_path: Path) -> None:
     link, report = tmp_path / "nomad", tmp_path / "shadow.csv"
     robot_words = ("--port", "0", "--serial-link", str(link))
     gateway_words = ("--port", "0", "--real", f"serial://{link}?model=n150", "--max-speed", "8")
@@ -113,23 +107,23 @@ def test_a_robot_on_its_own_line_is_driven_capped_and_comes_back_when_the_line_d
         assert robot.other_line() == f"serial {link}"
         gateway = again.enter_context(nserver(*gateway_words, "--shadow-report", str(report)))
         with connect(gateway.address) as driver, connect(gateway.address) as watcher:
-            with connect(robot.address) as seen:
+            with connect(robot.address) as observer:
                 assert driver.move(translation_in=12).raw[38] == 80
                 assert driver.wait_until_still(timeout_s=20).x_in == 12.0
-                assert seen.truth().x_in == 12.0
+                assert observer.truth().x_in == 12.0
                 assert driver.refresh().bumpers == ()
                 assert driver.refresh().raw[33] == 0
                 assert watcher.read_compass().raw[43] == 0
                 driver.set_timeout(1)
                 driver.drive(translation_in_s=2)
                 time.sleep(2.5)
-                assert not seen.refresh().moving
+                assert not observer.refresh().moving
             robot.end(signal.SIGKILL)
-            until(lambda: code_of(watcher) == 6)
+            wait_until(lambda: error_code(watcher) == 6)
             link.unlink(missing_ok=True)
             again.enter_context(nserver(*robot_words))
-            until(lambda: code_of(watcher) is None)
-            until(lambda: code_of(driver) is None)  # the loss that its feeder met comes first
+            wait_until(lambda: error_code(watcher) is None)
+            wait_until(lambda: error_code(driver) is None)  # the keep-alive thread has noticed the loss first
             assert driver.move(translation_in=1).raw[38] > 0
         gateway.end()
         assert gateway.process.returncode == 0
@@ -138,30 +132,30 @@ def test_a_robot_on_its_own_line_is_driven_capped_and_comes_back_when_the_line_d
     assert int(rows["sonars_in"]["count"]) > 16
 
 
-def test_a_nomad_200_on_a_network_has_stamps_and_points_of_its_laser() -> None:
+def test_gateway_passes_stamps_and_laser_of_n200() -> None:
     with nserver("--port", "0", "--robot", "n200", "--robotd", "0") as robot:
         address = f"robotd://{robot.other_line().removeprefix('robotd ')}?model=n200"
         with nserver("--port", "0", "--real", address) as gateway:
-            with connect(f"{gateway.address}?model=n200") as driver, connect(f"{robot.address}?model=n200") as seen:
+            with connect(f"{gateway.address}?model=n200") as driver, connect(f"{robot.address}?model=n200") as observer:
                 driver.position_data(sonars=True)
                 driver.set_position(x_in=30.0, y_in=-40.0)
-                until(lambda: {stamp.x for stamp in driver.refresh().raw_stamps.values()} == {300})
-                laser, wanted = driver.read_laser().laser, seen.read_laser().laser
+                wait_until(lambda: {stamp.x for stamp in driver.refresh().raw_stamps.values()} == {300})
+                laser, wanted = driver.read_laser().laser, observer.read_laser().laser
                 assert laser[0] == wanted[0] > 100
                 off = max(abs(a - b) for a, b in zip(laser, wanted, strict=True))
-                assert off < 100  # tenths; a row of the camera is coarse
-                assert driver.read_infrareds().infrareds == seen.read_infrareds().infrareds
+                assert off < 100  # tenths; the camera has few rows
+                assert driver.read_infrareds().infrareds == observer.read_infrareds().infrareds
             gateway.end()
 
 
-def test_a_gateway_that_is_killed_leaves_a_robot_that_stands() -> None:
+def test_killed_gateway_stops_its_robot() -> None:
     with (
         nserver("--port", "0", "--robot", "n200") as robot,
-        connect(f"{robot.address}?model=n200") as seen,
+        connect(f"{robot.address}?model=n200") as observer,
         nserver("--port", "0", "--real", f"{robot.address}?model=n200") as gateway,
     ):
         with contextlib.suppress(ConnectionLost), connect(gateway.address) as driver:
             driver.drive(translation_in_s=2)
-            assert seen.refresh().moving
+            assert observer.refresh().moving
             gateway.end(signal.SIGKILL)
-        until(lambda: not seen.refresh().moving)
+        wait_until(lambda: not observer.refresh().moving)

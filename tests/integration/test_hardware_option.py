@@ -1,4 +1,4 @@
-"""`pytest --robot ADDRESS`: the hardware tests, and no others, on whatever is at the address."""
+"""`pytest --robot ADDRESS` runs only the hardware tests, on the robot at the address."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def pytest_on(address: str, wanted: str, *words: str) -> subprocess.CompletedPro
     return subprocess.run([*command, *places], capture_output=True, text=True, check=False, timeout=120)
 
 
-def test_the_robot_that_is_named_is_the_one_that_is_tried(tmp_path: Path) -> None:
+def test_robot_option_selects_the_robot(tmp_path: Path) -> None:
     link = tmp_path / "robot"
     with Forked("nserver", "--port", "0", "--serial-link", str(link), "--robot", "scout") as daemon:
         try:
             assert [daemon.stdout.readline() for _ in range(2)][1].startswith("listening serial")
-            done = pytest_on(f"serial://{link}?model=scout", "encoders or room or refused")
+            done = pytest_on(f"serial://{link}?model=scout", "encoders or room or unavailable")
         finally:
             daemon.terminate()
     assert done.returncode == 0, done.stdout
@@ -34,7 +34,7 @@ def test_the_robot_that_is_named_is_the_one_that_is_tried(tmp_path: Path) -> Non
     assert "skipped" not in done.stdout
 
 
-def test_a_robot_that_is_not_there_is_a_failure(tmp_path: Path) -> None:
+def test_missing_robot_is_a_failure(tmp_path: Path) -> None:
     done = pytest_on(f"serial://{tmp_path}/none", "encoders")
     assert done.returncode == 1
     assert "there is no port" in done.stdout
@@ -46,7 +46,7 @@ def test_two_processes_do_not_share_a_robot() -> None:
     assert "leave -n out" in done.stderr
 
 
-def test_the_limits_are_the_envelopes_whatever_the_address_says() -> None:
+def test_limits_override_the_address() -> None:
     given = "serial:///dev/ttyUSB0?model=scout&max_speed_in_s=50&feed=0&tm_s=60"
     limits = {name: str(value) for name, value in LIMITS.items()}
     assert split_address(limited(given)).options == {"model": "scout"} | limits

@@ -1,4 +1,4 @@
-"""nomad bridge and nomad play, whose line is held: by one who says nothing, who talks, or who waits for an answer."""
+"""nomad bridge and nomad play with silent clients, active clients, and clients that wait for a reply."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from nclient.transports.stream import Deadline
 from tests.programs import forked
 from tests.programs.forked import Forked
 
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 STATE = b"\x10\x00\x11\x22"
 
 
 @contextlib.contextmanager
 def listening(*words: str) -> Iterator[list[str]]:
-    """A program that ends well when told to: where it listens, as many places as `--serial-link` makes."""
+    """Run a program, yield its listening addresses, and end it with exit code 0."""
     with Forked(*words) as process:
         try:
             yield [process.stdout.readline().split()[2] for _ in range(1 + ("--serial-link" in words))]
@@ -38,7 +38,7 @@ def listening(*words: str) -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def a_bridge(limit_silent: str) -> Iterator[tuple[str, socket.socket]]:
-    """Where it listens, and the port at its far end."""
+    """Run a bridge; yield its address and the listener of its server side."""
     with socket.create_server(("127.0.0.1", 0)) as far:
         far.settimeout(10)
         address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
@@ -47,7 +47,7 @@ def a_bridge(limit_silent: str) -> Iterator[tuple[str, socket.socket]]:
 
 
 def next_end(far: socket.socket) -> socket.socket:
-    """The far end of the next visitor's conversation."""
+    """Accept the next connection on the server side."""
     end, _ = far.accept()
     end.settimeout(10)
     return end
@@ -75,7 +75,7 @@ def is_closed(peer: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("own_line", [False, True], ids=["nserver", "own line"])
-def test_who_holds_a_bridge_and_says_nothing_keeps_no_stop_from_a_robot(own_line: bool, tmp_path: Path) -> None:
+def test_silent_bridge_clients_do_not_block_stop(own_line: bool, tmp_path: Path) -> None:
     link = tmp_path / "robot"
     with listening("nserver", "--port", "0", "--serial-link", str(link)) as (far, line):
         address = f"serial://{line}?model=n150" if own_line else f"nserver://{far}"
@@ -87,45 +87,45 @@ def test_who_holds_a_bridge_and_says_nothing_keeps_no_stop_from_a_robot(own_line
             silent = [scanner.enter_context(called(near)) for _ in range(12)]
             driver.drive(translation_in_s=2)
             brake = f"robotd://{near}?model=n150" if own_line else f"nserver://{near}/1"
-            done = forked.done("nomad", "stop", brake, "--patience", "20", timeout=60)
+            done = forked.run_forked("nomad", "stop", brake, "--patience", "20", timeout=60)
             assert done.stdout.startswith("stands still at x "), done.stdout + done.stderr
             assert not driver.refresh().moving
             assert is_closed(silent[0])
 
 
-def test_who_talks_keeps_the_line_and_the_next_has_his_turn_then() -> None:
-    with a_bridge("1.5") as (near, far), called(near) as talker, called(near) as newcomer:
+def test_active_client_holds_line_until_it_closes() -> None:
+    with a_bridge("1.5") as (near, far), called(near) as active, called(near) as waiting_client:
         end = next_end(far)
         ends = Deadline.after(4)
         while ends.remaining():
-            talker.sendall(GS)
+            active.sendall(GS)
             assert received(end, len(GS)) == GS
-            newcomer.sendall(b"another,")
+            waiting_client.sendall(b"another,")
             end.sendall(STATE)
-            assert received(talker, len(STATE)) == STATE
+            assert received(active, len(STATE)) == STATE
             time.sleep(0.05)
-        newcomer.settimeout(0.05)
+        waiting_client.settimeout(0.05)
         with pytest.raises(TimeoutError):
-            newcomer.recv(1)
-        talker.close()
+            waiting_client.recv(1)
+        active.close()
         assert is_closed(end)
         end.close()
         with next_end(far) as end:
             assert received(end, 8) == b"another,"
 
 
-def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
-    ws = codec.tcp_request(Call("ws", (1, 1, 1, 100)))
-    with a_bridge("0.3") as (near, far), called(near) as waiting, called(near) as newcomer:
+def test_client_waiting_for_reply_holds_line() -> None:
+    ws = codec.encode_tcp_request(Call("ws", (1, 1, 1, 100)))
+    with a_bridge("0.3") as (near, far), called(near) as waiting, called(near) as waiting_client:
         end = next_end(far)
         waiting.sendall(ws)
         assert received(end, len(ws)) == ws
-        newcomer.sendall(b"another")
+        waiting_client.sendall(b"another")
         waiting.settimeout(1.5)
         with pytest.raises(TimeoutError):
             waiting.recv(1)
         waiting.settimeout(10)
-        answer = codec.tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_wire_state(N150))
+        answer = codec.encode_tcp_reply(BY_NAME["ws"], Reply("state", {34: 7}, clock=20), tcp_wire_state(N150))
         end.sendall(answer)
         assert received(waiting, len(answer)) == answer
         assert is_closed(waiting)
@@ -134,11 +134,11 @@ def test_who_waits_for_an_answer_keeps_the_line_until_it_came() -> None:
             assert received(end, 7) == b"another"
 
 
-def test_who_is_silent_and_alone_stays() -> None:
+def test_single_silent_client_stays_connected() -> None:
     with (
         a_bridge("0.1") as (near, far),
         called(near) as alone,
-        called(near),  # who has nothing to say, either
+        called(near),  # also silent
         next_end(far) as end,
     ):
         alone.settimeout(1)
@@ -148,7 +148,7 @@ def test_who_is_silent_and_alone_stays() -> None:
         assert received(end, 10) == b"still here"
 
 
-def test_a_recording_is_played_to_who_asks_for_it_not_to_who_is_silent(tmp_path: Path) -> None:
+def test_recording_is_played_to_active_client(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     with connect(f"sim:thesis_room?record={path}") as robot:
         robot.refresh()

@@ -1,4 +1,4 @@
-"""The client of a robot's own line against a whole nserver: a pseudo-terminal, a TCP line, programs that die."""
+"""The client of a robot's own line with a running nserver: pseudo-terminals, TCP lines, killed programs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,27 +16,28 @@ from nclient import ConnectionLost, capi, connect
 from nclient.errors import ReplyTimeout
 from nclient.robot import Robot
 from tests.programs.forked import Forked
+from tests.waiting import wait_until
 
-WHOLE_S = 30.0
+TIMEOUT_S = 30.0
 
 
-class Emulated:
-    """An nserver with lines; `said`: where it listens, by kind."""
+class Server:
+    """An nserver with lines; `addresses`: where it listens, by kind."""
 
     def __init__(self, *words: str) -> None:
         self.process = Forked("nserver", "--port", "0", *words)
         count = 1 + sum(word in ("--serial-link", "--robotd") for word in words)
         lines = [self.process.stdout.readline().split() for _ in range(count)]
-        self.said = {kind: where for _, kind, where in lines}
+        self.addresses = {kind: where for _, kind, where in lines}
 
     def end(self, how: signal.Signals = signal.SIGTERM) -> None:
         self.process.send_signal(how)
-        self.process.communicate(timeout=WHOLE_S)
+        self.process.communicate(timeout=TIMEOUT_S)
 
 
 @contextlib.contextmanager
-def emulated(*words: str) -> Iterator[Emulated]:
-    running = Emulated(*words)
+def run_server(*words: str) -> Iterator[Server]:
+    running = Server(*words)
     try:
         yield running
     finally:
@@ -44,18 +45,11 @@ def emulated(*words: str) -> Iterator[Emulated]:
             running.end()
 
 
-def until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + WHOLE_S
-    while not true():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
-
-
 @pytest.mark.parametrize("model", ["n150", "n200", "scout"])
-def test_the_same_drive_on_a_cable_and_over_tcp(model: str, tmp_path: Path) -> None:
+def test_drive_on_serial_line_and_over_tcp(model: str, tmp_path: Path) -> None:
     link = tmp_path / "robot"
-    with emulated("--robot", model, "--serial-link", str(link), "--robotd", "0") as server:
-        for address in (f"serial://{link}", f"robotd://{server.said['robotd']}"):
+    with run_server("--robot", model, "--serial-link", str(link), "--robotd", "0") as server:
+        for address in (f"serial://{link}", f"robotd://{server.addresses['robotd']}"):
             with connect(f"{address}?model={model}") as robot:
                 start = robot.read_pose().y_in
                 robot.set_position(x_in=0, y_in=0)
@@ -67,9 +61,9 @@ def test_the_same_drive_on_a_cable_and_over_tcp(model: str, tmp_path: Path) -> N
                 assert start == 0
 
 
-def test_the_mirror_opens_a_line_as_the_direct_library_did(tmp_path: Path) -> None:
+def test_capi_opens_a_line(tmp_path: Path) -> None:
     link = tmp_path / "robot"
-    with emulated("--serial-link", str(link)):
+    with run_server("--serial-link", str(link)):
         try:
             assert capi.connect_robot(1, capi.MODEL_N150, str(link), 38400) == capi.TRUE
             assert capi.gs() == capi.TRUE
@@ -79,8 +73,8 @@ def test_the_mirror_opens_a_line_as_the_direct_library_did(tmp_path: Path) -> No
             capi.disconnect_robot(1)
 
 
-def comes_back(robot: Robot) -> int:
-    """How many calls said that the robot was lost until one was answered."""
+def count_losses(robot: Robot) -> int:
+    """Return how many calls fail until one succeeds."""
     lost = 0
     while True:
         try:
@@ -93,15 +87,15 @@ def comes_back(robot: Robot) -> int:
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
-def test_a_daemon_that_dies_is_reported_and_its_successor_found(how: signal.Signals, tmp_path: Path) -> None:
+def test_client_reconnects_to_restarted_server(how: signal.Signals, tmp_path: Path) -> None:
     link = tmp_path / "robot"
-    with emulated("--serial-link", str(link)) as first, connect(f"serial://{link}?reconnect=0.2") as robot:
+    with run_server("--serial-link", str(link)) as first, connect(f"serial://{link}?reconnect=0.2") as robot:
         robot.refresh()
         first.end(how)
         with pytest.raises(ConnectionLost):
             robot.refresh()
-        with emulated("--serial-link", str(link)):
-            comes_back(robot)
+        with run_server("--serial-link", str(link)):
+            count_losses(robot)
             assert robot.link is not None
             assert (robot.link.losses, robot.link.reconnects) == (1, 1)
 
@@ -116,28 +110,31 @@ time.sleep(60)
 """
 
 
-def test_a_program_that_sleeps_keeps_its_robot_moving_and_one_that_is_killed_leaves_it_at_rest(tmp_path: Path) -> None:
+def test_keep_alive_while_sleeping_and_stop_after_kill(tmp_path: Path) -> None:
     link = tmp_path / "robot"
-    with emulated("--serial-link", str(link)) as server, connect(f"nserver://{server.said['nserver']}/1?tm_s=0") as eye:
+    with (
+        run_server("--serial-link", str(link)) as server,
+        connect(f"nserver://{server.addresses['nserver']}/1?tm_s=0") as observer,
+    ):
         command = [sys.executable, "-c", DRIVES_AND_SLEEPS, f"serial://{link}?tm_s=2"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
             assert program.stdout is not None
             assert program.stdout.readline() == "driving\n"
             time.sleep(3.0)
-            assert eye.truth().x_in > 0.5 * 2.5
+            assert observer.truth().x_in > 0.5 * 2.5
             program.kill()
-        until(lambda: not seen_moving(eye))
+        wait_until(lambda: not is_moving(observer))
 
 
-def seen_moving(eye: Robot) -> bool:
-    """By the truth; asking for it feeds the robot too, so that it comes to rest when its line hangs up."""
-    before = eye.truth()
-    until(lambda: eye.truth().time_s > before.time_s + 0.1)
-    return eye.truth().x_in != before.x_in
+def is_moving(observer: Robot) -> bool:
+    """Return True if the true position changes within 0.1 s. The requests reset the time-out of the robot."""
+    before = observer.truth()
+    wait_until(lambda: observer.truth().time_s > before.time_s + 0.1)
+    return observer.truth().x_in != before.x_in
 
 
-def test_who_connects_at_once_after_another_finds_the_robot_stopped(tmp_path: Path) -> None:
-    with emulated("--serial-link", str(tmp_path / "nomad")):
+def test_next_connection_finds_robot_stopped(tmp_path: Path) -> None:
+    with run_server("--serial-link", str(tmp_path / "nomad")):
         address = f"serial://{tmp_path / 'nomad'}?model=n150"
         for _ in range(3):
             first = connect(address)

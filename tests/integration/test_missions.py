@@ -1,4 +1,4 @@
-"""One mission on three addresses: in process, over a real socket, over a real pseudo-terminal; and what ends it."""
+"""One mission on three addresses: in process, over TCP, on a pseudo-terminal; and how it ends."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nclient import connect
 from tests.programs import forked
 from tests.programs.forked import Forked
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 MISSION = """
-title = "A little way"
+title = "Short drive"
 map = "thesis_room"
 time_limit_s = 120
 
@@ -46,15 +46,15 @@ def mission(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[dict[str, str]]:
-    """A daemon with a line of its own; where each listens."""
+    """Run a server with a serial line and yield its listening addresses."""
     words = ("--port", "0", "--noisy", "--seed", "2", "--serial-link", str(tmp_path / "nomad"))
     with Forked("nserver", "thesis_room", *words) as process:
         try:
-            said = [process.stdout.readline().split() for _ in range(2)]
-            yield {kind: where for _, kind, where in said}
+            lines = [process.stdout.readline().split() for _ in range(2)]
+            yield {kind: where for _, kind, where in lines}
         finally:
             process.terminate()
-            process.wait(PATIENCE_S)
+            process.wait(TIMEOUT_S)
 
 
 def address_of(kind: str, server: dict[str, str]) -> str:
@@ -67,14 +67,14 @@ def address_of(kind: str, server: dict[str, str]) -> str:
 
 def run(mission: Path, address: str, *words: str) -> dict[str, Any]:
     line = ("mission", str(mission), address, "--json", "--sonars", "rays", *words)
-    done = forked.done("nomad", *line, timeout=PATIENCE_S)
+    done = forked.run_forked("nomad", *line, timeout=TIMEOUT_S)
     assert done.returncode == 0, done.stdout + done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found
 
 
 @pytest.mark.parametrize("kind", ["sim", "nserver", "serial"])
-def test_the_same_file_does_the_same_on_every_address(kind: str, server: dict[str, str], mission: Path) -> None:
+def test_mission_is_equal_on_every_address(kind: str, server: dict[str, str], mission: Path) -> None:
     report = run(mission, address_of(kind, server))
     assert report["ending"] == "done"
     assert [step["do"] for step in report["steps"]] == ["go_to", "look", "turn"]
@@ -89,24 +89,24 @@ def test_the_same_file_does_the_same_on_every_address(kind: str, server: dict[st
             assert not robot.refresh().moving
 
 
-def test_interrupted_it_stops_the_robot_and_still_reports(server: dict[str, str], tmp_path: Path) -> None:
+def test_interrupted_mission_stops_robot_and_reports(server: dict[str, str], tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     far = tmp_path / "far.toml"
     far.write_text(MISSION.replace("[16, 8]", "[80, 80]"))
     line = ("mission", str(far), address_of("nserver", server), "--report", str(report))
     with connect(f"nserver://{server['nserver']}/1") as watching:
         with Forked("nomad", *line, stderr=True) as process:
-            until_s = time.monotonic() + PATIENCE_S
+            until_s = time.monotonic() + TIMEOUT_S
             while watching.refresh().translation_in_s < 1.0:
                 assert time.monotonic() < until_s
                 time.sleep(0.05)
             os.kill(process.pid, signal.SIGINT)
-            told, _ = process.communicate(timeout=PATIENCE_S)
+            output, _ = process.communicate(timeout=TIMEOUT_S)
         assert process.returncode == 130
-        until_s = time.monotonic() + PATIENCE_S
+        until_s = time.monotonic() + TIMEOUT_S
         while watching.refresh().moving:
             assert time.monotonic() < until_s
             time.sleep(0.05)
-    assert "interrupted" in told
+    assert "interrupted" in output
     written = json.loads(report.read_text())
     assert (written["ending"], written["steps"][0]["ending"]) == ("interrupted", "interrupted")

@@ -1,6 +1,6 @@
-"""Robots' own lines of a real daemon: pseudo-terminals, TCP, two robots in one world, and what a kill leaves behind.
+"""Serial lines of a running server: pseudo-terminals, TCP, two robots in one world, and the links of killed servers.
 
-The host here is written from PROTOCOL.md anew, with struct alone, as the robots' own library was.
+The host is an independent implementation of PROTOCOL.md with struct only, like the robots' own library.
 """
 
 from __future__ import annotations
@@ -22,26 +22,27 @@ import pytest
 from nclient import connect
 from tests.programs import forked
 from tests.programs.forked import Forked
+from tests.waiting import wait_until
 
 VM, GS, ST, GET_RV, GET_RC, WS, CT = 5, 7, 9, 22, 21, 31, 6
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 NO_SENSORS = bytes((0, 0, 0, 0, 0xFE, 0, 0))
-"""A mask that lets the pose and the velocities through."""
+"""A mask with pose and velocities only."""
 
 
 def signed(number: int) -> int:
-    """Sign-magnitude, 16 bits."""
+    """Decode a 16-bit sign-magnitude number."""
     return -(number & 0x7FFF) if number & 0x8000 else number
 
 
 class OldHost:
-    """The robots' own C library, near enough: empties its input, asks, waits for a frame of the same type."""
+    """A host like the robots' C library: flushes its input, sends a request, waits for a frame of the same type."""
 
     def __init__(self, fd: int, flush: Callable[[], None]) -> None:
         self._fd, self._flush = fd, flush
 
     def ask(self, kind: int, data: bytes = b"") -> bytes:
-        """The data of the answer."""
+        """Send a request and return the data of its reply."""
         self._flush()
         body = struct.pack("<BHB", 1, len(data) + 2, kind) + data
         os.write(self._fd, body + bytes((sum(body) & 255, 0x5C)))
@@ -52,8 +53,8 @@ class OldHost:
         return rest[1:-2]
 
     def read(self, count: int) -> bytes:
-        """So many bytes."""
-        found, deadline = b"", time.monotonic() + PATIENCE_S
+        """Read this number of bytes."""
+        found, deadline = b"", time.monotonic() + TIMEOUT_S
         while len(found) < count:
             ready, _, _ = select.select([self._fd], [], [], max(0.0, deadline - time.monotonic()))
             assert ready, f"{len(found)} of {count} bytes came"
@@ -61,17 +62,17 @@ class OldHost:
         return found
 
     def drive(self, *velocities: int) -> None:
-        """vm, in tenths."""
+        """Send vm, in tenths."""
         self.ask(VM, struct.pack("<3H", *(0x8000 - v if v < 0 else v for v in velocities)))
 
     def velocities(self) -> tuple[int, ...]:
-        """get_rv."""
+        """Return the velocities from get_rv."""
         return tuple(map(signed, struct.unpack("<3H", self.ask(GET_RV))))
 
 
 @contextlib.contextmanager
 def at_link(path: Path) -> Iterator[OldHost]:
-    """A host on a serial line."""
+    """Connect a host to a serial line."""
     fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd)
     try:
@@ -82,38 +83,31 @@ def at_link(path: Path) -> Iterator[OldHost]:
 
 @contextlib.contextmanager
 def at_port(port: str) -> Iterator[OldHost]:
-    """A host that reached a robot over TCP."""
-    with socket.create_connection(("127.0.0.1", int(port)), timeout=PATIENCE_S) as line:
+    """Connect a host to a robot over TCP."""
+    with socket.create_connection(("127.0.0.1", int(port)), timeout=TIMEOUT_S) as line:
         line.setblocking(True)
         yield OldHost(line.fileno(), lambda: None)
 
 
 @contextlib.contextmanager
 def nserver(*words: str, end: int = signal.SIGTERM) -> Iterator[list[str]]:
-    """A daemon; where it listens, a word a line of its output, Nserver's port first."""
+    """Run a server and yield its listening addresses, that of Nserver first."""
     with Forked("nserver", "--port", "0", *words, stderr=True) as process:
         try:
             count = 1 + sum(word.startswith(("--serial-link", "--robotd")) for word in words)
             yield [process.stdout.readline().split()[2] for _ in range(count)]
         finally:
             process.send_signal(end)
-            process.wait(PATIENCE_S)
+            process.wait(TIMEOUT_S)
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Where the link is to be."""
+    """Return the path for the link."""
     return tmp_path / "nomad"
 
 
-def wait_until(true: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-
-
-def test_line_port_and_nserver_show_one_robot_in_one_world(path: Path) -> None:
+def test_lines_and_nserver_share_one_robot(path: Path) -> None:
     with nserver("--serial-link", str(path), "--robotd", "0", "--speed", "5") as (port, modem, link):
         assert Path(link) == path
         address = f"nserver://{port}/1"
@@ -130,29 +124,29 @@ def test_line_port_and_nserver_show_one_robot_in_one_world(path: Path) -> None:
 
 
 def still(address: str) -> bool:
-    """Whether robot 1 stands, as one who only looks sees it."""
+    """Return True if robot 1 stands still, as seen by an observing client."""
     with connect(address) as robot:
         return not robot.refresh().moving
 
 
-def test_each_robot_has_its_own_line_in_its_own_words(tmp_path: Path) -> None:
+def test_each_robot_has_its_own_line_and_mask(tmp_path: Path) -> None:
     links = [tmp_path / name for name in ("first", "second", "third")]
     words = [f"--serial-link={links[0]}", f"--serial-link={links[1]}", f"--serial-link={links[2]}@1"]
-    with nserver("--robot", "n150", "--robot", "n200", "--robotd=0@2", *words) as (_, modem, *told):
-        assert told == [str(link) for link in links]
+    with nserver("--robot", "n150", "--robot", "n200", "--robotd=0@2", *words) as (_, modem, *paths):
+        assert paths == [str(link) for link in links]
         with contextlib.ExitStack() as hosts:
             first, second, again = (hosts.enter_context(at_link(link)) for link in links)
             over_tcp = hosts.enter_context(at_port(modem.rpartition(":")[2]))
             assert over_tcp.read(11) == bytes.fromhex("ffffffffff010133000000")
             assert len(first.ask(GS)) == 42
             assert len(second.ask(CT, NO_SENSORS)) == 14 + 7
-            assert len(over_tcp.ask(GS)) == 14 + 7  # the mask is the robot's, on all its lines
+            assert len(over_tcp.ask(GS)) == 14 + 7  # all lines of a robot share its mask
             first.drive(0, 30, 0)
             assert again.velocities() == (0, 30, 0)
             assert second.velocities() == (0, 0, 0)
 
 
-def test_a_kill_leaves_a_dead_link_that_the_next_start_replaces(path: Path) -> None:
+def test_next_start_replaces_link_of_killed_server(path: Path) -> None:
     for _ in range(2):
         with nserver("--serial-link", str(path), end=signal.SIGKILL), at_link(path) as host:
             assert len(host.ask(GS)) == 42
@@ -163,7 +157,7 @@ def test_a_kill_leaves_a_dead_link_that_the_next_start_replaces(path: Path) -> N
     assert not os.path.lexists(path)
 
 
-def test_a_host_sees_the_daemon_die(path: Path) -> None:
+def test_host_gets_error_after_server_is_killed(path: Path) -> None:
     with contextlib.ExitStack() as ending:
         with nserver("--serial-link", str(path), end=signal.SIGKILL):
             host = ending.enter_context(at_link(path))
@@ -172,24 +166,24 @@ def test_a_host_sees_the_daemon_die(path: Path) -> None:
             host.ask(GS)
 
 
-def test_what_is_no_link_stays_and_nothing_starts(path: Path) -> None:
+def test_existing_file_is_not_replaced_by_link(path: Path) -> None:
     path.write_text("precious")
-    done = forked.done("nserver", "--port", "0", "--serial-link", str(path), timeout=PATIENCE_S)
+    done = forked.run_forked("nserver", "--port", "0", "--serial-link", str(path), timeout=TIMEOUT_S)
     assert (done.returncode, done.stdout) == (1, "")
-    assert f"nserver: {path} is there and no symbolic link: it stays" in done.stderr
+    assert str(path) in done.stderr
     assert path.read_text() == "precious"
 
 
-def test_a_second_daemon_does_not_take_the_link(path: Path) -> None:
+def test_second_server_does_not_replace_the_link(path: Path) -> None:
     with nserver("--serial-link", str(path)):
-        done = forked.done("nserver", "--port", "0", "--serial-link", str(path), timeout=PATIENCE_S)
+        done = forked.run_forked("nserver", "--port", "0", "--serial-link", str(path), timeout=TIMEOUT_S)
         assert done.returncode == 1
-        assert "is the line of another nserver that runs" in done.stderr
+        assert str(path) in done.stderr
         with at_link(path) as host:
             assert len(host.ask(GS)) == 42
 
 
-def test_lockstep_and_pause_hold_on_a_line_too(path: Path) -> None:
+def test_lockstep_and_pause_on_a_line(path: Path) -> None:
     with nserver("--serial-link", str(path), "--lockstep", "0.1"), at_link(path) as host:
         clocks = [int.from_bytes(host.ask(GS)[36:40], "little") for _ in range(4)]
         assert clocks == [100, 200, 300, 400]
@@ -198,8 +192,8 @@ def test_lockstep_and_pause_hold_on_a_line_too(path: Path) -> None:
         assert int.from_bytes(host.ask(GS)[36:40], "little") == 1700
 
 
-def test_a_paced_line_keeps_the_time_of_its_cable(path: Path) -> None:
-    """54 bytes an exchange at 38400 baud: never faster than that, and not much slower on a busy machine either."""
+def test_rate_limited_line_has_speed_of_its_cable(path: Path) -> None:
+    """An exchange has 54 bytes: at 38400 baud never faster, and not much slower on a busy machine."""
     with nserver("--serial-link", str(path), "--baud", "38400"), at_link(path) as host:
         host.ask(GS)
         start_s, count = time.monotonic(), 60

@@ -1,4 +1,4 @@
-"""nomad play and nomad bridge as real programs: TCP ports, pseudo-terminals, an nserver at the far end."""
+"""nomad play and nomad bridge as programs: TCP ports, pseudo-terminals, and an nserver."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from tests.programs import forked
 from tests.programs.forked import Forked
 
 NSERVER = ("nserver", "--port", "0", "--lockstep", "0.1")
-GS = codec.line_request(Call("gs"), serial_wire_state(N150))
-STATE = codec.line_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
+GS = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
+STATE = codec.encode_serial_reply(BY_NAME["gs"], Reply("state", {34: 7}, clock=20), serial_wire_state(N150))
 
 
 class Program:
-    """A process whose lines are waited for, and not for ever."""
+    """A process whose output lines are read with a time-out."""
 
     def __init__(self, process: Forked) -> None:
         self.out, self.err = (self._lines(pipe) for pipe in (process.stdout, process.stderr))
 
     def rest(self) -> list[str]:
-        """What was said on stderr and nobody asked for."""
+        """Return the unread lines of stderr."""
         with contextlib.suppress(queue.Empty):
             return [self.err(0.5), *self.rest()]
         return []
@@ -63,13 +63,13 @@ class Program:
 def program(
     *words: str, ends: int = 0, by_signal: bool = True, ending: signal.Signals = signal.SIGTERM
 ) -> Iterator[tuple[str, Program]]:
-    """A program that says where it listens: that place, and what it says; its exit code is checked."""
+    """Run a program; yield its listening address and its output; check its exit code."""
     with Forked(*words, stderr=True) as process:
-        told = Program(process)
+        output = Program(process)
         try:
-            first = told.out().split()
+            first = output.out().split()
             assert first[:1] == ["listening"]
-            yield first[2], told
+            yield first[2], output
         finally:
             if by_signal:
                 process.send_signal(ending)
@@ -78,7 +78,7 @@ def program(
             except subprocess.TimeoutExpired:
                 process.kill()
                 raise
-        assert code == ends, "".join(told.rest())
+        assert code == ends, "".join(output.rest())
 
 
 def drive(robot: Robot) -> list[tuple[int, ...]]:
@@ -87,7 +87,7 @@ def drive(robot: Robot) -> list[tuple[int, ...]]:
         return [state.raw for state in seen]
 
 
-def test_a_recording_is_played_to_one_visitor_after_the_other(tmp_path: Path) -> None:
+def test_recording_is_played_to_one_client_after_another(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     seen = drive(connect(f"sim:thesis_room?noisy=1&record={path}"))
     with program("nomad", "play", str(path), "--listen", "0", ends=1) as (place, process):
@@ -96,22 +96,22 @@ def test_a_recording_is_played_to_one_visitor_after_the_other(tmp_path: Path) ->
         robot = connect(f"nserver://{place}/1")
         with pytest.raises(ConnectionLost):
             robot.move(translation_in=1)
-        assert "recorded was `vm 60 0 0`, the program asks `pr 10 0 0`" in process.err()
+        assert "recorded was `vm 60 0 0`, the program sends `pr 10 0 0`" in process.err()
 
 
-def test_a_terminal_that_is_gone_ends_it_as_asked(tmp_path: Path) -> None:
+def test_sighup_ends_play(tmp_path: Path) -> None:
     drive(connect(f"sim:thesis_room?record={tmp_path / 'run.log'}"))
     with program("nomad", "play", str(tmp_path / "run.log"), "--listen", "0", ending=signal.SIGHUP) as (place, _):
         assert place.startswith("127.0.0.1:")
 
 
-def test_a_port_open_to_the_network_is_warned_of(tmp_path: Path) -> None:
+def test_public_port_gives_warning(tmp_path: Path) -> None:
     drive(connect(f"sim:thesis_room?record={tmp_path / 'run.log'}"))
     open_to_all = ("--listen", "0", "--bind", "0.0.0.0")
     with program("nomad", "play", str(tmp_path / "run.log"), *open_to_all) as (_, process):
-        assert "anybody who reaches it may have the recording answer; --allow" in process.err()
+        assert "any client that reaches it may have the recording answer; --allow" in process.err()
     with program(*NSERVER) as (far, _), program("nomad", "bridge", f"nserver://{far}", *open_to_all) as (_, process):
-        assert "anybody who reaches it may drive the robots; --allow" in process.err()
+        assert "any client that reaches it may drive the robots; --allow" in process.err()
 
 
 def serial_recording(path: Path, answer_after_s: float) -> None:
@@ -122,14 +122,14 @@ def serial_recording(path: Path, answer_after_s: float) -> None:
     path.write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"t":')
 
 
-def opened(link: str) -> int:
+def open_pty(link: str) -> int:
     fd = os.open(link, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(fd)
     return fd
 
 
 def read(fd: int, count: int) -> bytes:
-    """So many bytes of a pseudo-terminal."""
+    """Read this number of bytes from a pseudo-terminal."""
     got = b""
     while len(got) < count:
         assert select.select([fd], [], [], 10)[0], f"only {got!r} came"
@@ -137,23 +137,23 @@ def read(fd: int, count: int) -> bytes:
     return got
 
 
-def test_a_robots_line_is_played_on_a_pseudo_terminal_at_its_own_pace(tmp_path: Path) -> None:
+def test_recorded_line_is_played_with_recorded_timing(tmp_path: Path) -> None:
     serial_recording(tmp_path / "run.log", 0.4)
     words = ("play", str(tmp_path / "run.log"), "--link", str(tmp_path / "robot"), "--pace", "recorded", "--once")
     with program("nomad", *words, ends=1, by_signal=False) as (link, process):
-        fd = opened(link)
+        fd = open_pty(link)
         start_s = time.monotonic()
         os.write(fd, GS)
         assert read(fd, len(STATE)) == STATE
         assert 0.4 <= time.monotonic() - start_s < 5
         os.write(fd, GS)
         assert "cut short" in process.err()
-        assert "it ends here, and the program asks `gs`" in process.err()
+        assert "the recording ends here, and the program sends `gs`" in process.err()
         os.close(fd)
     assert not (tmp_path / "robot").is_symlink()
 
 
-def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
+def test_bridge_records_and_prints(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     with program(*NSERVER) as (far, _), program(
         "nomad", "bridge", f"nserver://{far}?model=n150", "--listen", "0", "--record", str(path), "--dump"
@@ -164,7 +164,7 @@ def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
         while sum("> disconnect_robot" in line for line in shown) < 2:
             shown.append(process.out())
         assert "> connect_robot 1" in shown[0]
-        while path.read_text().count('"disconnect_robot"') < 2:  # shown is not yet written
+        while path.read_text().count('"disconnect_robot"') < 2:  # printed before it is written
             time.sleep(0.01)
     recording = read_recording(path)
     assert recording.connections() == ("1", "2")
@@ -173,12 +173,12 @@ def test_a_bridge_to_an_nserver_records_and_shows(tmp_path: Path) -> None:
     assert [call for call in calls if call != "conf_tm"] == once * 2
 
 
-def test_a_bridge_whose_far_end_goes_away_and_comes_back(tmp_path: Path) -> None:
+def test_bridge_reconnects_to_its_server(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as far:
         far.settimeout(10)
         address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
         with program("nomad", "bridge", address, "--link", str(tmp_path / "robot")) as (link, process):
-            fd = opened(link)  # kept open, as an old program does: the bridge calls the far end again for it
+            fd = open_pty(link)  # stays open, as in old programs: the bridge reconnects for it
             for word in (b"one", b"two"):
                 end, _ = far.accept()
                 with end:
@@ -191,7 +191,7 @@ def test_a_bridge_whose_far_end_goes_away_and_comes_back(tmp_path: Path) -> None
             os.close(fd)
 
 
-def test_a_bridge_that_nobody_crosses_and_one_whose_far_end_is_gone() -> None:
+def test_bridge_without_clients_and_without_server() -> None:
     with socket.create_server(("127.0.0.1", 0)) as far:
         address = f"nserver://127.0.0.1:{far.getsockname()[1]}"
         with program("nomad", "bridge", address, "--listen", "0"):
@@ -200,33 +200,33 @@ def test_a_bridge_that_nobody_crosses_and_one_whose_far_end_is_gone() -> None:
             host, _, port = near.rpartition(":")
             with socket.create_connection((host, int(port))):
                 pass
-            assert "has left" in process.err()
+            assert "has disconnected" in process.err()
             far.close()
-            with socket.create_connection((host, int(port))) as visitor:
-                visitor.settimeout(10)
-                assert visitor.recv(10) == b""
-            assert "nobody answers at 127.0.0.1" in process.err()
+            with socket.create_connection((host, int(port))) as client:
+                client.settimeout(10)
+                assert client.recv(10) == b""
+            assert "127.0.0.1" in process.err()
 
 
-@pytest.mark.parametrize(("words", "told", "code"), [
+@pytest.mark.parametrize(("words", "output", "code"), [
     (("bridge", "sim:thesis_room", "--listen", "0"), "`nserver` serves a simulation", 2),
     (("bridge", "replay:run.log", "--listen", "0"), "`nomad play` serves a recording", 2),
-    (("bridge", "nserver://127.0.0.1:1", "--listen", "0"), "nobody answers at 127.0.0.1:1", 1),
+    (("bridge", "nserver://127.0.0.1:1", "--listen", "0"), "127.0.0.1:1", 1),
     (("play", "/no/run.log", "--listen", "0"), "cannot be read", 1),
 ])
-def test_what_cannot_be(words: tuple[str, ...], told: str, code: int) -> None:
-    done = forked.done("nomad", *words, timeout=30)
+def test_errors(words: tuple[str, ...], output: str, code: int) -> None:
+    done = forked.run_forked("nomad", *words, timeout=30)
     assert done.returncode == code
-    assert told in done.stderr
+    assert output in done.stderr
 
 
 @pytest.mark.parametrize("words", [("play", "x", "--listen", "-1"), ("play", "x"), ("bridge", "x", "--listen", "a")])
-def test_what_makes_no_sense(words: tuple[str, ...]) -> None:
-    done = forked.done("nomad", *words, timeout=30)
+def test_usage_errors(words: tuple[str, ...]) -> None:
+    done = forked.run_forked("nomad", *words, timeout=30)
     assert done.returncode == 2
 
 
-def test_robots_lines_are_recorded_by_both_ends_and_played_again(tmp_path: Path) -> None:
+def test_lines_recorded_at_both_ends_replay(tmp_path: Path) -> None:
     link, whole = tmp_path / "robot", tmp_path / "daemon.log"
     words = ("--robot", "n200", "--robotd", "0", "--serial-link", str(link), "--record", str(whole))
     with program(*NSERVER, *words) as (_, process):

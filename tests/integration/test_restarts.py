@@ -1,4 +1,4 @@
-"""A daemon is killed and started again, its pseudo-terminal pulled, again and again: one client stays, and says so.
+"""A client survives killed and restarted servers and hung-up pseudo-terminals, and reports each loss.
 
     pytest -s tests/integration/test_restarts.py --restarts 100
 """
@@ -18,7 +18,7 @@ from tests.programs.forked import Forked
 
 BACK_S = 30.0
 SET_IN = 12.5
-"""What the encoders are set to: a robot that was there all along still has it, a new one does not."""
+"""Encoder position set by the test: a robot that was not restarted still has it."""
 PULL = """
 [[rule]]
 name = "pull"
@@ -29,7 +29,7 @@ first = 1
 
 
 class Daemon:
-    """An nserver on a link, killed and started anew; `places`: a folder for link and socket."""
+    """An nserver on a link that is killed and restarted; `places`: the folder for link and socket."""
 
     def __init__(self, places: Path) -> None:
         self.link, self._socket, self._plan = places / "robot", places / "ctl.sock", places / "pull.toml"
@@ -37,16 +37,16 @@ class Daemon:
         self.start()
 
     def kill(self) -> None:
-        """As a power cut does."""
+        """Kill it, like a power failure."""
         self._process.kill()
         self._process.communicate()
 
     def pull(self) -> None:
-        """With the next state it sends, the pseudo-terminal is gone, and another behind the link."""
+        """Hang up the pseudo-terminal with the next state; the link then leads to another."""
         assert cli.main(["--control", str(self._socket), "faults", "set", str(self._plan)]) == 0
 
     def start(self) -> None:
-        """Another one, behind the same link."""
+        """Start another one behind the same link."""
         words = ["--port", "0", "--serial-link", str(self.link), "--control", str(self._socket)]
         self._process = Forked("nserver", *words)
         for _ in range(3):
@@ -62,8 +62,8 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
         running.kill()
 
 
-def lost(robot: Robot) -> None:
-    """The loss is said, once, by the call that met it."""
+def expect_loss(robot: Robot) -> None:
+    """Check that the next call reports the loss, once."""
     assert robot.link is not None
     losses = robot.link.losses
     with pytest.raises(ConnectionLost):
@@ -71,8 +71,8 @@ def lost(robot: Robot) -> None:
     assert robot.link.losses == losses + 1
 
 
-def back_after_s(robot: Robot) -> float:
-    """Until a call is answered again, seconds; whatever is raised till then is that nobody is there."""
+def reconnect_time_s(robot: Robot) -> float:
+    """Return the seconds until a call succeeds; until then calls raise ConnectionLost."""
     start_s = time.monotonic()
     while time.monotonic() < start_s + BACK_S:
         with contextlib.suppress(ConnectionLost):
@@ -81,25 +81,25 @@ def back_after_s(robot: Robot) -> float:
     raise AssertionError(f"not back within {BACK_S:g} s")
 
 
-def test_a_client_stays_through_kills_and_pulls(daemon: Daemon, request: pytest.FixtureRequest) -> None:
+def test_client_survives_killed_servers_and_hangups(daemon: Daemon, request: pytest.FixtureRequest) -> None:
     times = request.config.getoption("--restarts")
     after_s: dict[str, list[float]] = {"pulled": [], "killed": []}
     with connect(f"serial://{daemon.link}?reconnect=0.2&feed=0") as robot:
         for _ in range(times):
             robot.set_position(x_in=SET_IN)
             daemon.pull()
-            lost(robot)
-            after_s["pulled"].append(back_after_s(robot))
+            expect_loss(robot)
+            after_s["pulled"].append(reconnect_time_s(robot))
             assert robot.state.x_in == SET_IN
             daemon.kill()
-            lost(robot)
-            with pytest.raises(ConnectionLost, match="not back yet"):
+            expect_loss(robot)
+            with pytest.raises(ConnectionLost, match="yet"):
                 robot.refresh()
             daemon.start()
-            after_s["killed"].append(back_after_s(robot))
+            after_s["killed"].append(reconnect_time_s(robot))
             assert robot.state.x_in == 0
         assert robot.link is not None
         assert (robot.link.losses, robot.link.reconnects) == (2 * times, 2 * times)
         assert robot.link.implausible == robot.link.misfits == 0
     for what, seconds in after_s.items():
-        print(f"{what} {len(seconds)} times: each told, back after {max(seconds):.2f} s at most")
+        print(f"{what} {len(seconds)} times: each reported, reconnected within {max(seconds):.2f} s")

@@ -1,4 +1,4 @@
-"""A real pseudo-terminal: bytes both ways, one program at a time, and what is said when it breaks."""
+"""Serial streams on a pseudo-terminal: transfer, locking, and errors."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from nclient.transports.stream import Deadline
 
 
 class Pty:
-    """Both ends of a pseudo-terminal; the far one is a robot's."""
+    """Both ends of a pseudo-terminal; `far` is the end of the robot."""
 
     def __init__(self) -> None:
         self.far, self._near = os.openpty()
         tty.setraw(self._near)
         self.name = os.ttyname(self._near)
 
-    def pull(self) -> None:
-        """What a cable does that is pulled."""
+    def disconnect(self) -> None:
+        """Close both ends, like a disconnected cable."""
         if self.far >= 0:
             os.close(self.far)
             os.close(self._near)
@@ -43,25 +43,25 @@ class Pty:
 def pty() -> Iterator[Pty]:
     made = Pty()
     yield made
-    made.pull()
+    made.disconnect()
 
 
-def test_bytes_go_there_and_back_as_they_are(pty: Pty) -> None:
+def test_bytes_are_transferred_unchanged(pty: Pty) -> None:
     stream = SerialStream(pty.name)
-    every = bytes(range(256))
-    stream.send(every)
-    assert os.read(pty.far, 1024) == every
-    os.write(pty.far, every)
+    data = bytes(range(256))
+    stream.send(data)
+    assert os.read(pty.far, 1024) == data
+    os.write(pty.far, data)
     got = b""
-    while len(got) < len(every):
+    while len(got) < len(data):
         got += stream.receive(Deadline.after(5))
-    assert got == every
+    assert got == data
     stream.close()
 
 
-def test_a_deadline_that_is_past_gives_what_has_come(pty: Pty) -> None:
+def test_past_deadline_returns_available_bytes(pty: Pty) -> None:
     stream = SerialStream(pty.name)
-    with pytest.raises(ReplyTimeout, match=f"{pty.name} was silent"):
+    with pytest.raises(ReplyTimeout, match=pty.name):
         stream.receive(Deadline.after(0))
     os.write(pty.far, b"x")
     assert select.select([stream._file], [], [], 5)[0]
@@ -71,7 +71,7 @@ def test_a_deadline_that_is_past_gives_what_has_come(pty: Pty) -> None:
     stream.close()
 
 
-def test_what_comes_while_one_waits(pty: Pty) -> None:
+def test_bytes_arriving_while_waiting(pty: Pty) -> None:
     stream = SerialStream(pty.name)
     later = threading.Timer(0.1, os.write, (pty.far, b"late"))
     later.start()
@@ -80,49 +80,49 @@ def test_what_comes_while_one_waits(pty: Pty) -> None:
     stream.close()
 
 
-def test_closing_on_another_thread_ends_the_wait(pty: Pty) -> None:
+def test_closing_in_another_thread_ends_the_wait(pty: Pty) -> None:
     stream = SerialStream(pty.name)
     closing = threading.Timer(0.1, stream.close)
     closing.start()
-    with pytest.raises(ConnectionLost, match="this end has closed"):
+    with pytest.raises(ConnectionLost, match="closed"):
         stream.receive(Deadline.after(30))
     closing.join()
     stream.close()
     for use in (lambda: stream.send(b"x"), lambda: stream.receive(Deadline.after(1))):
-        with pytest.raises(ConnectionLost, match="this end has closed"):
+        with pytest.raises(ConnectionLost, match="closed"):
             use()
 
 
-def test_more_than_the_port_takes_at_once_goes_out_in_parts(pty: Pty) -> None:
+def test_large_data_is_sent_in_parts(pty: Pty) -> None:
     stream = SerialStream(pty.name)
-    much = bytes(range(256)) * 400
+    data = bytes(range(256)) * 400
     got = bytearray()
 
     def drain() -> None:
-        while len(got) < len(much):
+        while len(got) < len(data):
             got.extend(os.read(pty.far, 4096))
 
     draining = threading.Timer(0.1, drain)
     draining.start()
-    stream.send(much)
+    stream.send(data)
     draining.join()
-    assert got == much
+    assert got == data
     stream.close()
 
 
-def test_a_port_that_takes_nothing_is_gone(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_write_timeout_means_connection_lost(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     def send_for_ever() -> None:
         while True:
             stream.send(bytes(65536))
 
     monkeypatch.setattr(serial_port, "WRITE_TIMEOUT_S", 0.1)
     stream = SerialStream(pty.name)
-    with pytest.raises(ConnectionLost, match=r"is gone \(Write timeout\)"):
+    with pytest.raises(ConnectionLost, match="Write timeout"):
         send_for_ever()
     stream.close()
 
 
-def test_a_port_that_is_full_for_a_moment_is_waited_for(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_port_is_retried(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     write, full = os.write, [True]
 
     def refuse_once(file: int, data: bytes) -> int:
@@ -138,33 +138,33 @@ def test_a_port_that_is_full_for_a_moment_is_waited_for(pty: Pty, monkeypatch: p
     stream.close()
 
 
-def test_a_port_that_cannot_be_read_is_gone(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_read_error_means_connection_lost(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> bytes:
         raise OSError(errno.EIO, "Input/output error")
 
     stream = SerialStream(pty.name)
     os.write(pty.far, b"x")
     monkeypatch.setattr(os, "read", fail)
-    with pytest.raises(ConnectionLost, match=r"is gone .*Input/output error"):
+    with pytest.raises(ConnectionLost, match="Input/output error"):
         stream.receive(Deadline.after(5))
     stream.close()
 
 
-def test_a_cable_that_is_pulled(pty: Pty) -> None:
+def test_disconnected_cable(pty: Pty) -> None:
     stream = SerialStream(pty.name)
-    pulling = threading.Timer(0.1, pty.pull)
+    pulling = threading.Timer(0.1, pty.disconnect)
     pulling.start()
-    with pytest.raises(ConnectionLost, match=f"{pty.name} is gone.*cable"):
+    with pytest.raises(ConnectionLost, match="cable"):
         stream.receive(Deadline.after(30))
     pulling.join()
-    with pytest.raises(ConnectionLost, match="is gone"):
+    with pytest.raises(ConnectionLost, match=pty.name):
         stream.send(b"x")
     stream.close()
 
 
-def test_one_program_at_a_time_and_who_it_is(pty: Pty) -> None:
+def test_port_in_use_error_names_process(pty: Pty) -> None:
     first = SerialStream(pty.name)
-    with pytest.raises(ConnectionLost, match=f"{pty.name} is in use by .*this very program"):
+    with pytest.raises(ConnectionLost, match="this very program"):
         SerialStream(pty.name)
     first.close()
     SerialStream(pty.name).close()
@@ -173,47 +173,47 @@ def test_one_program_at_a_time_and_who_it_is(pty: Pty) -> None:
     with other:
         assert other.stdout is not None
         other.stdout.readline()
-        with pytest.raises(ConnectionLost, match=rf"in use by .*\(process {other.pid}\).*; one program at a time"):
+        with pytest.raises(ConnectionLost, match=str(other.pid)):
             SerialStream(pty.name)
         other.communicate(timeout=10)
     SerialStream(pty.name).close()
 
 
-def test_no_such_port_names_those_there_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_port_error_lists_ports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_port, "ports", lambda: ["/dev/ttyUSB7"])
-    with pytest.raises(ConnectionLost, match=r"there is no port .*plugged in.*Ports there are: /dev/ttyUSB7"):
+    with pytest.raises(ConnectionLost, match="/dev/ttyUSB7"):
         SerialStream(str(tmp_path / "ttyUSB0"))
     monkeypatch.setattr(serial_port, "ports", list)
-    with pytest.raises(ConnectionLost, match="none at all"):
+    with pytest.raises(ConnectionLost, match="ttyUSB0"):
         SerialStream(str(tmp_path / "ttyUSB0"))
 
 
-def test_what_is_no_port_and_what_is_no_speed(tmp_path: Path, pty: Pty) -> None:
+def test_invalid_port_and_baud_rate(tmp_path: Path, pty: Pty) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ConnectionLost, match="file cannot be opened"):
+    with pytest.raises(ConnectionLost, match="file"):
         SerialStream(str(tmp_path / "file"))
-    with pytest.raises(ConnectionLost, match=f"{pty.name} cannot be opened at -1 baud"):
+    with pytest.raises(ConnectionLost, match="-1 baud"):
         SerialStream(pty.name, -1)
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "reason"),
     [
-        (serial.SerialException(errno.EACCES, "could not open port"), "no permission.*dialout"),
-        (serial.SerialException(errno.EBUSY, "could not open port"), "in use by another program"),
-        (serial.SerialException(errno.EIO, "could not open port"), "cannot be opened: .*could not open port"),
+        (serial.SerialException(errno.EACCES, "could not open port"), "dialout"),
+        (serial.SerialException(errno.EBUSY, "could not open port"), "in use"),
+        (serial.SerialException(errno.EIO, "could not open port"), "could not open port"),
     ],
 )
-def test_what_else_the_system_says(monkeypatch: pytest.MonkeyPatch, error: Exception, told: str) -> None:
+def test_other_system_errors(monkeypatch: pytest.MonkeyPatch, error: Exception, reason: str) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise error
 
     monkeypatch.setattr(serial, "Serial", refuse)
-    with pytest.raises(ConnectionLost, match=told):
+    with pytest.raises(ConnectionLost, match=reason):
         SerialStream("/dev/ttyUSB0")
 
 
-def test_a_file_beyond_the_1024th(pty: Pty) -> None:
+def test_file_descriptor_above_1024(pty: Pty) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.ExitStack() as stack:
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
@@ -230,5 +230,5 @@ def test_a_file_beyond_the_1024th(pty: Pty) -> None:
             stream.receive(Deadline.after(0.01))
 
 
-def test_the_ports_of_this_machine_are_names() -> None:
+def test_ports_are_names() -> None:
     assert all(isinstance(name, str) for name in serial_port.ports())

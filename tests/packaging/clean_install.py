@@ -1,4 +1,4 @@
-"""The distribution as a stranger gets it: built, installed into an environment of its own, and asked what works.
+"""Build the distribution, install it in clean environments, and check that it works there.
 
     built(folder) ──> wheel, sdist ──> Environment(folder, python).install(wheel, "shell") ──> faults(environment, ...)
 
@@ -26,22 +26,22 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 VERSION: str = PROJECT["version"]
 EXTRAS = tuple(name for name in PROJECT["optional-dependencies"] if name not in ("dev", "bench", "all"))
 ALL = tuple(re.findall(r"\w+", PROJECT["optional-dependencies"]["all"][0].partition("[")[2]))
-"""The extras that the extra `all` stands for: those of who uses it, without those of who works on it."""
+"""The extras in the extra `all`: those for users, without those for developers."""
 PYTHONS = ("3.11", "3.12", "3.13")
 USER_SCRIPT = Path(__file__).parent / "user_script.py"
-_PATIENCE_S = 300
+_TIMEOUT_S = 300
 
 
 class Check(NamedTuple):
-    """Words of a command, what it prints, and the extra without which it says what to install instead.
+    """A command, a pattern of its output, and the extra that it needs; without it, an error names the extra.
 
-    `says`: whether it does say so; else it is not tried without the extra.
+    `is_hinted` is False for commands whose error does not name the extra; they are not checked without it.
     """
 
     words: tuple[str, ...]
     prints: str
     extra: str = ""
-    says: bool = True
+    is_hinted: bool = True
 
 
 LOCALIZE = ("nomad", "localize", "sim:thesis_room?noisy=1&seed=3", "--map", "thesis_room", "--waypoints", "0,0", "10,0")
@@ -59,20 +59,20 @@ CHECKS = (
     Check(("python", str(USER_SCRIPT)), "nearest .*turned 90 deg"),
     Check(("nomad", "completion", "bash"), "_nomad_whole_words nomad.*_nserver_whole_words nserver", "shell"),
     Check(("python", "-c", "from nclient.cli.shell import PromptReader; print('reads')"), "reads", "shell",
-          says=False),
+          is_hinted=False),
     Check((*LOCALIZE, "--picture", "run.png"), "2 of 2 way-points reached", "plot"),
     Check((*EXPERIMENT, "--jobs", "1"), "5.2", "plot"),
     Check((*EXPERIMENT, "--no-pictures", "--cluster", "127.0.0.1:1"), "no Dask scheduler answers", "cluster"),
     Check(("nserver", "thesis_room", "--port", "0", "--viewer", "0"), "listening viewer", "viewer"),
-    Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", says=False),
+    Check(("python", "-c", MACHINE_CODE), "loaded True", "fast", is_hinted=False),
     Check(("python", "-c", MACHINE_CODE), "loaded"),
-    Check(("python", "-c", "import furo, myst_parser, sphinx; print('builds')"), "builds", "docs", says=False),
+    Check(("python", "-c", "import furo, myst_parser, sphinx; print('builds')"), "builds", "docs", is_hinted=False),
 )  # fmt: skip
-"""What is tried in every environment. Without an extra of its own a check works everywhere."""
+"""The checks made in every environment. A check without an extra must pass in all of them."""
 
 
 class Environment:
-    """A Python environment of its own; nothing of this one's is in it."""
+    """A separate Python environment, without the packages of this one."""
 
     def __init__(self, folder: Path, python: str = sys.executable) -> None:
         self.folder = folder
@@ -80,11 +80,11 @@ class Environment:
 
     @property
     def python(self) -> Path:
-        """Its interpreter."""
+        """Return its interpreter."""
         return self.folder / "bin" / "python"
 
     def install(self, file: Path, extra: str = "") -> None:
-        """A wheel or an sdist, with an extra, by the pip that runs this."""
+        """Install a wheel or an sdist with an extra, using the pip of this environment."""
         wanted = f"{file}[{extra}]" if extra else str(file)
         pip = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check"]
         command = [*pip, "install", "--quiet", "--no-compile", wanted]
@@ -92,19 +92,19 @@ class Environment:
         assert done.returncode == 0, done.stderr
 
     def run(self, words: Iterable[str]) -> subprocess.CompletedProcess[str]:
-        """A command of this environment, in a folder where nothing of the project lies."""
+        """Run a command of this environment in a folder without project files."""
         program, *rest = words
         command = [str(self.folder / "bin" / program), *rest]
         try:
             return subprocess.run(
-                command, cwd=self.folder, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
+                command, cwd=self.folder, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
             )
         except subprocess.TimeoutExpired as error:
             return subprocess.CompletedProcess(command, 124, str(error.stdout), str(error.stderr))
 
 
-def tracked() -> set[str]:
-    """The files that git tracks here, or would if they were added: no build outputs. Empty without git."""
+def tracked_files() -> set[str]:
+    """Return the files that git tracks, or would track once added; empty without git."""
     if not (ROOT / ".git").exists():
         return set()
     command = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
@@ -113,11 +113,13 @@ def tracked() -> set[str]:
     return {name for name in names if name and (ROOT / name).is_file()}
 
 
-def built(folder: Path) -> tuple[Path, Path]:
-    """Wheel and sdist, the wheel made from the sdist as a distributor would; of a fresh copy of what git tracks, since
-    setuptools adds to an sdist whatever an earlier one held."""
+def build_distribution(folder: Path) -> tuple[Path, Path]:
+    """Build sdist and wheel, the wheel from the sdist, as a distributor does.
+
+    The source is a fresh copy of the tracked files: setuptools adds the files of an earlier sdist to the next.
+    """
     tree = ROOT
-    for name in tracked():
+    for name in tracked_files():
         tree = folder / "tree"
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tree / name)
@@ -128,42 +130,42 @@ def built(folder: Path) -> tuple[Path, Path]:
     return wheel, sdist
 
 
-def missing_from(wheel: Path) -> set[str]:
-    """Files of the packages that the wheel does not hold: code, worlds, the page, marks of being typed."""
+def find_missing_files(wheel: Path) -> set[str]:
+    """Return files of the packages that are not in the wheel: code, worlds, the viewer page, py.typed."""
     kinds = {".py", ".toml", ".typed", ".js", ".css", ".html"}
     packages = ("nclient", "nserver_emu", "localization", "worlds")
     files = (path for package in packages for path in (ROOT / package).rglob("*"))
     wanted = {path.relative_to(ROOT).as_posix() for path in files if path.suffix in kinds}
     wanted |= {f"{package}/py.typed" for package in packages}
-    with zipfile.ZipFile(wheel) as held:
-        return wanted - set(held.namelist())
+    with zipfile.ZipFile(wheel) as archive:
+        return wanted - set(archive.namelist())
 
 
-def faults(environment: Environment, extras: Iterable[str], checks: Iterable[Check] = CHECKS) -> Iterator[str]:
-    """What does not go as it should where these extras are installed."""
-    there = frozenset(extras)
+def find_failures(environment: Environment, extras: Iterable[str], checks: Iterable[Check] = CHECKS) -> Iterator[str]:
+    """Yield the failed checks in an environment with these extras."""
+    installed = frozenset(extras)
     for check in checks:
-        if check.extra and check.extra not in there:
-            yield from _faults_without(environment, check) if check.says else ()
+        if check.extra and check.extra not in installed:
+            yield from _check_missing_extra(environment, check) if check.is_hinted else ()
         elif "--viewer" in check.words:
-            yield from _faults_of_the_page(environment, check)
+            yield from _check_page(environment, check)
         else:
             done = environment.run(check.words)
-            told = done.stdout + done.stderr
-            if not re.search(check.prints, told, re.DOTALL) or "Traceback" in told:
-                yield f"{' '.join(check.words)}: {check.prints!r} is not in: {told}"
+            output = done.stdout + done.stderr
+            if not re.search(check.prints, output, re.DOTALL) or "Traceback" in output:
+                yield f"{' '.join(check.words)}: {check.prints!r} is not in: {output}"
 
 
-def _faults_without(environment: Environment, check: Check) -> Iterator[str]:
-    """One error, which names the extra, and nothing else."""
+def _check_missing_extra(environment: Environment, check: Check) -> Iterator[str]:
+    """Check that the command fails with an error that names the missing extra."""
     done = environment.run(check.words)
     clear = f"pip install 'nomad-nserver[{check.extra}]'" in done.stderr and "Traceback" not in done.stderr
     if not clear or done.returncode != 2:
         yield f"{' '.join(check.words)}: the extra {check.extra} is not named: {done.returncode} {done.stderr}"
 
 
-def _faults_of_the_page(environment: Environment, check: Check) -> Iterator[str]:
-    """The page is asked for, with one of its files, which a wheel must hold."""
+def _check_page(environment: Environment, check: Check) -> Iterator[str]:
+    """Request the viewer page and one of its files, which the wheel must contain."""
     program, *rest = check.words
     command = [str(environment.folder / "bin" / program), *rest]
     with subprocess.Popen(command, cwd=environment.folder, stdout=subprocess.PIPE, text=True) as daemon:
@@ -182,8 +184,8 @@ def _faults_of_the_page(environment: Environment, check: Check) -> Iterator[str]
             daemon.terminate()
 
 
-def faults_of_types(environment: Environment, version: str) -> Iterator[str]:
-    """What mypy --strict says of a user's script against what is installed there."""
+def find_type_errors(environment: Environment, version: str) -> Iterator[str]:
+    """Yield the errors of mypy --strict for a user's script in an environment."""
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "--python-version", version,
                "--python-executable", str(environment.python), str(USER_SCRIPT)]  # fmt: skip
     done = subprocess.run(command, cwd=environment.folder, capture_output=True, text=True, check=False)
@@ -192,7 +194,7 @@ def faults_of_types(environment: Environment, version: str) -> Iterator[str]:
 
 
 def interpreters() -> dict[str, str]:
-    """Every Python of PYTHONS that this machine has: this one, by its name, or where pyenv keeps it."""
+    """Return the available Python versions of PYTHONS: this one, in PATH, or of pyenv."""
     found = {}
     for version in PYTHONS:
         homes = sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python"))
@@ -209,43 +211,44 @@ def _is(path: str, version: str) -> bool:
 
 
 def main() -> int:
-    """Try all; the number of environments in which something was wrong."""
+    """Check all environments. Return the number of those with failures."""
     parser = argparse.ArgumentParser(description="Build, install and try the distribution in clean environments.")
     parser.add_argument("--python", action="append", choices=PYTHONS, help="versions to try (default: all there are)")
     parser.add_argument("--extra", action="append", choices=("none", *EXTRAS, "all"),
                         help="extras to try, each alone; none: without (default: every one)")
     options = parser.parse_args()
-    wrong = 0
+    failures = 0
     with tempfile.TemporaryDirectory() as folder:
-        wheel, sdist = built(Path(folder))
-        lacking = missing_from(wheel)
+        wheel, sdist = build_distribution(Path(folder))
+        lacking = find_missing_files(wheel)
         print(f"{wheel.name} ({wheel.stat().st_size} bytes), {sdist.name}; missing: {', '.join(lacking) or 'nothing'}")
-        wrong += bool(lacking)
-        there = interpreters()
+        failures += bool(lacking)
+        installed = interpreters()
         for version in options.python or PYTHONS:
-            if version not in there:
-                print(f"{version:6} is not on this machine")
+            if version not in installed:
+                print(f"{version:6} is not installed on this machine")
                 continue
             for extra in options.extra or ("none", *EXTRAS, "all"):
-                wrong += _tried(Path(folder), wheel, version, there[version], "" if extra == "none" else extra)
-        wrong += _tried(Path(folder), sdist, "sdist", sys.executable, "")
-    return wrong
+                name = "" if extra == "none" else extra
+                failures += _check_environment(Path(folder), wheel, version, installed[version], name)
+        failures += _check_environment(Path(folder), sdist, "sdist", sys.executable, "")
+    return failures
 
 
-def _tried(folder: Path, file: Path, version: str, python: str, extra: str) -> bool:
-    """Whether something is wrong in one environment, which is made and taken away."""
+def _check_environment(folder: Path, file: Path, version: str, python: str, extra: str) -> bool:
+    """Check one temporary environment. Return True if a check failed."""
     environment = Environment(folder / "environment", python)
     try:
         environment.install(file, extra)
-        there = ALL if extra == "all" else (extra,)
-        told = list(faults(environment, there))
+        installed = ALL if extra == "all" else (extra,)
+        output = list(find_failures(environment, installed))
         if not extra and version in PYTHONS:
-            told += faults_of_types(environment, version)
+            output += find_type_errors(environment, version)
     finally:
         shutil.rmtree(environment.folder)
-    verdict = "WRONG" if told else "as it should be"
-    print(f"{version:6} {extra or 'no extra':10} {verdict}", *told, sep="\n  ", flush=True)
-    return bool(told)
+    verdict = "FAILED" if output else "passed"
+    print(f"{version:6} {extra or 'no extra':10} {verdict}", *output, sep="\n  ", flush=True)
+    return bool(output)
 
 
 if __name__ == "__main__":

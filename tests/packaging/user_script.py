@@ -1,4 +1,4 @@
-"""A user's script, as mypy --strict sees it against the installed wheel; it runs, too."""
+"""A user's script: checked with mypy --strict against the installed wheel, and run."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from worlds.io import load_world
 
 
 def nearest_in(robot: Robot) -> int:
-    """The shortest sonar reading."""
+    """Return the shortest sonar reading."""
     state: RobotState = robot.read_sonars()
     return min(state.sonars_in)
 
 
 async def turned_deg() -> float:
-    """Where the steering stands after a turn."""
+    """Return the steering angle after a turn."""
     async with connect_async("sim:thesis_room") as robot:
         await robot.move(steering_deg=90)
         return (await robot.wait_until_still(10)).steering_deg

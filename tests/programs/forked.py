@@ -1,12 +1,11 @@
-"""Programs of ours as processes of their own, without the second or two that each takes for its imports.
+"""Run `nserver` and `nomad` as separate processes without the one or two seconds that each needs for its imports.
 
     with Forked("nserver", "--port", "0") as process: process.stdout.readline()
 
-They are forked from a process that has the imports behind it, one for all tests of a worker: multiprocessing's fork
-server. Each has its own command line, environment, sockets, signals and exit code, as when a shell begins it.
+They are forked from a process that has imported the packages: multiprocessing's fork server, one per test worker. Each
+has its own command line, environment, sockets, signals and exit code. The interface is that of subprocess.Popen.
 
-Rules: for tests that want a daemon, not for those of how a program is begun or ends, which begin it as a user does
-(test_cli.py, test_exit_codes.py, test_readme.py and others). What is asked of it here is what Popen has.
+Tests of how programs start and exit use real commands instead (test_exit_codes.py, test_readme.py and others).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _CONTEXT.set_forkserver_preload([
 
 
 class Forked:
-    """`nserver` or `nomad` with its words. `stdout` is a pipe, and `stderr` where it is asked for."""
+    """A process of `nserver` or `nomad`. `stdout` is a pipe; `stderr` on request."""
 
     def __init__(self, program: str, *words: str, stderr: bool = False) -> None:
         self.args = (program, *words)
@@ -44,24 +43,25 @@ class Forked:
             os.close(err)
             self.stderr, err = _pipe()
         streams = _Descriptors(out, err)
-        self._process = _CONTEXT.Process(target=_be, args=(program, words, dict(os.environ), streams), daemon=True)
+        arguments = (program, words, dict(os.environ), streams)
+        self._process = _CONTEXT.Process(target=_run_program, args=arguments, daemon=True)
         self._process.start()
         os.close(out)
         os.close(err)
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """Return the process id."""
         assert self._process.pid is not None
         return self._process.pid
 
     def poll(self) -> int | None:
-        """Its exit code, below 0 by a signal; None while it runs."""
+        """Return the exit code, negative after a signal; None while it runs."""
         self.returncode = self._process.exitcode
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Its exit code; raises TimeoutExpired where it still runs."""
+        """Wait for the end and return the exit code; raise TimeoutExpired if it still runs."""
         self._process.join(timeout)
         code = self.poll()
         if code is None:
@@ -69,29 +69,29 @@ class Forked:
         return code
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """What else it says until it ends, once; killed where it does not in time."""
+        """Return the remaining output when it has ended; kill it after the time-out."""
         with ThreadPoolExecutor(len(self._streams)) as readers:
-            said = readers.map(operator.methodcaller("read"), self._streams)
+            outputs = readers.map(operator.methodcaller("read"), self._streams)
             try:
                 self.wait(timeout)
             except subprocess.TimeoutExpired:
                 self.kill()
                 raise
-            out, err = (*said, "")[:2]
+            out, err = (*outputs, "")[:2]
         self._close()
         return out, err
 
     def send_signal(self, number: int) -> None:
-        """To one that runs."""
+        """Send a signal if it still runs."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
     def terminate(self) -> None:
-        """SIGTERM."""
+        """Send SIGTERM."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """SIGKILL."""
+        """Send SIGKILL."""
         self.send_signal(signal.SIGKILL)
 
     def __enter__(self) -> Self:
@@ -110,8 +110,8 @@ class Forked:
             stream.close()
 
 
-def done(program: str, *words: str, timeout: float) -> subprocess.CompletedProcess[str]:
-    """What one says that ends by itself."""
+def run_forked(program: str, *words: str, timeout: float) -> subprocess.CompletedProcess[str]:
+    """Run a program that ends by itself and return its output."""
     with Forked(program, *words, stderr=True) as process:
         out, err = process.communicate(timeout)
         return subprocess.CompletedProcess((program, *words), process.wait(), out, err)
@@ -123,21 +123,21 @@ def _pipe() -> tuple[IO[str], int]:
 
 
 class _Descriptors:
-    """File descriptors on their way to another process."""
+    """File descriptors that are passed to another process."""
 
     def __init__(self, *numbers: int) -> None:
         self._numbers = numbers
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        return _arrived, tuple(reduction.DupFd(number) for number in self._numbers)
+        return _detach, tuple(reduction.DupFd(number) for number in self._numbers)
 
 
-def _arrived(*passed: Any) -> tuple[int, ...]:
+def _detach(*passed: Any) -> tuple[int, ...]:
     return tuple(each.detach() for each in passed)
 
 
-def _be(program: str, words: tuple[str, ...], environment: dict[str, str], streams: tuple[int, ...]) -> None:
-    """The program, in the process that was forked for it."""
+def _run_program(program: str, words: tuple[str, ...], environment: dict[str, str], streams: tuple[int, ...]) -> None:
+    """Run the program in the forked process."""
     for number, given in enumerate(streams, 1):
         os.dup2(given, number)
         os.close(given)

@@ -16,10 +16,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nclient.protocol.replies import Reply
-from nserver_emu.server.context import Stage, Utterance
+from nserver_emu.server.context import ServerState, Utterance
 from nserver_emu.server.graphics import Figure, Layer
 from nserver_emu.server.handlers.world import done
-from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, Later, Visit, error_reply
+from nserver_emu.server.session import BAD_VALUES, NOT_AVAILABLE, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.simulation.arm import Arm
 from nserver_emu.simulation.axis import Command
 
@@ -38,26 +38,26 @@ _REDRAWN = {
 }
 
 
-def draw_robot(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
+def draw_robot(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Draw a robot with its steering and turret."""
-    return _draw(stage, Figure.ROBOT, args)
+    return _draw(server, Figure.ROBOT, args)
 
 
-def draw_line(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
+def draw_line(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Draw a line between two points."""
-    return _draw(stage, Figure.LINE, args)
+    return _draw(server, Figure.LINE, args)
 
 
-def draw_arc(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
+def draw_arc(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Draw part of the ellipse in a box."""
-    return _draw(stage, Figure.ARC, args)
+    return _draw(server, Figure.ARC, args)
 
 
-def refresher(layers: tuple[Layer, ...]) -> Callable[[Stage, Visit, tuple[int, ...]], Reply]:
+def refresher(layers: tuple[Layer, ...]) -> Callable[[ServerState, ConnectionContext, tuple[int, ...]], Reply]:
     """The command that has these layers redrawn."""
 
-    def refresh(stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
-        stage.graphics.redraw(*layers)
+    def refresh(server: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
+        server.graphics.redraw(*layers)
         return done()
 
     return refresh
@@ -67,9 +67,9 @@ REFRESHERS = {name: refresher(layers) for name, layers in _REDRAWN.items()}
 """The ten refresh commands by their names."""
 
 
-def _draw(stage: Stage, figure: Figure, args: tuple[int, ...]) -> Reply:
+def _draw(server: ServerState, figure: Figure, args: tuple[int, ...]) -> Reply:
     *numbers, mode = args
-    stage.graphics.draw(figure, tuple(numbers), mode, stage.allowed.graphics)
+    server.graphics.draw(figure, tuple(numbers), mode, server.allowed.graphics)
     return done()
 
 
@@ -80,67 +80,67 @@ _UNITS_AN_INCH = 100.0
 _FAILED, _SUCCEEDED = 0, 1
 
 
-def tk(stage: Stage, visit: Visit, args: tuple[str, ...]) -> Reply:
+def tk(server: ServerState, context: ConnectionContext, args: tuple[str, ...]) -> Reply:
     """Say a text: it is kept in the transcript. On the robot's own line the answer is the state."""
-    stage.transcript.add(Utterance(stage.simulation.time_s, visit.robot_id or 0, args[0]))
-    return stage.state(visit) if visit.wire_state.line else done()
+    server.transcript.add(Utterance(server.simulation.time_s, context.robot_id or 0, args[0]))
+    return server.state(context) if context.wire_state.line else done()
 
 
-def special_request(_stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
+def special_request(_stage: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """A user packet: none but the arm's is known to this robot."""
     return error_reply(NOT_AVAILABLE)
 
 
-def arm_mv(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+def arm_mv(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Lift and grip each in a mode of its own."""
-    if not _has_arm(stage, visit):
+    if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     modes = args[::2]
     if any(mode not in tuple(Command) for mode in modes):
         return error_reply(BAD_VALUES)
-    arm = stage.arm_of(visit)
+    arm = server.arm_of(context)
     for slide, mode, value in zip((arm.lift, arm.grip), modes, args[1::2], strict=True):
         slide.command(Command(mode), value / _UNITS_AN_INCH)
-    assert visit.robot_id is not None
+    assert context.robot_id is not None
     if not _MOTIONS.isdisjoint(modes):
-        stage.drivers.take_arm(visit, visit.robot_id)
+        server.axis_ownership.claim_arm(context, context.robot_id)
     return _packet(MOVE_PACKET, _SUCCEEDED)
 
 
-def arm_zr(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply | Later:
+def arm_zr(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply | DeferredReply:
     """Send the arm to its zero; the answer comes when it is there."""
-    if not _has_arm(stage, visit):
+    if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
-    stage.arm_of(visit).zero()
-    assert visit.robot_id is not None
-    stage.drivers.take_arm(visit, visit.robot_id)
-    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _waited_arm(stage, visit).still() else None
+    server.arm_of(context).zero()
+    assert context.robot_id is not None
+    server.axis_ownership.claim_arm(context, context.robot_id)
+    return lambda: _packet(ZERO_PACKET, _SUCCEEDED) if _waited_arm(server, context).is_still() else None
 
 
-def arm_ws(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply | Later:
+def arm_ws(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply | DeferredReply:
     """The answer comes when lift and grip, as named, are still, or when the time-out (ms) is over."""
-    if not _has_arm(stage, visit):
+    if not _has_arm(server, context):
         return error_reply(NOT_AVAILABLE)
     lift, grip, timeout_ms = args
-    end_s = stage.simulation.time_s + timeout_ms / 1000
+    end_s = server.simulation.time_s + timeout_ms / 1000
 
     def waited() -> Reply | None:
-        left_ms = round(1000 * (end_s - stage.simulation.time_s))
-        if _waited_arm(stage, visit).still(bool(lift), bool(grip)):
+        left_ms = round(1000 * (end_s - server.simulation.time_s))
+        if _waited_arm(server, context).is_still(bool(lift), bool(grip)):
             return _packet(WAIT_PACKET, _SUCCEEDED, max(left_ms, 0))
         return None if left_ms > 0 else _packet(WAIT_PACKET, _FAILED, 0)
 
     return waited
 
 
-def _has_arm(stage: Stage, visit: Visit) -> bool:
-    return stage.robot_of(visit).model.family in ARM_MODELS
+def _has_arm(server: ServerState, context: ConnectionContext) -> bool:
+    return server.robot_of(context).model.family in ARM_MODELS
 
 
-def _waited_arm(stage: Stage, visit: Visit) -> Arm:
+def _waited_arm(server: ServerState, context: ConnectionContext) -> Arm:
     """The arm as it is now; who waits for it feeds the time-out, as with the robot's own motion."""
-    stage.feed(visit)
-    return stage.arm_of(visit)
+    server.feed(context)
+    return server.arm_of(context)
 
 
 def _packet(packet_type: int, *numbers: int) -> Reply:

@@ -31,7 +31,7 @@ from typing import Any, Final
 
 from nclient.common.hints import suggest
 from nclient.errors import ControlError, StartError
-from nserver_emu.server.context import Stage
+from nserver_emu.server.context import ServerState
 from nserver_emu.server.handlers.world import sound, stands_in_a_robot
 from nserver_emu.simulation.noise import PARTS, part_choices, part_name, with_part
 from nserver_emu.simulation.robot import SimulatedRobot
@@ -43,9 +43,9 @@ SAME_IN: Final = 0.002
 WANTED: Final = 'obstacle: such as {"corners": [[0, 0], [9, 0], [9, 9]], "by": [1, 0]}, in inches'
 
 
-def change_obstacle(stage: Stage, wanted: Mapping[str, Any]) -> dict[str, Any]:
+def change_obstacle(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, Any]:
     """Do it; what is told. Nothing changes where it raises."""
-    obstacles = list(stage.simulation.world.obstacles)
+    obstacles = list(server.simulation.world.obstacles)
     was: Polygon | None = None
     now: Polygon | None
     try:
@@ -61,12 +61,12 @@ def change_obstacle(stage: Stage, wanted: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, ValueError, OverflowError):
         raise ControlError(f"{WANTED}, not {wanted!r:.200}") from None
     if now is not None:
-        _require_possible(stage, now)
-    if was is None and len(obstacles) >= stage.allowed.obstacles:
+        _require_possible(server, now)
+    if was is None and len(obstacles) >= server.allowed.obstacles:
         raise ControlError(f"obstacle: there are {len(obstacles)} already, as many as may be")
     obstacles[number : number + (was is not None)] = [] if now is None else [now]
-    stage.simulation.change_world(stage.simulation.world.with_obstacles(obstacles))
-    stage.look_anew()
+    server.simulation.change_world(server.simulation.world.with_obstacles(obstacles))
+    server.invalidate_state_cache()
     known = now or was
     assert known is not None
     return {"obstacles": len(obstacles), "was": _corners(was), "name": known.name, "at": number, "is": _corners(now)}
@@ -82,10 +82,10 @@ def _moved(was: Polygon, wanted: Mapping[str, Any]) -> Polygon | None:
     return was.moved(dx_in, dy_in)
 
 
-def _require_possible(stage: Stage, obstacle: Polygon) -> None:
+def _require_possible(server: ServerState, obstacle: Polygon) -> None:
     if not sound(obstacle):
         raise ControlError("obstacle: it would reach off the map, or be none: no area, or sides that cross")
-    if stands_in_a_robot(stage, obstacle):
+    if stands_in_a_robot(server, obstacle):
         raise ControlError("obstacle: a robot stands where it would be")
 
 
@@ -133,25 +133,25 @@ NOISE_WANTED: Final = "noise: such as sensors=measured motion=ideal robot=1"
 
 def noise_of(robot: SimulatedRobot) -> dict[str, str]:
     """By part, the name of the noise in force."""
-    return {part: part_name(part, robot.setup, robot.model, robot.began_as) for part in PARTS}
+    return {part: part_name(part, robot.setup, robot.model, robot.initial_setup) for part in PARTS}
 
 
 def noise_choices(robot: SimulatedRobot) -> dict[str, list[str]]:
     """By part, the names there are."""
-    return {part: list(part_choices(part, robot.model, robot.began_as)) for part in PARTS}
+    return {part: list(part_choices(part, robot.model, robot.initial_setup)) for part in PARTS}
 
 
-def switch_noise(stage: Stage, wanted: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+def switch_noise(server: ServerState, wanted: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     """Switch noise; what is in force then, by robot."""
     if unknown := [name for name in wanted if name not in (*PARTS, ROBOT)]:
         raise ControlError(f"{NOISE_WANTED}, not {unknown[0]!r}")
     if not any(part in wanted for part in PARTS):
         raise ControlError(f"{NOISE_WANTED}; {' and '.join(PARTS)} were both left out")
-    robots = stage.simulation.robots
-    chosen = list(robots) if wanted.get(ROBOT) is None else [_robot_number(stage, wanted[ROBOT])]
+    robots = server.simulation.robots
+    chosen = list(robots) if wanted.get(ROBOT) is None else [_robot_number(server, wanted[ROBOT])]
     for robot, setup in [(robots[number], _setup(robots[number], wanted)) for number in chosen]:
-        robot.err_as(setup)
-    stage.look_anew()
+        robot.set_noise_model(setup)
+    server.invalidate_state_cache()
     return {str(number): noise_of(robots[number]) for number in chosen}
 
 
@@ -163,36 +163,36 @@ def noise_words(text: str) -> dict[str, Any]:
     return {key: int(value) if key == ROBOT and value.isdecimal() else value for key, _, value in pairs}
 
 
-def put_world(stage: Stage, text: str, file: str) -> World:
+def put_world(server: ServerState, text: str, file: str) -> World:
     """Put another world in place of the one there; robots stay where they are, which must be free."""
-    shown = stage.shown.get(text)
+    shown = server.shown.get(text)
     world = parse_world(text, file, PurePath(file).stem) if shown is None else shown
-    for number, robot in stage.simulation.robots.items():
+    for number, robot in server.simulation.robots.items():
         x, y, radius_in = robot.disc
         try:
             world.require_free(x, y, radius_in)
         except StartError as error:
             raise ControlError(f"{file}: robot {number} stands where there is no room for it: {error}") from None
-    stage.simulation.change_world(world)
-    stage.look_anew()
+    server.simulation.change_world(world)
+    server.invalidate_state_cache()
     return world
 
 
-def show_world(stage: Stage) -> str:
+def show_world(server: ServerState) -> str:
     """The world as the text of a file. Put back in time (put_world), that text is this very world again, to the bit,
     with what a file could not say: starts and paths on which something stands."""
-    world = stage.simulation.world
+    world = server.simulation.world
     text = format_world(world)
-    stage.shown.pop(text, None)
-    stage.shown[text] = world
-    while len(stage.shown) > MOST_SHOWN:
-        del stage.shown[next(iter(stage.shown))]
+    server.shown.pop(text, None)
+    server.shown[text] = world
+    while len(server.shown) > MOST_SHOWN:
+        del server.shown[next(iter(server.shown))]
     return text
 
 
-def _robot_number(stage: Stage, wanted: object) -> int:
-    if not isinstance(wanted, int) or wanted not in stage.simulation.robots:
-        raise ControlError(f"noise: no robot {wanted}; there are {', '.join(map(str, stage.simulation.robots))}")
+def _robot_number(server: ServerState, wanted: object) -> int:
+    if not isinstance(wanted, int) or wanted not in server.simulation.robots:
+        raise ControlError(f"noise: no robot {wanted}; there are {', '.join(map(str, server.simulation.robots))}")
     return wanted
 
 
@@ -201,7 +201,7 @@ def _setup(robot: SimulatedRobot, wanted: Mapping[str, Any]) -> Any:
     for part in PARTS:
         if part not in wanted:
             continue
-        choices, name = part_choices(part, robot.model, robot.began_as), wanted[part]
+        choices, name = part_choices(part, robot.model, robot.initial_setup), wanted[part]
         if not isinstance(name, str) or name not in choices:
             near = suggest(str(name), choices)
             raise ControlError(f"noise: {part} is one of {', '.join(choices)}, not {name}{near}")

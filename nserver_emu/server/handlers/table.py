@@ -14,7 +14,7 @@ from typing import Any
 
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
-from nserver_emu.server.context import Stage
+from nserver_emu.server.context import ServerState
 from nserver_emu.server.handlers import (
     graphics,
     motion,
@@ -22,34 +22,34 @@ from nserver_emu.server.handlers import (
     server,
     world,
 )
-from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, Later, Visit, error_reply
+from nserver_emu.server.session import NOT_AVAILABLE, REFUSED, ConnectionContext, DeferredReply, error_reply
 
-Handler = Callable[[Stage, Visit, tuple[Any, ...]], "Reply | Later"]
+Handler = Callable[[ServerState, ConnectionContext, tuple[Any, ...]], "Reply | DeferredReply"]
 
 
-class Emulator(Stage):
+class Emulator(ServerState):
     """A simulation behind the protocol: its `answer` is what a Session is handed."""
 
-    def answer(self, call: Call, visit: Visit) -> Reply | Later:
+    def answer(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         """The reply to a call, or a promise of it; ERROR 4 where there is nothing that could answer.
 
         In lockstep the simulated time moves first, so that the answer shows where it led.
         """
-        if self.pace.asked_s and call.name not in TIMELESS:
-            self.pass_time(self.pace.asked_s)
-        if visit.robot_id is not None and call.name not in TIMELESS:
-            self.feed(visit)
+        if self.clock.asked_s and call.name not in TIMELESS:
+            self.pass_time(self.clock.asked_s)
+        if context.robot_id is not None and call.name not in TIMELESS:
+            self.feed(context)
         if call.name not in QUESTIONS:
-            self.look_anew()
-        meant = self.holds.meant(call, visit.robot_id)
-        answer = error_reply(REFUSED) if meant is None else self._done(meant, visit)
+            self.invalidate_state_cache()
+        meant = self.estop.effective_call(call, context.robot_id)
+        answer = error_reply(REFUSED) if meant is None else self._done(meant, context)
         if call.name in SHOWN and isinstance(answer, Reply):
-            visit.keep(answer.slots)
-        return answer if isinstance(answer, Reply) else self.promise(visit, answer)
+            context.keep(answer.slots)
+        return answer if isinstance(answer, Reply) else self.promise(context, answer)
 
-    def _done(self, call: Call, visit: Visit) -> Reply | Later:
+    def _done(self, call: Call, context: ConnectionContext) -> Reply | DeferredReply:
         handler = HANDLERS.get(call.name)
-        return handler(self, visit, call.args) if handler else error_reply(NOT_AVAILABLE)
+        return handler(self, context, call.args) if handler else error_reply(NOT_AVAILABLE)
 
 
 QUESTIONS = frozenset({"gs", "ct", "get_sn", "get_rc", "get_rv", "get_ra", "get_bp", "get_rpx", "sim_truth",

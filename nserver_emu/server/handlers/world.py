@@ -23,13 +23,13 @@ from nclient.errors import StartError
 from nclient.protocol.replies import Reply
 from nclient.protocol.requests import MOTION_LINE
 from nclient.protocol.types import heading_tenths, rad_from_tenths, tenths
-from nserver_emu.server.context import ClickedPose, Stage
-from nserver_emu.server.session import BAD_VALUES, REFUSED, Later, Visit, error_reply
+from nserver_emu.server.context import ClickedPose, ServerState
+from nserver_emu.server.session import BAD_VALUES, REFUSED, ConnectionContext, DeferredReply, error_reply
 from nserver_emu.server.state_encoder import state_slots, with_laser
 from nserver_emu.simulation.multi_robot import discs_of
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.robot import SimulatedRobot
-from nserver_emu.simulation.visibility import Sighting
+from nserver_emu.simulation.visibility import RobotPositions
 from worlds.geometry import FloatArray, area, crossing, inside, lengths, nearest_points
 from worlds.raycast import cast_rays
 from worlds.world import Polygon, StartPose
@@ -143,87 +143,87 @@ _PATH_UNIT_IN = 10_000.0
 _Corners = tuple[tuple[int, int], ...]
 
 
-def add_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
+def add_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Add a polygon of three corners or more that encloses some area and no robot."""
-    world = stage.simulation.world
+    world = server.simulation.world
     polygon = _polygon(_corners(args))
-    if not sound(polygon) or stands_in_a_robot(stage, polygon):
+    if not sound(polygon) or stands_in_a_robot(server, polygon):
         return error_reply(BAD_VALUES)
-    if len(world.obstacles) >= stage.allowed.obstacles:
+    if len(world.obstacles) >= server.allowed.obstacles:
         return error_reply(REFUSED)
-    stage.simulation.change_world(world.with_obstacles((*world.obstacles, polygon)))
+    server.simulation.change_world(world.with_obstacles((*world.obstacles, polygon)))
     return done()
 
 
-def delete_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
+def delete_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Take away the polygon with these corners; the latest where there are several."""
-    obstacles = list(stage.simulation.world.obstacles)
+    obstacles = list(server.simulation.world.obstacles)
     number = _number_of(obstacles, _corners(args))
     if number is None:
         return error_reply(BAD_VALUES)
     del obstacles[number]
-    stage.simulation.change_world(stage.simulation.world.with_obstacles(obstacles))
+    server.simulation.change_world(server.simulation.world.with_obstacles(obstacles))
     return done()
 
 
-def move_obstacle(stage: Stage, _visit: Visit, args: tuple[int, ...]) -> Reply:
+def move_obstacle(server: ServerState, _visit: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Shift the polygon with these corners; the answer is their number and where they are now."""
     *_, dx, dy = args
     corners = _corners(args[:-2])
-    obstacles = list(stage.simulation.world.obstacles)
+    obstacles = list(server.simulation.world.obstacles)
     number = _number_of(obstacles, corners)
     if number is None:
         return error_reply(BAD_VALUES)
     moved = obstacles[number].moved(dx / 10, dy / 10)
-    if not sound(moved) or stands_in_a_robot(stage, moved):
+    if not sound(moved) or stands_in_a_robot(server, moved):
         return error_reply(BAD_VALUES)
     obstacles[number] = moved
-    stage.simulation.change_world(stage.simulation.world.with_obstacles(obstacles))
+    server.simulation.change_world(server.simulation.world.with_obstacles(obstacles))
     return Reply("simple", values=(len(corners), *[at for x, y in corners for at in (x + dx, y + dy)]))
 
 
-def new_world(stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
+def new_world(server: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Take all obstacles away, the world file's as well; walls stay."""
-    stage.simulation.change_world(stage.simulation.world.with_obstacles(()))
+    server.simulation.change_world(server.simulation.world.with_obstacles(()))
     return done()
 
 
-def place_robot(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+def place_robot(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """Put the robot somewhere; a place where it would touch a wall or another robot is refused."""
-    robot, place = stage.robot_of(visit), _start(args)
+    robot, place = server.robot_of(context), _start(args)
     if max(abs(place.x_in), abs(place.y_in)) > EDGE_IN:
         return error_reply(BAD_VALUES)
     try:
-        stage.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, visit.robot_id)
+        server.simulation.require_free(place.x_in, place.y_in, robot.model.body.radius_in, context.robot_id)
     except StartError:
         return error_reply(BAD_VALUES)
-    assert visit.robot_id is not None
-    stage.simulation.place(visit.robot_id, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
+    assert context.robot_id is not None
+    server.simulation.place(context.robot_id, place.x_in, place.y_in, place.steering_rad, place.turret_rad)
     return done()
 
 
-def get_rpx(stage: Stage, _visit: Visit, _args: tuple[int, ...]) -> Reply:
+def get_rpx(server: ServerState, _visit: ConnectionContext, _args: tuple[int, ...]) -> Reply:
     """Where all actual robots are and which way they head, in the order of their ids."""
-    robots = [robot.actual for _, robot in sorted(stage.simulation.robots.items())][:MOST_ROBOTS_TOLD]
+    robots = [robot.actual for _, robot in sorted(server.simulation.robots.items())][:MOST_ROBOTS_TOLD]
     numbers = [n for at in robots for n in (tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad))]
     return Reply("simple", values=(len(robots), *numbers))
 
 
-def get_robot_conf(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply | Later:
+def get_robot_conf(server: ServerState, context: ConnectionContext, _args: tuple[int, ...]) -> Reply | DeferredReply:
     """A pose clicked in the window; without one, where the actual robot is.
 
     In lockstep nobody is waited for: time would run as long as it takes.
     """
-    robot = stage.robot_of(visit)
+    robot = server.robot_of(context)
 
     def here() -> ClickedPose:
         at = robot.actual
         return tenths(at.x_in), tenths(at.y_in), heading_tenths(at.steering_rad), heading_tenths(at.turret_rad)
 
-    if not stage.clicks.open or stage.pace.lockstep_s is not None:
+    if not server.pose_requests.open or server.clock.lockstep_s is not None:
         return Reply("configuration", values=here())
-    assert visit.robot_id is not None
-    clicked = stage.clicks.ask(visit.robot_id, visit, here)
+    assert context.robot_id is not None
+    clicked = server.pose_requests.ask(context.robot_id, context, here)
 
     def later() -> Reply | None:
         pose = clicked()
@@ -232,22 +232,23 @@ def get_robot_conf(stage: Stage, visit: Visit, _args: tuple[int, ...]) -> Reply 
     return later
 
 
-def predict_sensors(stage: Stage, visit: Visit, args: tuple[int, ...]) -> Reply:
+def predict_sensors(server: ServerState, context: ConnectionContext, args: tuple[int, ...]) -> Reply:
     """What the sensors would read at another place of the map, ideal ones without noise; no robot goes there."""
-    simulation, robot = stage.simulation, stage.robot_of(visit)
+    simulation, robot = server.simulation, server.robot_of(context)
     others = {number: other for number, other in simulation.robots.items() if other is not robot}
-    seen = Sighting(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
+    seen = RobotPositions(np.vstack((discs_of(others.values()), (0.0, 0.0, 0.0))))
     there = SimulatedRobot(
-        robot.identity, _start(args), simulation.world.walls, robot.model, IDEAL, lookout=seen, own=len(others)
-    )
-    slots, laser = with_laser(there, visit, state_slots(there, stage.pace.speed_tenths))
+        robot.rng_factory, _start(args), simulation.world.walls, robot.model, IDEAL, positions=seen,
+        self_index=len(others),
+    )  # fmt: skip
+    slots, laser = with_laser(there, context, state_slots(there, server.clock.speed_tenths))
     return Reply("prediction", values=tuple(slots[:_PREDICTED]), laser=laser)
 
 
-def motion_check(stage: Stage, _visit: Visit, args: tuple[float, ...]) -> Reply:
+def motion_check(server: ServerState, _visit: ConnectionContext, args: tuple[float, ...]) -> Reply:
     """Whether a line or an arc meets a wall or an obstacle; where, and which way the wall faces there."""
     kind, *numbers = args
-    walls = stage.simulation.world.walls
+    walls = server.simulation.world.walls
     if kind == MOTION_LINE:
         x1, y1, x2, y2 = (number / _PATH_UNIT_IN for number in numbers)
         hit = line_hit((x1, y1), (x2, y2), walls)
@@ -291,10 +292,10 @@ def sound(polygon: Polygon) -> bool:
     )
 
 
-def stands_in_a_robot(stage: Stage, polygon: Polygon) -> bool:
+def stands_in_a_robot(server: ServerState, polygon: Polygon) -> bool:
     """Whether an obstacle would stand where a robot does."""
     edges = polygon.segments()
-    for robot in stage.simulation.robots.values():
+    for robot in server.simulation.robots.values():
         *place, radius_in = robot.disc
         _, distances = nearest_points(place, edges)
         if distances.min() < radius_in - TOUCH_IN_GROUND or inside(place, edges).any():

@@ -1,4 +1,4 @@
-"""A program at a real pseudo-terminal: type, and see what it shows."""
+"""Run a program on a pseudo-terminal: send keys and check its output."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from types import TracebackType
 from typing import Self
 
 ROWS, COLUMNS = 40, 160
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 _AT_ITS_OWN = ("sh", "-c", 'tty=$1; shift; exec "$@" <"$tty" >"$tty" 2>&1', "sh")
-"""Who begins a session and opens a terminal is controlled by it: Ctrl-C and hanging up are then signals."""
+"""Start a session with the terminal as controlling terminal, so that Ctrl-C and hang-ups become signals."""
 _WHERE, _AT_THE_TOP = b"\x1b[6n", b"\x1b[2;1R"
-"""What a program asks a terminal for, and the answer: where the cursor is."""
+"""A program's query for the cursor position, and the terminal's reply."""
 _STYLE = re.compile(r"\x1b(?:\[[0-9;?]*[A-Za-z]|[=>]|\][^\x07]*\x07)")
 
 
 class Terminal:
-    """A program that believes it has a user.
+    """A program on a terminal.
 
     It runs without coverage, whose lock is never opened again where a signal comes in the middle of its own code.
     """
@@ -51,7 +51,7 @@ class Terminal:
     ) -> None:
         self.hang_up()
         try:
-            self.process.wait(PATIENCE_S)
+            self.process.wait(TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
@@ -59,16 +59,16 @@ class Terminal:
 
     @property
     def shown(self) -> str:
-        """All it has shown, without colours and movements of the cursor."""
+        """Return its output without colours and cursor movements."""
         return _STYLE.sub("", self._raw)
 
     def type(self, keys: str) -> None:
-        """Press these keys."""
+        """Send these keys."""
         os.write(self._ours, keys.encode())
 
     def see(self, pattern: str) -> re.Match[str]:
-        """Wait until something that was not yet seen looks like this."""
-        deadline_s = time.monotonic() + PATIENCE_S
+        """Wait until new output matches a pattern."""
+        deadline_s = time.monotonic() + TIMEOUT_S
         while True:
             found = re.compile(pattern, re.DOTALL).search(self.shown, self._seen)
             if found:
@@ -79,15 +79,15 @@ class Terminal:
             self._read(left_s)
 
     def leave(self) -> int:
-        """Read until the program ends; its exit code."""
-        deadline_s = time.monotonic() + PATIENCE_S
+        """Read until the program ends and return its exit code."""
+        deadline_s = time.monotonic() + TIMEOUT_S
         while self.process.poll() is None:
             assert time.monotonic() < deadline_s, f"it does not end: {self.shown[self._seen :]!r}"
             self._read(0.1)
         return self.process.returncode
 
     def hang_up(self) -> None:
-        """Close the terminal, as a window is closed."""
+        """Close the terminal, like closing its window."""
         if self._ours >= 0:
             os.close(self._ours)
             self._ours = -1
@@ -96,7 +96,7 @@ class Terminal:
         if select.select([self._ours], [], [], min(patience_s, 0.5))[0]:
             try:
                 data = os.read(self._ours, 65536)
-            except OSError:  # nobody is there any more
+            except OSError:  # the program has ended
                 data = b""
             self._raw += data.decode(errors="replace")
             if _WHERE in data:

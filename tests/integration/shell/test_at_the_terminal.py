@@ -1,4 +1,4 @@
-"""`nomad shell` as somebody sits before it: keys, Tab, Ctrl-C, Ctrl-D, a window closed, at a real pseudo-terminal."""
+"""`nomad shell` on a pseudo-terminal: keys, Tab, Ctrl-C, Ctrl-D, a closed window."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def shell(address: str, folder: Path, program: list[str] | None = None) -> Itera
 
 @pytest.fixture
 def daemon() -> Iterator[str]:
-    """An Nserver in real time; its robot's address."""
+    """Run a server in real time and yield the address of its robot."""
     command = [sys.executable, "-m", "nserver_emu", "thesis_room", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
@@ -45,7 +45,7 @@ def daemon() -> Iterator[str]:
 
 
 @pytest.mark.parametrize("program", [NOMAD, WITHOUT_PROMPT_TOOLKIT], ids=["prompt_toolkit", "readline"])
-def test_a_line_is_done_tab_completes_and_history_is_kept(program: list[str], tmp_path: Path) -> None:
+def test_shell_executes_completes_and_saves_history(program: list[str], tmp_path: Path) -> None:
     with shell("sim:thesis_room", tmp_path, program) as terminal:
         terminal.see("help lists all commands.*n150>")
         terminal.type("pr 240 0 0; wait\r")
@@ -65,7 +65,7 @@ def test_a_line_is_done_tab_completes_and_history_is_kept(program: list[str], tm
     assert history.stat().st_mode & 0o077 == 0
 
 
-def test_a_menu_says_what_each_name_is_for_and_below_stands_the_state(tmp_path: Path) -> None:
+def test_completion_menu_and_status_line(tmp_path: Path) -> None:
     with shell("sim:thesis_room", tmp_path) as terminal:
         terminal.see(r"n150>.*x 0\.0 in  y 0\.0 in .*standing")
         terminal.type("pr 1")
@@ -76,7 +76,7 @@ def test_a_menu_says_what_each_name_is_for_and_below_stands_the_state(tmp_path: 
         assert terminal.leave() == 0
 
 
-def test_ctrl_c_stops_the_robot_and_the_shell_goes_on(daemon: str, tmp_path: Path) -> None:
+def test_ctrl_c_stops_robot_and_shell_continues(daemon: str, tmp_path: Path) -> None:
     with shell(daemon, tmp_path) as terminal, connect(daemon + "?tm_s=0") as watcher:
         terminal.see("n150>")
         terminal.type("vm 50 0 0\r")
@@ -99,21 +99,21 @@ def _rolls(speed_in_s: float) -> bool:
     return abs(speed_in_s) > 0.05
 
 
-@pytest.mark.parametrize("way", ["closed window", "quit"])
-def test_leaving_stops_the_robot(way: str, daemon: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", ["closed window", "quit"])
+def test_exit_stops_the_robot(ending: str, daemon: str, tmp_path: Path) -> None:
     with connect(daemon + "?tm_s=0") as watcher:
-        said = tmp_path / "said"
-        with shell(f"{daemon}?record={said}", tmp_path) as terminal:
+        output = tmp_path / "output"
+        with shell(f"{daemon}?record={output}", tmp_path) as terminal:
             terminal.see("n150>")
             terminal.type("vm 50 0 0\r")
             terminal.see("moving: translation.*n150>")
             assert _rolls(watcher.refresh().translation_in_s)
-            if way == "quit":
+            if ending == "quit":
                 terminal.type("quit\r")
                 assert terminal.leave() == 0
         deadline_s = time.monotonic() + 2  # sooner than the robot's own time-out of 5 s
         while _rolls(watcher.refresh().translation_in_s):
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
-    calls = re.findall(r'"call": ?"(\w+)"', said.read_text())
+    calls = re.findall(r'"call": ?"(\w+)"', output.read_text())
     assert calls[-2:] == ["st", "disconnect_robot"]

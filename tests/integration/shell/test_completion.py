@@ -1,4 +1,4 @@
-"""Completion scripts in real shells: bash and zsh at a terminal, by Tab; fish by its own command that completes."""
+"""Completion scripts in real shells: Tab in bash and zsh at a terminal, and fish's `complete -C`."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ START = {
 
 
 @pytest.mark.parametrize("shell", START)
-def test_tab_completes_commands_options_choices_addresses_worlds_and_files(shell: str, tmp_path: Path) -> None:
+def test_tab_completion(shell: str, tmp_path: Path) -> None:
     assert shutil.which(shell), f"{shell} is missing: scripts/test installs it"
     (tmp_path / "square.nomad").write_text("st\n")
     command, settings = START[shell]
@@ -66,7 +66,7 @@ def test_tab_completes_commands_options_choices_addresses_worlds_and_files(shell
         assert terminal.leave() == 0
 
 
-def test_fish_completes_the_same(tmp_path: Path) -> None:
+def test_fish_completion(tmp_path: Path) -> None:
     assert shutil.which("fish"), "fish is missing: scripts/test installs it"
     (tmp_path / "square.nomad").write_text("st\n")
     asked = "".join(f"echo '> {typed}'; complete -C '{typed}'\n" for typed in CASES)
@@ -78,18 +78,18 @@ def test_fish_completes_the_same(tmp_path: Path) -> None:
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     blocks = (block.splitlines() for block in done.stdout.split("> ")[1:])
-    told = {typed: [line.partition("\t")[0] for line in lines] for typed, *lines in blocks}
-    assert told == {
+    reason = {typed: [line.partition("\t")[0] for line in lines] for typed, *lines in blocks}
+    assert reason == {
         typed: [completed.rpartition(" ")[2]] if completed != typed else [] for typed, completed in CASES.items()
     }
 
 
-@pytest.mark.parametrize(("words", "told"), [
+@pytest.mark.parametrize(("words", "reason"), [
     (["completion", "tcsh"], "no 'tcsh'; there are bash, zsh, fish"),
     (["completion", "bash", "nsever"], "no program 'nsever'; there are nomad, nserver"),
 ])
-def test_what_cannot_be_completed(words: list[str], told: str) -> None:
+def test_completion_errors(words: list[str], reason: str) -> None:
     command = [sys.executable, "-c", "import sys; from nclient.cli.main import main; sys.exit(main())", *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
-    assert told in done.stderr
+    assert reason in done.stderr

@@ -260,8 +260,8 @@ def test_what_command_lines_say() -> None:
     assert parse_seconds("0") == 0.0
     assert parse_scale_std("0.05,0.01") == (0.05, 0.01)
     for reader, text in ((numbers_of_two, "1"), (parse_point, "1,nan"), (parse_pose_std, "1,-1,1"),
-                         (parse_odometry_noise, f"0,0,{MAX_NOISE + 1}"), (parse_scale_std, "-1"), (parse_scale_std, "1,1,1,1"),
-                         (parse_seconds, "-1"), (parse_positive, "0")):  # fmt: skip
+                         (parse_odometry_noise, f"0,0,{MAX_NOISE + 1}"), (parse_scale_std, "-1"),
+                         (parse_scale_std, "1,1,1,1"), (parse_seconds, "-1"), (parse_positive, "0")):  # fmt: skip
         with pytest.raises(argparse.ArgumentTypeError):
             reader(text)
 

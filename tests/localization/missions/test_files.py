@@ -11,7 +11,7 @@ import pytest
 
 from localization.missions.mission import Seen
 from localization.missions.settings import OnLost, Settings
-from localization.missions.steps import MAX_BYTES, load_mission, parse_toml
+from localization.missions.steps import MAX_BYTES, load_mission, parse_step_list
 from nclient.errors import MissionFileError
 
 SEEN = Seen(1.0, 0.0, 0.0, 0.0, 0.3, "OK", (20,) * 15 + (12,), True, (3,), 1)
@@ -29,7 +29,7 @@ class Told:
 
 def told(text: str) -> list[tuple[str, tuple[Any, ...], dict[str, Any]]]:
     robot: Any = Told()
-    parse_toml(text, "m.toml").run(robot)
+    parse_step_list(text, "m.toml").run(robot)
     said: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = robot.said
     return said
 
@@ -93,12 +93,12 @@ def test_what_is_waited_for(key: str, holds: bool) -> None:
 
 def test_settings_are_read_and_have_defaults() -> None:
     step = '[[step]]\ndo = "look"\n'
-    assert parse_toml(step, "m").settings == Settings()
+    assert parse_step_list(step, "m").settings == Settings()
     text = (
         'title = "T"\nmap = "w"\ntime_limit_s = 9\nfence_m = [[0, 0], [0, 2.54], [2.54, 0]]\n'
         'on_lost = "give_up"\nlost_s = 3\n'
     )
-    read = parse_toml(text + step, "m").settings
+    read = parse_step_list(text + step, "m").settings
     np.testing.assert_allclose(read.fence_in, [(0.0, 0.0), (0.0, 100.0), (100.0, 0.0)])
     assert (read.title, read.map, read.time_limit_s, read.on_lost, read.lost_s) == ("T", "w", 9.0, OnLost.GIVE_UP, 3.0)
 
@@ -153,7 +153,7 @@ def test_settings_are_read_and_have_defaults() -> None:
 )  # fmt: skip
 def test_a_list_that_is_wrong_is_told_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MissionFileError) as refused:
-        parse_toml(text, "m.toml")
+        parse_step_list(text, "m.toml")
     assert str(refused.value) == said
 
 

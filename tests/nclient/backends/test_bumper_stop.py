@@ -1,4 +1,4 @@
-"""A bumper hit stops the robot at once and is told; a robot at a wall can leave it."""
+"""A bumper hit stops the robot at once and raises BumperHit; a robot at a wall can leave it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import pickle
 import pytest
 
 from nclient.backends.base import Backend
-from nclient.backends.keep_alive import Feeding
+from nclient.backends.keep_alive import KeepAlive
 from nclient.backends.wrappers import BumperStop
 from nclient.errors import BumperHit
 from nclient.protocol.commands import Call
 from nclient.protocol.types import N150, N200, SCOUT, Model
-from tests.nclient.robot_line import Answer, ScriptedLine, direct_on
+from tests.nclient.scripted_line import Answer, ScriptedLine, direct_on
 
 GS, VM = Call("gs"), Call("vm", (100, 0, 0))
 
@@ -25,13 +25,13 @@ def test_a_hit_while_moving_sends_st_and_is_told(model: Model) -> None:
     robot.slots[41] = 1
     backend.execute(VM)
     robot.slots[33] |= 0b101
-    with pytest.raises(BumperHit, match="gs: bumper 0, 2 touches; the robot was told to stop") as hit:
+    with pytest.raises(BumperHit, match="gs: bumper 0, 2 closed") as hit:
         backend.execute(GS)
     assert (hit.value.command, hit.value.bumpers) == ("gs", (0, 2))
     assert robot.names() == ["vm", "gs", "st"]
 
 
-def test_a_robot_that_the_wall_has_stopped_was_moving_all_the_same() -> None:
+def test_a_robot_stopped_by_the_wall_counts_as_moving() -> None:
     robot = ScriptedLine()
     backend = BumperStop(direct_on(robot))
     robot.slots[33] |= 1
@@ -116,7 +116,7 @@ def test_a_hit_during_ws_is_seen_within_a_second(timeout_s: int) -> None:
     robot = ScriptedLine({"ws": answers})
     backend: Backend = BumperStop(direct_on(robot))
     if timeout_s:
-        backend = Feeding(backend, timeout_s, feeds=False)
+        backend = KeepAlive(backend, timeout_s, feeds=False)
     robot.calls.clear()
     backend.execute(VM)
     with pytest.raises(BumperHit, match="ws: bumper 3"):

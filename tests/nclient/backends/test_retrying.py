@@ -1,4 +1,4 @@
-"""Asked again: what may be, as often as told, and never a motion."""
+"""Requests are repeated if that is safe, up to a number of retries; motions never."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import pytest
 
 from nclient.backends.base import Wrapper
 from nclient.backends.nserver import NserverBackend
-from nclient.backends.wrappers import Retrying, may_be_repeated
+from nclient.backends.wrappers import RetryingBackend, may_be_repeated
 from nclient.errors import ConnectionLost, ReplyTimeout, RobotRefused
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.types import N200
 from nclient.transports.memory import MemoryStream
-from tests.nclient.answering import ScriptedServer
-from tests.nclient.robot_line import NAK, ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_line import NAK, ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_server import ScriptedServer
 
 
-def test_which_commands_may_be_repeated() -> None:
+def test_motions_and_speech_may_not_be_repeated() -> None:
     never = {"vm", "pr", "pa", "mv", "zr", "ws", "dp", "da", "place_robot", "tk", "arm_zr", "arm_mv", "arm_ws",
              "special_request"}  # fmt: skip
     on_a_line = {name for name, row in BY_NAME.items() if row.line_type is not None or name == "place_robot"}
@@ -23,51 +23,51 @@ def test_which_commands_may_be_repeated() -> None:
 
 
 @pytest.mark.parametrize("trouble", [None, NAK, "spoiled"])
-def test_a_question_is_asked_again(trouble: str | bytes | None) -> None:
+def test_a_query_is_repeated(trouble: str | bytes | None) -> None:
     robot = ScriptedLine()
     bad = spoiled(robot.frame("gs")) if isinstance(trouble, str) else trouble
     robot.answers["gs"] = [bad, bad]
-    backend = Retrying(direct_on(robot), 2)
+    backend = RetryingBackend(direct_on(robot), 2)
     assert backend.execute(Call("gs")).slots[17] == 57
     assert robot.names().count("gs") == 3
     assert backend.link is not None
     assert backend.link.retries == 2
 
 
-def test_three_times_is_enough() -> None:
+def test_the_number_of_retries_is_limited() -> None:
     robot = ScriptedLine({"get_sn": [NAK] * 3})
-    backend = Retrying(direct_on(robot), 2)
+    backend = RetryingBackend(direct_on(robot), 2)
     with pytest.raises(RobotRefused, match="get_sn"):
         backend.execute(Call("get_sn"))
     assert robot.names() == ["get_sn"] * 3
     robot.answers["get_sn"] = [None] * 3
     with pytest.raises(ReplyTimeout):
-        Retrying(direct_on(robot), 0).execute(Call("get_sn"))
+        RetryingBackend(direct_on(robot), 0).execute(Call("get_sn"))
     assert robot.names() == ["get_sn"] * 4
 
 
-def test_a_motion_goes_out_once() -> None:
+def test_a_motion_is_sent_once() -> None:
     for trouble in (None, NAK):
         robot = ScriptedLine({"pr": [trouble]})
         with pytest.raises((ReplyTimeout, RobotRefused)):
-            Retrying(direct_on(robot), 2).execute(Call("pr", (100, 0, 0)))
+            RetryingBackend(direct_on(robot), 2).execute(Call("pr", (100, 0, 0)))
         assert robot.names() == ["pr"]
 
 
-def test_what_this_side_refuses_is_refused_once() -> None:
-    backend = Retrying(direct_on(ScriptedLine(model=N200)), 2)
+def test_refusals_of_this_side_are_not_repeated() -> None:
+    backend = RetryingBackend(direct_on(ScriptedLine(model=N200)), 2)
     with pytest.raises(RobotRefused, match="does not have it"):
         backend.execute(Call("conf_ser", (1, 9600)))
     assert backend.link is not None
     assert backend.link.retries == 0
 
 
-def test_a_link_that_is_over_is_not_asked_again() -> None:
+def test_nothing_is_repeated_on_a_closed_link() -> None:
     stream = MemoryStream(ScriptedLine())
-    backend = Retrying(direct_on(ScriptedLine()), 2)
+    backend = RetryingBackend(direct_on(ScriptedLine()), 2)
     stream.close()
     server = ScriptedServer({"gs": None})
-    backend = Retrying(NserverBackend(MemoryStream(server)), 2)
+    backend = RetryingBackend(NserverBackend(MemoryStream(server)), 2)
     with pytest.raises(ReplyTimeout):
         backend.execute(Call("gs"))
     assert server.names() == ["gs"]
@@ -75,10 +75,10 @@ def test_a_link_that_is_over_is_not_asked_again() -> None:
         backend.execute(Call("gs"))
 
 
-def test_a_wrapper_hands_on_everything_else() -> None:
+def test_a_wrapper_passes_everything_else_on() -> None:
     robot = ScriptedLine(model=N200)
     inner = direct_on(robot)
-    backend = Retrying(inner, 2)
+    backend = RetryingBackend(inner, 2)
     assert backend.wire_state is inner.wire_state
     assert backend.greeting is inner.greeting
     assert (backend.port, backend.closed, backend.link) == (1, False, inner.link)
@@ -87,16 +87,16 @@ def test_a_wrapper_hands_on_everything_else() -> None:
 
 
 class Uncounted(Wrapper):
-    """A backend that nobody counts for."""
+    """A backend without statistics."""
 
     @property
     def link(self) -> None:
         return None
 
 
-def test_it_counts_only_where_somebody_does() -> None:
+def test_retries_work_without_statistics() -> None:
     robot = ScriptedLine({"gs": [None]})
-    backend = Retrying(Uncounted(direct_on(robot)), 2)
+    backend = RetryingBackend(Uncounted(direct_on(robot)), 2)
     assert backend.execute(Call("gs")).kind == "state"
     assert backend.link is None
     assert robot.names().count("gs") == 2

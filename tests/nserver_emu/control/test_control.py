@@ -14,9 +14,9 @@ from fuzz.messages import FakeServer
 from nclient.faults.plan import Direction, Drop, Plan, Rule, plan_text
 from nserver_emu.control.commands import BY_NAME, answer_line
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.link import FaultDesk
+from nserver_emu.server.link import FaultController
 from tests.nserver_emu.server.wire_client import ORIGIN, simulation
 from worlds.io import parse_world
 
@@ -26,9 +26,9 @@ PLAN = Plan((Rule("it", (Drop(),), commands=("gs",)),), seed=4)
 class House(FakeServer):
     """A daemon without a socket, that remembers what it was told."""
 
-    def __init__(self, pace: Pace | None = None) -> None:
-        self.emulator = Emulator(simulation(seed=5), pace=pace)
-        self.faults = FaultDesk(lambda: 0.0)
+    def __init__(self, pace: SimulationClock | None = None) -> None:
+        self.emulator = Emulator(simulation(seed=5), clock=pace)
+        self.faults = FaultController(lambda: 0.0)
         self.changes: list[dict[str, Any]] = []
         self.paces: list[tuple[float | None, bool]] = []
 
@@ -36,7 +36,7 @@ class House(FakeServer):
         self.emulator.simulation.step(dt_s)
 
     def paced(self) -> None:
-        self.paces.append((self.emulator.pace.factor, self.emulator.pace.paused))
+        self.paces.append((self.emulator.clock.factor, self.emulator.clock.paused))
 
     def changed(self, what: Mapping[str, Any]) -> None:
         self.changes.append(dict(what))
@@ -87,7 +87,7 @@ def test_time_is_the_owners() -> None:
 
 
 def test_in_lockstep_there_is_no_speed() -> None:
-    house = House(Pace(lockstep_s=0.1))
+    house = House(SimulationClock(lockstep_s=0.1))
     answer = house.told({"command": "speed", "argument": "2"})
     assert (answer["ok"], "start nserver without --lockstep" in answer["error"]) == (False, True)
     assert house.said("pause")["lockstep_s"] == 0.1
@@ -98,13 +98,13 @@ def test_a_plan_comes_into_force_counts_and_goes() -> None:
     assert house.said("faults set", {"text": plan_text(PLAN), "file": "p.toml"}) == {"rules": 1}
     assert house.faults.plan == PLAN
     assert house.said("faults show") == {"plan": plan_text(PLAN)}
-    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    house.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
     counts = {"nserver": {"it": {"seen": 0, "drop": 0}}, "serial:1": {"it": {"seen": 1, "drop": 1}}}
     assert house.said("faults counts") == {"counts": counts}
     assert house.said("status")["faults"] == {"rules": 1, "struck": {"drop": 1}}
     assert house.said("faults reset") == {"counts": counts}
     assert house.said("status")["faults"] == {"rules": 1, "struck": {}}
-    house.faults.injector("serial:1").pass_on(b"x", "gs", Direction.REPLY, 0.0)
+    house.faults.injector("serial:1").process_frame(b"x", "gs", Direction.REPLY, 0.0)
     assert house.said("faults clear") == {"counts": counts}
     assert house.said("faults counts") == {"counts": {}}
 
@@ -190,7 +190,7 @@ def test_robots_are_stopped_for_good_and_released() -> None:
     house = House()
     house.emulator.simulation.robots[1].set_velocities(10.0, 0.0, 0.0)
     assert house.said("stop") == {"held": {"1": {"by": "nserver ctl", "ignored": 0}}}
-    assert house.emulator.simulation.robots[1].still((0, 1, 2))
+    assert house.emulator.simulation.robots[1].is_still((0, 1, 2))
     assert house.said("status")["robots"][0]["held"] == {"by": "nserver ctl", "ignored": 0}
     assert house.said("release", "1") == {"held": {}}
     assert house.said("stop", 1)["held"]

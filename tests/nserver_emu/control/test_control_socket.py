@@ -29,13 +29,13 @@ def backwards(line: bytes) -> bytes:
     return line.strip()[::-1] + b"\n"
 
 
-def served(path: Path, visit: Callable[[ControlSocket], Awaitable[None]]) -> None:
+def served(path: Path, scenario: Callable[[ControlSocket], Awaitable[None]]) -> None:
     async def evening() -> None:
         control = ControlSocket(path, backwards)
         await control.open()
         try:
             async with asyncio.timeout(20):
-                await visit(control)
+                await scenario(control)
         finally:
             control.close()
             await asyncio.sleep(0.01)
@@ -57,23 +57,23 @@ async def ask(path: Path, *lines: bytes) -> bytes:
 def test_a_line_in_a_line_out_for_the_owner_only(folder: Path) -> None:
     path = folder / "s"
 
-    async def visit(_: ControlSocket) -> None:
+    async def scenario(_: ControlSocket) -> None:
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert await ask(path, b"abc\n", b"xy\n") == b"cba\nyx\n"
         assert await ask(path, b"half") == b"flah\n"
 
-    served(path, visit)
+    served(path, scenario)
     assert not path.exists()
 
 
 def test_a_fault_of_ours_costs_one_connection(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = folder / "s"
 
-    async def visit(_: ControlSocket) -> None:
+    async def scenario(_: ControlSocket) -> None:
         assert await ask(path, b"fault\n") == b""
         assert await ask(path, b"abc\n") == b"cba\n"
 
-    served(path, visit)
+    served(path, scenario)
     assert "closed because of a fault of ours" in caplog.text
 
 
@@ -83,19 +83,19 @@ def test_a_line_without_end_is_given_up(
     monkeypatch.setattr(control_socket, "LONGEST_LINE", 100)
     path = folder / "s"
 
-    async def visit(_: ControlSocket) -> None:
+    async def scenario(_: ControlSocket) -> None:
         assert await ask(path, b"x" * 300 + b"\n") == b""
         assert await ask(path, b"abc\n") == b"cba\n"
 
     with caplog.at_level(logging.WARNING):
-        served(path, visit)
+        served(path, scenario)
     assert "control: closed" in caplog.text
 
 
 def test_who_still_talks_when_it_closes_is_let_go(folder: Path) -> None:
     path = folder / "s"
 
-    async def visit(control: ControlSocket) -> None:
+    async def scenario(control: ControlSocket) -> None:
         reader, writer = await asyncio.open_unix_connection(str(path))
         writer.write(b"abc\n")
         assert await reader.readline() == b"cba\n"
@@ -104,7 +104,7 @@ def test_who_still_talks_when_it_closes_is_let_go(folder: Path) -> None:
         writer.close()
         await writer.wait_closed()
 
-    served(path, visit)
+    served(path, scenario)
 
 
 def test_a_socket_that_a_dead_daemon_left_is_replaced_and_a_living_one_s_is_not(folder: Path) -> None:
@@ -112,12 +112,12 @@ def test_a_socket_that_a_dead_daemon_left_is_replaced_and_a_living_one_s_is_not(
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(path))
 
-    async def visit(_: ControlSocket) -> None:
+    async def scenario(_: ControlSocket) -> None:
         with pytest.raises(ConnectionLost, match="another nserver is reached there; --control PATH takes another"):
             await ControlSocket(path, backwards).open()
         assert await ask(path, b"abc\n") == b"cba\n"
 
-    served(path, visit)
+    served(path, scenario)
 
 
 def test_what_is_no_socket_is_never_touched(folder: Path) -> None:
@@ -142,11 +142,11 @@ def test_a_place_where_none_can_be(folder: Path) -> None:
 def test_a_socket_that_took_its_place_stays(folder: Path) -> None:
     path = folder / "s"
 
-    async def visit(_: ControlSocket) -> None:
+    async def scenario(_: ControlSocket) -> None:
         path.unlink()
         path.write_text("another's")
 
-    served(path, visit)
+    served(path, scenario)
     assert path.read_text() == "another's"
 
 
@@ -157,10 +157,10 @@ def test_the_users_own_place(folder: Path, monkeypatch: pytest.MonkeyPatch) -> N
     for environment in ({}, {"XDG_RUNTIME_DIR": str(folder / "nowhere")}):
         assert default_path(environment) == own
 
-    async def visit(_: ControlSocket) -> None:
+    async def scenario(_: ControlSocket) -> None:
         assert stat.S_IMODE(own.parent.stat().st_mode) == 0o700
 
-    served(own, visit)
+    served(own, scenario)
     monkeypatch.setattr(os, "getuid", lambda: 4711)
     with pytest.raises(ConnectionLost, match="its folder is another user's"):
-        served(own, visit)
+        served(own, scenario)

@@ -16,12 +16,12 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFramer
-from nclient.protocol.types import N150, Model, model_named
+from nclient.protocol.types import N150, Model, get_model
 from nclient.protocol.wire_state import WireState, serial_wire_state, tcp_wire_state
 from nserver_emu.gateway.gateway import Gateway, RealRobotProxy
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_session import LineSession
+from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.server.session import Session
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
@@ -52,7 +52,7 @@ class ScriptedRobot:
         self.port = 1
         self.link: LinkStatistics | None = None
         self.closed = False
-        self.answers = dict(answers or {})
+        self.process_requests = dict(answers or {})
         self.state = LINE_STATE
         self.trouble: list[Exception] = []
         self.calls: list[Call] = []
@@ -65,7 +65,7 @@ class ScriptedRobot:
         self.calls.append(call)
         if self.trouble:
             raise self.trouble.pop(0)
-        answer = self.answers.get(call.name, self.state)
+        answer = self.process_requests.get(call.name, self.state)
         if isinstance(answer, Exception):
             raise answer
         return answer
@@ -92,19 +92,19 @@ class EmulatedLine:
         self.emulator = emulator
         self._step_s = step_s
         self._framer = SerialFramer()
-        self._session = LineSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
+        self._session = SerialSession(emulator.answer, 1, model, lambda: emulator.simulation.time_s)
 
     def execute(self, call: Call) -> Reply:
-        request = codec.line_request(call, self.wire_state)
+        request = codec.encode_serial_request(call, self.wire_state)
         codec.update_from_request(call, self.wire_state)
         self.emulator.simulation.step(self._step_s)
         self._session.receive(request)
-        answer = self._session.answers(most=1)
+        answer = self._session.process_requests(most=1)
         while not answer:
             self.emulator.simulation.step(self._step_s)
             answer = self._session.tick()
         (frame,) = self._framer.receive(answer)
-        reply = codec.read_line_reply(frame, self.wire_state)
+        reply = codec.decode_serial_reply(frame, self.wire_state)
         if reply.kind == "nak":
             raise RobotRefused(call.name, None)
         return reply
@@ -114,17 +114,17 @@ class EmulatedLine:
 
 
 def emulated(
-    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: Pace | None = None
+    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: SimulationClock | None = None
 ) -> Emulator:
     """Return an emulator with one robot of a model, number 1."""
     made = Simulation(load_world("thesis_room"), seed=3)
     made.add_robot(1, start, MODELS[model], setup)
-    return Emulator(made, pace=pace)
+    return Emulator(made, clock=pace)
 
 
 def line_of(emulator: Emulator) -> EmulatedLine:
     """Return the line of its robot 1."""
-    return EmulatedLine(emulator, model_named(emulator.simulation.robots[1].model.family))
+    return EmulatedLine(emulator, get_model(emulator.simulation.robots[1].model.family))
 
 
 class GatewayHarness:
@@ -169,7 +169,7 @@ class GatewayClient:
 
     def _exchange(self, data: bytes) -> bytes:
         self.session.receive(data)
-        answer = self.session.answers(most=100)
+        answer = self.session.process_requests(most=100)
         for _ in range(1000):
             if answer:
                 break
@@ -180,4 +180,4 @@ class GatewayClient:
 
     def leave(self) -> None:
         """Close the connection."""
-        self.harness.gateway.leave(self.session.visit)
+        self.harness.gateway.on_disconnect(self.session.context)

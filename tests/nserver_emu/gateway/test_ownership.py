@@ -7,7 +7,7 @@ import pytest
 from nclient.protocol.commands import COMMANDS, Call
 from nserver_emu.gateway.gateway import Ownership, changes
 from nserver_emu.server.ownership import moves
-from nserver_emu.server.session import Visit
+from nserver_emu.server.session import ConnectionContext
 
 VM = Call("vm", (100, 0, 0))
 
@@ -22,7 +22,7 @@ def test_mv_changes_the_robot_by_its_modes(modes: tuple[int, int, int], moving: 
 
 
 def test_the_first_to_move_becomes_the_owner() -> None:
-    owner, other, ownership = Visit(), Visit(), Ownership()
+    owner, other, ownership = ConnectionContext(), ConnectionContext(), Ownership()
     assert ownership.allows(Call("sp", (1, 1, 1)), other)
     assert ownership.is_free_for(owner)
     assert ownership.allows(VM, owner)
@@ -38,7 +38,7 @@ def test_the_first_to_move_becomes_the_owner() -> None:
 
 
 def test_lp_removes_the_owner() -> None:
-    owner, other, ownership = Visit(), Visit(), Ownership()
+    owner, other, ownership = ConnectionContext(), ConnectionContext(), Ownership()
     assert ownership.allows(VM, owner)
     assert ownership.allows(Call("lp"), owner)
     assert ownership.allows(VM, other)
@@ -46,7 +46,7 @@ def test_lp_removes_the_owner() -> None:
 
 
 def test_read_only_refuses_all_changes_but_st() -> None:
-    context, ownership = Visit(), Ownership(read_only=True)
+    context, ownership = ConnectionContext(), Ownership(read_only=True)
     refused = {row.name for row in COMMANDS if not ownership.allows(Call(row.name, (1, 1, 1, 1, 1, 1)), context)}
     assert ownership.owner is None
     assert refused == {

@@ -8,11 +8,11 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.serial_framing import SerialFrame, SerialFramer
-from nclient.protocol.types import Model, model_named
+from nclient.protocol.types import Model, get_model
 from nclient.protocol.wire_state import serial_wire_state
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.serial_session import LineSession
+from nserver_emu.server.serial_session import SerialSession
 from nserver_emu.simulation.models import MODELS
 from nserver_emu.simulation.noise import IDEAL, RobotSetup
 from nserver_emu.simulation.simulation import Simulation
@@ -33,12 +33,12 @@ class LineHost:
 
     def ask(self, name: str, *args: int | str) -> Reply:
         """One call, one reply."""
-        return codec.read_line_reply(self.frame(name, *args), self.wire_state)
+        return codec.decode_serial_reply(self.frame(name, *args), self.wire_state)
 
     def frame(self, name: str, *args: int | str) -> SerialFrame:
         """One call, the frame that answers it."""
         call = Call(name, args)
-        request = codec.line_request(call, self.wire_state)
+        request = codec.encode_serial_request(call, self.wire_state)
         codec.update_from_request(call, self.wire_state)
         (frame,) = self.raw(request)
         return frame
@@ -51,23 +51,23 @@ class LineHost:
 
 
 def emulated(
-    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: Pace | None = None
+    model: str = "n150", start: StartPose = ORIGIN, setup: RobotSetup = IDEAL, pace: SimulationClock | None = None
 ) -> Emulator:
     """An emulator with one robot of a model, number 1."""
     made = Simulation(load_world("thesis_room"), seed=3)
     made.add_robot(1, start, MODELS[model], setup)
-    return Emulator(made, pace=pace)
+    return Emulator(made, clock=pace)
 
 
-def meet_on_line(emulator: Emulator, robot_id: int = 1) -> tuple[LineHost, LineSession]:
+def meet_on_line(emulator: Emulator, robot_id: int = 1) -> tuple[LineHost, SerialSession]:
     """A host and the session of that robot's line, in one process; the clock is the simulated time."""
     simulation = emulator.simulation
-    model = model_named(simulation.robots[robot_id].model.family)
+    model = get_model(simulation.robots[robot_id].model.family)
     clock, wire_state = (lambda: simulation.time_s), emulator.serial_wire_state(robot_id)
-    session = LineSession(emulator.answer, robot_id, model, clock, wire_state=wire_state)
+    session = SerialSession(emulator.answer, robot_id, model, clock, wire_state=wire_state)
 
     def exchange(data: bytes) -> bytes:
         session.receive(data)
-        return session.answers(most=100) + session.tick()
+        return session.process_requests(most=100) + session.tick()
 
     return LineHost(exchange, model), session

@@ -50,9 +50,9 @@ def test_whatever_is_asked_is_answered_and_the_robot_goes_on(model: str, asked: 
     _, session = meet(emulator)
     for data in asked:
         session.receive(data)
-        if session.visit.robot_id is None:
+        if session.context.robot_id is None:
             break
-        session.answers(most=1)
+        session.process_requests(most=1)
         for _ in range(3):
             emulator.simulation.step(0.2)
             session.tick()
@@ -100,4 +100,4 @@ def test_clocks_go_round_after_their_longest_time(days: int) -> None:
 
 def test_a_request_that_cannot_be_built_is_no_fault_of_the_servers() -> None:
     with pytest.raises(WireError):
-        codec.tcp_request(Call("vm", (2**31, 0, 0)))
+        codec.encode_tcp_request(Call("vm", (2**31, 0, 0)))

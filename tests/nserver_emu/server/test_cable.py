@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nserver_emu.server.link import MOST_GIVEN_BACK_S, MOST_ON_A_WIRE, PIECE, Arrival, PacedCable
+from nserver_emu.server.link import MOST_GIVEN_BACK_S, MOST_ON_A_WIRE, PIECE, Arrival, RateLimitedChannel
 
 BAUD = 38400
 BYTE_S = 10 / BAUD
 
 
-def all_arrived(cable: PacedCable, now_s: float) -> list[Arrival]:
+def all_arrived(cable: RateLimitedChannel, now_s: float) -> list[Arrival]:
     found = []
     while arrival := cable.arrived(now_s):
         found.append(arrival)
@@ -20,7 +20,7 @@ def all_arrived(cable: PacedCable, now_s: float) -> list[Arrival]:
 
 
 def test_bytes_take_ten_bits_each_and_come_out_on_the_other_side() -> None:
-    cable = PacedCable(BAUD)
+    cable = RateLimitedChannel(BAUD)
     assert cable.due_s is None
     cable.to_robot(b"gs", 100.0)
     assert cable.due_s == pytest.approx(100.0 + 2 * BYTE_S)
@@ -33,7 +33,7 @@ def test_bytes_take_ten_bits_each_and_come_out_on_the_other_side() -> None:
 
 
 def test_each_way_goes_by_itself_and_what_follows_queues() -> None:
-    cable = PacedCable(BAUD)
+    cable = RateLimitedChannel(BAUD)
     cable.to_robot(bytes(10), 0.0)
     cable.to_robot(b"x", 0.0)
     cable.to_host(b"answer", 0.0)
@@ -42,7 +42,7 @@ def test_each_way_goes_by_itself_and_what_follows_queues() -> None:
 
 
 def test_a_long_answer_comes_piece_by_piece() -> None:
-    cable = PacedCable(BAUD)
+    cable = RateLimitedChannel(BAUD)
     whole = bytes(range(256)) * 2
     cable.to_host(whole, 0.0)
     half_way = all_arrived(cable, 256 * BYTE_S + 1e-9)
@@ -54,7 +54,7 @@ def test_a_long_answer_comes_piece_by_piece() -> None:
 @given(st.lists(st.floats(0.0, MOST_GIVEN_BACK_S / 3), min_size=5, max_size=60))
 def test_late_alarms_cost_a_host_that_asks_at_once_nothing(lateness: list[float]) -> None:
     """Requests of 6 bytes, answers of 48: 54 bytes an exchange, and at the end the lateness of the last answer."""
-    cable, now_s = PacedCable(BAUD), 0.0
+    cable, now_s = RateLimitedChannel(BAUD), 0.0
     for late_s in lateness:
         cable.to_robot(bytes(6), now_s)
         assert cable.due_s is not None
@@ -68,7 +68,7 @@ def test_late_alarms_cost_a_host_that_asks_at_once_nothing(lateness: list[float]
 
 
 def test_a_host_that_takes_its_time_gets_nothing_back() -> None:
-    cable = PacedCable(BAUD)
+    cable = RateLimitedChannel(BAUD)
     cable.to_host(b"x", 0.0)
     assert cable.arrived(0.01) is not None
     cable.to_robot(b"y", 5.0)
@@ -76,7 +76,7 @@ def test_a_host_that_takes_its_time_gets_nothing_back() -> None:
 
 
 def test_what_a_wire_cannot_hold_is_lost_on_the_way_back_and_not_read_on_the_way_in() -> None:
-    cable = PacedCable(BAUD)
+    cable = RateLimitedChannel(BAUD)
     cable.to_host(bytes(MOST_ON_A_WIRE), 0.0)
     cable.to_host(bytes(48), 0.0)
     assert cable.lost == 48

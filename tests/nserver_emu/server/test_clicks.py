@@ -23,42 +23,42 @@ def test_without_a_page_it_is_where_the_robot_is() -> None:
 
 def test_a_click_answers_all_who_wait_at_that_robot() -> None:
     emulator = Emulator(simulation())
-    emulator.clicks.open = True
+    emulator.pose_requests.open = True
     ends = [waiting(emulator) for _ in range(2)]
     emulator.pass_time(5.0)
-    assert emulator.clicks.asked() == {1: 2}
-    assert not emulator.clicks.answer(2, CLICKED)
-    assert emulator.clicks.answer(1, CLICKED)
+    assert emulator.pose_requests.asked() == {1: 2}
+    assert not emulator.pose_requests.answer(2, CLICKED)
+    assert emulator.pose_requests.answer(1, CLICKED)
     for client, session in ends:
         (reply,) = client.read("get_robot_conf", session.tick())
         assert reply.values == CLICKED
-    assert emulator.clicks.asked() == {}
+    assert emulator.pose_requests.asked() == {}
 
 
 def test_when_the_page_closes_nobody_waits_on() -> None:
     emulator = Emulator(simulation())
-    emulator.clicks.open = True
+    emulator.pose_requests.open = True
     client, session = waiting(emulator)
-    emulator.clicks.open = False
+    emulator.pose_requests.open = False
     (reply,) = client.read("get_robot_conf", session.tick())
     assert reply.values == HERE
-    assert emulator.clicks.asked() == {}
+    assert emulator.pose_requests.asked() == {}
 
 
 def test_who_is_gone_is_asked_for_no_more() -> None:
     emulator = Emulator(simulation())
-    emulator.clicks.open = True
+    emulator.pose_requests.open = True
     _, session = waiting(emulator)
     _, other = waiting(emulator)
-    emulator.leave(session.visit)
-    assert emulator.clicks.asked() == {1: 1}
-    emulator.leave(other.visit)
-    assert emulator.clicks.asked() == {}
+    emulator.on_disconnect(session.context)
+    assert emulator.pose_requests.asked() == {1: 1}
+    emulator.on_disconnect(other.context)
+    assert emulator.pose_requests.asked() == {}
 
 
 def test_in_lockstep_time_does_not_run_while_somebody_looks_for_the_mouse() -> None:
     emulator = Emulator(simulation())
-    emulator.clicks.open = True
-    emulator.pace.lockstep_s = 0.1
+    emulator.pose_requests.open = True
+    emulator.clock.lockstep_s = 0.1
     client, _ = meet(emulator)
     assert client.ask("get_robot_conf").values == HERE

@@ -33,7 +33,12 @@ class _System:
     (1024, 4096, 1024, True), (resource.RLIM_INFINITY, resource.RLIM_INFINITY, resource.RLIM_INFINITY, True),
 ])  # fmt: skip
 def test_room_is_made_as_far_as_may_be(
-    soft: int, hard: int, after: int, enough: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    soft: int,
+    hard: int,
+    after: int,
+    enough: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     system = _System(soft, hard)
     monkeypatch.setattr(resource, "getrlimit", system.getrlimit)

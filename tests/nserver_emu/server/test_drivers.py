@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nserver_emu.server.handlers.table import Emulator
-from nserver_emu.server.session import Session, Visit
+from nserver_emu.server.session import ConnectionContext, Session
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 
 
@@ -22,11 +22,11 @@ def pair(emulator: Emulator) -> tuple[WireClient, Session, WireClient]:
 def test_who_has_finished_stops_nobody(emulator: Emulator) -> None:
     first, session, second = pair(emulator)
     session.receive(b"\x00\x14\x00\x00")  # zr
-    session.answers(most=1)
+    session.process_requests(most=1)
     emulator.pass_time(1.0)
     assert not session.waiting or session.tick()
     second.ask("mv", 0, 0, 0, 0, 1, 50)
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 50}
     del first
 
@@ -37,7 +37,7 @@ def test_one_axis_done_and_another_taken_over_leave_the_rest_alone(emulator: Emu
     emulator.pass_time(1.0)
     second.ask("mv", 0, 0, 1, 60, 0, 0)
     assert first.ask("get_rv").slots == {38: 0, 39: 60, 40: 450}
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert second.ask("get_rv").slots == {38: 0, 39: 60, 40: 0}
 
 
@@ -48,9 +48,9 @@ def test_who_drives_robots_one_after_another_stops_them_all(emulator: Emulator) 
     first.ask("connect_robot", 1, 1)
     first.ask("vm", 0, 0, 100)
     assert [robot.moving[2] for robot in emulator.simulation.robots.values()] == [True, True]
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert [robot.moving[2] for robot in emulator.simulation.robots.values()] == [False, False]
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
 
 
 def test_who_only_watches_keeps_no_robot_going_that_another_drives(emulator: Emulator) -> None:
@@ -73,9 +73,9 @@ def test_any_question_of_who_drives_keeps_it_going_and_anybodys_where_nobody_dri
         emulator.pass_time(1.0)
         first.ask("gs")
     assert emulator.simulation.robots[1].moving[2]
-    assert not emulator.drivers.may_feed(Visit(), 1, emulator.simulation.robots[1])
-    emulator.leave(session.visit)
-    assert emulator.drivers.may_feed(Visit(), 1, emulator.simulation.robots[1])
+    assert not emulator.axis_ownership.may_feed_watchdog(ConnectionContext(), 1, emulator.simulation.robots[1])
+    emulator.on_disconnect(session.context)
+    assert emulator.axis_ownership.may_feed_watchdog(ConnectionContext(), 1, emulator.simulation.robots[1])
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
 
 
@@ -83,7 +83,7 @@ def test_a_search_for_zero_ends_with_who_asked_for_it(emulator: Emulator) -> Non
     first, session, second = pair(emulator)
     first.ask("place_robot", 0, 0, 900, 900)
     session.receive(b"\x00\x14\x00\x00")  # zr
-    assert session.answers(most=1) == b""
-    emulator.leave(session.visit)
+    assert session.process_requests(most=1) == b""
+    emulator.on_disconnect(session.context)
     assert second.ask("get_rv").slots == {38: 0, 39: 0, 40: 0}
     assert not emulator.simulation.robots[1].zeroing

@@ -7,7 +7,7 @@ import pytest
 from nclient.faults.frames import LINE_NAK, Injector, LineLanguage, TcpLanguage
 from nclient.faults.plan import BOTH, Corrupt, Delay, Direction, Drop, Fault, HangUp, Nak, Plan, Rule, When
 from nclient.protocol.serial_framing import build_frame
-from nserver_emu.server.link import MOST_ON_A_WIRE, Arrival, FaultyCable, PacedCable
+from nserver_emu.server.link import MOST_ON_A_WIRE, Arrival, FaultyChannel, RateLimitedChannel
 
 GS, VM = build_frame(7), build_frame(5, bytes(6))
 REQUEST = frozenset({Direction.REQUEST})
@@ -18,8 +18,8 @@ class Bench:
 
     def __init__(self, *rules: Rule, paced: bool = False, tcp: bool = False) -> None:
         self.injector = Injector(Plan(rules), "serial:1")
-        inner = PacedCable(38400) if paced else None
-        self.cable = FaultyCable(TcpLanguage(False) if tcp else LineLanguage(), lambda: self.injector, inner)
+        inner = RateLimitedChannel(38400) if paced else None
+        self.cable = FaultyChannel(TcpLanguage(False) if tcp else LineLanguage(), lambda: self.injector, inner)
 
     def come(self, now_s: float) -> list[Arrival]:
         found = []
@@ -81,7 +81,7 @@ def test_a_new_plan_counts_at_once() -> None:
 
 
 def test_around_a_paced_cable_the_rate_holds() -> None:
-    plain, bench = PacedCable(38400), Bench(rule(Corrupt(place=4)), paced=True)
+    plain, bench = RateLimitedChannel(38400), Bench(rule(Corrupt(place=4)), paced=True)
     for cable in (plain, bench.cable):
         cable.to_robot(GS, 1.0)
     (arrival,) = bench.come(1.1)

@@ -9,8 +9,8 @@ import pytest
 from docs.generate.commands import examples
 from nclient.protocol.commands import BY_NAME, Call
 from nserver_emu.server.handlers.table import HANDLERS, Emulator
-from nserver_emu.server.ownership import Holds, moves
-from nserver_emu.server.session import Visit, error_reply
+from nserver_emu.server.ownership import EStop, moves
+from nserver_emu.server.session import ConnectionContext, error_reply
 from nserver_emu.simulation.models import N200
 from nserver_emu.simulation.noise import IDEAL
 from nserver_emu.simulation.simulation import Simulation
@@ -40,7 +40,7 @@ def test_what_would_move_it_is_answered_with_the_state_and_moves_nothing(name: s
     assert [reply.slots[slot] for slot in (38, 39, 40)] == [0, 0, 0]
     emulator.pass_time(2.0)
     assert emulator.simulation.robots[1].actual == before
-    assert emulator.holds.told() == {"1": {"by": "viewer 1", "ignored": 1}}
+    assert emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 1}}
 
 
 def test_it_stops_at_once_where_it_was_moving_and_whoever_waits_for_that_is_answered() -> None:
@@ -65,7 +65,7 @@ def test_all_else_is_done_as_ever() -> None:
     ):  # fmt: skip
         assert client.ask(name, *args).kind != "error"
     assert math.degrees(emulator.simulation.robots[1].actual.steering_rad) == pytest.approx(90.0)
-    assert emulator.holds.told() == {"1": {"by": "viewer 1", "ignored": 0}}
+    assert emulator.estop.told() == {"1": {"by": "viewer 1", "ignored": 0}}
 
 
 def test_a_program_that_says_stop_by_zero_velocities_is_not_one_that_would_move() -> None:
@@ -73,16 +73,16 @@ def test_a_program_that_says_stop_by_zero_velocities_is_not_one_that_would_move(
     client, _ = meet(emulator)
     client.ask("vm", 0, 0, 0)
     client.ask("vm", 0, 1, 0)
-    assert emulator.holds.told()["1"]["ignored"] == 1
+    assert emulator.estop.told()["1"]["ignored"] == 1
 
 
 def test_who_stopped_it_first_is_told_of_until_it_is_released() -> None:
     emulator = held()
     emulator.hold(1, "viewer 2")
-    assert emulator.holds.told()["1"]["by"] == "viewer 1"
-    emulator.holds.release(1)
-    emulator.holds.release(1)
-    assert emulator.holds.told() == {}
+    assert emulator.estop.told()["1"]["by"] == "viewer 1"
+    emulator.estop.release(1)
+    emulator.estop.release(1)
+    assert emulator.estop.told() == {}
     client, _ = meet(emulator)
     assert client.ask("vm", 100, 0, 0).slots[38] == 100
     emulator.pass_time(1.0)
@@ -93,14 +93,14 @@ def test_the_arm_stops_and_is_refused() -> None:
     world = Simulation(load_world("thesis_room"))
     world.add_robot(1, StartPose(0.0, 0.0), N200, IDEAL)
     emulator = Emulator(world)
-    visit = Visit(robot_id=1)
-    emulator.answer(Call("arm_mv", (2, 500, 2, 100)), visit)
+    context = ConnectionContext(robot_id=1)
+    emulator.answer(Call("arm_mv", (2, 500, 2, 100)), context)
     emulator.pass_time(0.5)
     emulator.hold(1, "viewer 1")
     emulator.pass_time(1.0)  # it brakes
     at = emulator.arms[1].lift.position_in
     for call in (Call("arm_mv", (2, 100, 2, 100)), Call("arm_zr", (0,)), Call("special_request", (99, 1, 2))):
-        reply = emulator.answer(call, visit)
+        reply = emulator.answer(call, context)
         assert reply == error_reply(5)
     emulator.pass_time(1.0)
     assert emulator.arms[1].lift.position_in == pytest.approx(at)
@@ -121,24 +121,24 @@ def test_the_first_motion_that_comes_to_nothing_is_in_the_log(caplog: pytest.Log
 def test_another_robot_goes_on() -> None:
     emulator = held()
     emulator.simulation.add_robot(2, StartPose(40.0, 0.0), N200, IDEAL)
-    visit = Visit(robot_id=2)
-    emulator.answer(Call("vm", (100, 0, 0)), visit)
-    assert not emulator.simulation.robots[2].still((0,))
+    context = ConnectionContext(robot_id=2)
+    emulator.answer(Call("vm", (100, 0, 0)), context)
+    assert not emulator.simulation.robots[2].is_still((0,))
 
 
 @pytest.mark.parametrize("name", HANDLERS)
 def test_no_command_moves_a_held_robot(name: str) -> None:
     emulator = held()
     args = MOVING.get(name, examples(BY_NAME[name]))
-    emulator.answer(Call(name, args), Visit(robot_id=1))
-    assert emulator.simulation.robots[1].still((0, 1, 2))
+    emulator.answer(Call(name, args), ConnectionContext(robot_id=1))
+    assert emulator.simulation.robots[1].is_still((0, 1, 2))
 
 
 def test_holds_know_whose_call_it_is() -> None:
-    holds = Holds()
+    holds = EStop()
     holds.put(3, "x")
     call = Call("vm", (1, 0, 0))
-    assert holds.meant(call, None) is call
-    assert holds.meant(call, 1) is call
-    assert holds.meant(call, 3) == Call("st", ())
+    assert holds.effective_call(call, None) is call
+    assert holds.effective_call(call, 1) is call
+    assert holds.effective_call(call, 3) == Call("st", ())
     assert moves(call)

@@ -61,7 +61,7 @@ def test_a_n200_is_told_its_mask_and_says_no_hello() -> None:
 def test_silence_takes_a_step_and_a_broken_frame_is_given_up_by_it() -> None:
     end = opened("sim:?line=1&step_s=0.1")
     client = watcher(end)
-    question = codec.line_request(Call("gs"), serial_wire_state(N150))
+    question = codec.encode_serial_request(Call("gs"), serial_wire_state(N150))
     assert exchange(end, question[:-1]) == b""
     assert client.ask("sim_truth").values[1] == 100
     for _ in range(6):
@@ -73,7 +73,7 @@ def test_silence_takes_a_step_and_a_broken_frame_is_given_up_by_it() -> None:
 def test_silence_takes_nothing_where_time_stands() -> None:
     end = opened("sim:?line=1")
     client = watcher(end)
-    end.emulator.pace.paused = True
+    end.emulator.clock.paused = True
     assert exchange(end, b"rubbish") == b""
     assert client.ask("sim_truth").values[1] == 0
 
@@ -86,7 +86,7 @@ def test_beside_it_the_same_simulation_is_looked_at_and_nothing_moves() -> None:
     host.ask("vm", 100, 0, 0)
     assert host.ask("gs").slots[38] == 100
     assert client.ask("sim_truth").values[1] == 100
-    assert end.emulator.pace.lockstep_s == 0.05
+    assert end.emulator.clock.lockstep_s == 0.05
 
 
 def test_leaving_the_line_stops_the_robot() -> None:

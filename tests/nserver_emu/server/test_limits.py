@@ -14,31 +14,33 @@ from pathlib import Path
 
 import pytest
 
-from nclient.common.allowlist import Access
+from nclient.common.allowlist import Allowlist
 from nclient.protocol import codec
 from nclient.protocol.commands import BY_TCP_TYPE, Call
 from nserver_emu import cli
-from nserver_emu.server.admission import Door
-from nserver_emu.server.connection import REQUESTS_A_TURN
+from nserver_emu.server.admission import AdmissionControl
+from nserver_emu.server.connection import MAX_REQUESTS_PER_TURN
 from nserver_emu.server.context import Allowed
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.limits import TABLE, Limits, add_options, limits_of
-from tests.nserver_emu.server.daemon_house import Client, House, with_daemon
+from tests.nserver_emu.server.running_server import Client, RunningServer, run_scenario
 from tests.nserver_emu.server.wire_client import simulation
 
 ROOT = Path(__file__).parents[3]
-GS = codec.tcp_request(Call("gs"))
+GS = codec.encode_tcp_request(Call("gs"))
 BOX = (4, 100, 100, 200, 100, 200, 200, 100, 200)
 
 
-def at_home(limits: Limits, visit: Callable[[House], Awaitable[None]], emulator: Emulator | None = None) -> None:
-    """A visit to a daemon with these limits."""
+def at_home(
+    limits: Limits, scenario: Callable[[RunningServer], Awaitable[None]], emulator: Emulator | None = None
+) -> None:
+    """A scenario to a daemon with these limits."""
 
-    async def limited(house: House) -> None:
-        house.daemon.door.limits = limits
-        await visit(house)
+    async def limited(server: RunningServer) -> None:
+        server.daemon.admission.limits = limits
+        await scenario(server)
 
-    with_daemon(limited, emulator=emulator)
+    run_scenario(limited, emulator=emulator)
 
 
 async def is_closed(client: Client) -> bool:
@@ -89,97 +91,97 @@ def test_the_longest_frame_is_the_tables() -> None:
 
 @pytest.mark.parametrize("limits", [Limits(connections=2), Limits(per_address=2)], ids=["connections", "per address"])
 def test_one_connection_too_many_is_closed_and_the_others_go_on(limits: Limits) -> None:
-    async def visit(house: House) -> None:
-        first, second = await house.call(), await house.call()
-        assert await is_closed(await house.knock())
-        assert house.daemon.door.turned_away == 1
+    async def scenario(server: RunningServer) -> None:
+        first, second = await server.connect_client(), await server.connect_client()
+        assert await is_closed(await server.open_client())
+        assert server.daemon.admission.rejected == 1
         for client in (first, second):
             assert (await client.ask("gs")).kind == "state"
         second.writer.close()
-        while len(house.daemon.connections) == 2:
+        while len(server.daemon.connections) == 2:
             await asyncio.sleep(0.005)
-        assert (await (await house.call()).ask("gs")).kind == "state"
+        assert (await (await server.connect_client()).ask("gs")).kind == "state"
 
-    at_home(limits, visit)
+    at_home(limits, scenario)
 
 
 def test_from_another_address_there_is_room() -> None:
-    door = Door(Limits(per_address=1, connections=2))
-    assert "from there" in door.refusal("10.0.0.1", ["10.0.0.1"])
-    assert not door.refusal("10.0.0.2", ["10.0.0.1"])
-    assert "--limit-connections" in door.refusal("10.0.0.2", ["10.0.0.1", "10.0.0.3"])
+    door = AdmissionControl(Limits(per_address=1, connections=2))
+    assert "from there" in door.rejection_reason("10.0.0.1", ["10.0.0.1"])
+    assert not door.rejection_reason("10.0.0.2", ["10.0.0.1"])
+    assert "--limit-connections" in door.rejection_reason("10.0.0.2", ["10.0.0.1", "10.0.0.3"])
 
 
 def test_who_is_not_allowed_is_turned_away_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    door = Door(access=Access(()))
-    assert not door.refusal("10.0.0.1", [])
-    fenced = Door(access=Access((ip_network("10.9.9.0/24"),)))
-    assert "--allow" in fenced.refusal("10.0.0.1", [], "10.0.0.2")
-    assert not fenced.refusal("10.0.0.1", [], "10.0.0.1")
-    door.turn_away("10.0.0.1", "because")
-    door.turn_away("10.0.0.2", "because")
+    door = AdmissionControl(access=Allowlist(()))
+    assert not door.rejection_reason("10.0.0.1", [])
+    fenced = AdmissionControl(access=Allowlist((ip_network("10.9.9.0/24"),)))
+    assert "--allow" in fenced.rejection_reason("10.0.0.1", [], "10.0.0.2")
+    assert not fenced.rejection_reason("10.0.0.1", [], "10.0.0.1")
+    door.reject("10.0.0.1", "because")
+    door.reject("10.0.0.2", "because")
     assert [record.getMessage()[:8] for record in caplog.records if record.levelname == "WARNING"] == ["10.0.0.1"]
-    assert door.turned_away == 2
+    assert door.rejected == 2
 
 
 def test_who_asks_too_fast_is_slowed_loses_nothing_and_slows_nobody() -> None:
-    async def visit(house: House) -> None:
-        fast, other = await house.call(), await house.call()
-        count, began = 60 + REQUESTS_A_TURN, time.monotonic()
+    async def scenario(server: RunningServer) -> None:
+        fast, other = await server.connect_client(), await server.connect_client()
+        count, began = 60 + MAX_REQUESTS_PER_TURN, time.monotonic()
         fast.writer.write(GS * count)
         assert (await other.ask("gs")).kind == "state"
         for _ in range(count):
             assert (await fast.reply("gs")).kind == "state"
         assert time.monotonic() - began >= 0.2  # 20 at once, one more for CONNECT, then 200 a second
 
-    at_home(Limits(rate=200), visit)
+    at_home(Limits(rate=200), scenario)
 
 
 def test_who_asks_too_fast_one_by_one_is_slowed_as_well() -> None:
-    async def visit(house: House) -> None:
-        fast, began = await house.call(), time.monotonic()
+    async def scenario(server: RunningServer) -> None:
+        fast, began = await server.connect_client(), time.monotonic()
         for _ in range(60):
             assert (await fast.ask("gs")).kind == "state"
         assert time.monotonic() - began >= 0.15  # 20 at once, one of them CONNECT, then 200 a second
 
-    at_home(Limits(rate=200), visit)
+    at_home(Limits(rate=200), scenario)
 
 
 def test_a_request_that_is_too_long_is_refused_and_passed_over() -> None:
-    async def visit(house: House) -> None:
-        client = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client = await server.connect_client()
         assert (await client.ask("add_obstacle", *BOX)).kind == "simple"
         long = (10, *(number for corner in range(10) for number in (corner * 10, 2000 + corner**2)))
         assert (await client.ask("add_obstacle", *long)).values == (2,)
         assert (await client.ask("gs")).kind == "state"
 
-    at_home(Limits(), visit, Emulator(simulation(), allowed=Allowed(frame=17)))
+    at_home(Limits(), scenario, Emulator(simulation(), allowed=Allowed(frame=17)))
 
 
 def test_who_says_nothing_is_closed_and_who_talks_or_waits_is_not(caplog: pytest.LogCaptureFixture) -> None:
-    async def visit(house: House) -> None:
-        silent, talker, waiting = await house.call(), await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        silent, talker, waiting = [await server.connect_client() for _ in range(3)]
         await waiting.ask("vm", 10, 0, 0)
-        waiting.writer.write(codec.tcp_request(Call("ws", (1, 1, 1, 200))))
-        while not any(one.session.waiting for one in house.daemon.connections):
+        waiting.writer.write(codec.encode_tcp_request(Call("ws", (1, 1, 1, 200))))
+        while not any(one.session.waiting for one in server.daemon.connections):
             await asyncio.sleep(0.01)
         closed = asyncio.create_task(is_closed(silent))
         while not closed.done():
             await talker.ask("gs")
             await asyncio.sleep(0.01)
-        assert len(house.daemon.connections) == 2
+        assert len(server.daemon.connections) == 2
         assert (await talker.ask("gs")).kind == "state"
 
-    at_home(Limits(idle=2), visit)
+    at_home(Limits(idle=2), scenario)
     assert "said nothing for 2 s" in caplog.text
 
 
 def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
-    async def visit(house: House) -> None:
-        stalled, other = await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        stalled, other = await server.connect_client(), await server.connect_client()
         await stalled.ask("vm", 100, 0, 0)
         closed = asyncio.create_task(is_closed(stalled))
-        for byte in codec.tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
+        for byte in codec.encode_tcp_request(Call("vm", (1, 2, 3)))[:-1] * 100:
             if closed.done():
                 break
             stalled.writer.write(bytes([byte]))
@@ -187,32 +189,32 @@ def test_who_stops_in_the_middle_is_closed_though_bytes_still_drip() -> None:
         assert await closed
         assert (await other.ask("gs")).kind == "state"
 
-    at_home(Limits(stall=1), visit)
+    at_home(Limits(stall=1), scenario)
 
 
 def test_who_stops_in_the_middle_of_what_is_passed_over_is_closed_and_told_of_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def visit(house: House) -> None:
-        stalled = await house.call()
+    async def scenario(server: RunningServer) -> None:
+        stalled = await server.connect_client()
         stalled.writer.write(struct.pack(">hH", 7777, 1000) + bytes(100))
         assert (await stalled.reply("gs")).kind == "error"
         assert await is_closed(stalled)
 
-    at_home(Limits(stall=1), visit)
+    at_home(Limits(stall=1), scenario)
     assert "stopped in the middle of a request" in caplog.text
     assert "vanished" not in caplog.text  # it was we who closed it
 
 
 def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCaptureFixture) -> None:
-    async def visit(house: House) -> None:
-        other, deaf = await house.call(), socket.socket()
+    async def scenario(server: RunningServer) -> None:
+        other, deaf = await server.connect_client(), socket.socket()
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         deaf.setblocking(False)
         loop = asyncio.get_running_loop()
-        await loop.sock_connect(deaf, ("127.0.0.1", house.port))
+        await loop.sock_connect(deaf, ("127.0.0.1", server.port))
         async def ask_on() -> None:
-            await loop.sock_sendall(deaf, codec.tcp_request(Call("connect_robot", (1, 1))))
+            await loop.sock_sendall(deaf, codec.encode_tcp_request(Call("connect_robot", (1, 1))))
             while True:
                 await loop.sock_sendall(deaf, GS * 1000)
 
@@ -222,17 +224,17 @@ def test_who_takes_no_replies_is_left_alone_and_then_closed(caplog: pytest.LogCa
                 assert (await other.ask("gs")).kind == "state"
                 await asyncio.sleep(0.01)
         assert isinstance(asking.exception(), ConnectionError)
-        assert len(house.daemon.connections) == 1
+        assert len(server.daemon.connections) == 1
 
-    at_home(Limits(stall=1, write_queue=2048), visit)
+    at_home(Limits(stall=1, write_queue=2048), scenario)
     assert "took no replies, for 1 s" in caplog.text
 
 
 def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
     emulator = Emulator(simulation(), allowed=Allowed(obstacles=1, graphics=2))
 
-    async def visit(house: House) -> None:
-        client, other = await house.call(), await house.call()
+    async def scenario(server: RunningServer) -> None:
+        client, other = await server.connect_client(), await server.connect_client()
         replies = [await client.ask("add_obstacle", *BOX) for _ in range(2)]
         assert [reply.values for reply in replies] == [(0,), (5,)]
         for number in range(5):
@@ -240,4 +242,4 @@ def test_obstacles_and_drawings_are_as_many_as_allowed() -> None:
         assert [shape.numbers[0] for shape in emulator.graphics.shapes] == [3, 4]
         assert (await other.ask("gs")).kind == "state"
 
-    at_home(Limits(), visit, emulator)
+    at_home(Limits(), scenario, emulator)

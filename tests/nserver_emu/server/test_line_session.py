@@ -14,12 +14,12 @@ from nclient.protocol import codec
 from nclient.protocol.client_state import apply_handshake, read_handshake
 from nclient.protocol.commands import BY_NAME, Call
 from nclient.protocol.replies import Reply
-from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_frame, only_frame
+from nclient.protocol.serial_framing import SerialFrame, SerialFramer, build_frame, parse_single_frame
 from nclient.protocol.types import CPU_RANGE_V, EVERYTHING, MODELS, MOTOR_RANGE_V, N150, N200, Mask, Position, volts
 from nclient.protocol.wire_state import serial_wire_state
-from nserver_emu.server.context import Pace
-from nserver_emu.server.serial_session import EXPIRY_S, LineSession
-from nserver_emu.server.session import Visit
+from nserver_emu.server.context import SimulationClock
+from nserver_emu.server.serial_session import EXPIRY_S, SerialSession
+from nserver_emu.server.session import ConnectionContext
 from nserver_emu.simulation.models import MODELS as SIMULATED
 from nserver_emu.simulation.noise import MEASURED
 from tests.nclient.protocol.recorded import LINE_SESSIONS, SERIAL, exchanges, model_of
@@ -162,8 +162,8 @@ def test_conf_ls_goes_by_another_number_for_points() -> None:
     host, session = meet_on_line(emulated("n200"))
     host.ask("conf_ls", 33, 20, 20, 20, 4)
     session.receive(build_frame(17, bytes((35, 20, 20, 20, 0, 4))))
-    session.answers(1)
-    assert session.visit.wire_state.laser_mode == 51
+    session.process_requests(1)
+    assert session.context.wire_state.laser_mode == 51
 
 
 def test_conf_cp_is_answered_by_scores_that_a_turn_makes_better() -> None:
@@ -196,11 +196,11 @@ def test_the_arm_of_an_n200_answers_in_packets_when_it_is_done() -> None:
     emulator = emulated("n200")
     host, session = meet_on_line(emulator)
     assert bytes(host.ask("arm_mv", 2, 500, 0, 0).values) == bytes.fromhex("0800002a01000000")
-    waits = codec.line_request(Call("arm_ws", (1, 1, 9000)), host.wire_state)
+    waits = codec.encode_serial_request(Call("arm_ws", (1, 1, 9000)), host.wire_state)
     assert host.raw(waits) == []
     assert session.waiting
     emulator.simulation.step(3.0)
-    answer = codec.read_line_reply(only_frame(session.tick()), host.wire_state)
+    answer = codec.decode_serial_reply(parse_single_frame(session.tick()), host.wire_state)
     assert answer.values[:8] == (12, 0, 0, 41, 1, 0, 0, 0)
     assert not session.waiting
 
@@ -209,17 +209,17 @@ def test_ws_and_zr_are_answered_when_they_are_over() -> None:
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("pr", 100, 0, 0)
-    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 20)), host.wire_state)) == []
+    assert host.raw(codec.encode_serial_request(Call("ws", (1, 1, 1, 20)), host.wire_state)) == []
     emulator.simulation.step(30.0)
-    frame = only_frame(session.tick())
+    frame = parse_single_frame(session.tick())
     assert frame.type == 31
     assert frame.data[POSE : POSE + 2] == bytes((100, 0))
     assert session.tick() == b""
     host.ask("pr", 0, 900, 0)
     emulator.simulation.step(0.5)
-    assert host.raw(codec.line_request(Call("zr"), host.wire_state)) == []
+    assert host.raw(codec.encode_serial_request(Call("zr"), host.wire_state)) == []
     emulator.simulation.step(60.0)
-    assert only_frame(session.tick()).type == 13
+    assert parse_single_frame(session.tick()).type == 13
 
 
 # Refusals
@@ -234,7 +234,7 @@ def test_what_the_line_of_a_model_does_not_have_gets_a_nak_and_what_it_has_an_an
             continue
         data = row.line_request.build(arguments.get(row.name, (0,) * len(row.arguments)))
         session.receive(build_frame(row.line_type, data))
-        (frame,) = SerialFramer().receive(session.answers(1))
+        (frame,) = SerialFramer().receive(session.process_requests(1))
         assert frame.type == (row.line_type if model in row.line_models else 8), row.name
     assert session.refused > 0
 
@@ -259,9 +259,9 @@ def test_the_compass_of_an_n150_shows_in_its_state_and_is_not_to_be_asked_for_on
 def test_unknown_types_wrong_data_and_values_that_cannot_be_get_a_nak_and_nothing_else(request_bytes: bytes) -> None:
     _, session = meet_on_line(emulated())
     session.receive(request_bytes + GS_REQUEST)
-    answers = session.answers(9)
+    answers = session.process_requests(9)
     assert answers.startswith(NAK)
-    assert only_frame(answers[len(NAK) :]).type == GS
+    assert parse_single_frame(answers[len(NAK) :]).type == GS
     assert session.refused == 1
 
 
@@ -269,7 +269,7 @@ def test_only_the_first_refusal_is_logged(caplog: pytest.LogCaptureFixture) -> N
     _, session = meet_on_line(emulated())
     with caplog.at_level(logging.WARNING):
         session.receive(build_frame(200) * 3 + build_frame(43, bytes((7, *[0] * 11))))
-        assert session.answers(9) == NAK * 4
+        assert session.process_requests(9) == NAK * 4
     assert len(caplog.records) == 1
     assert "type 200 does not exist on the line of a n150" in caplog.text
 
@@ -285,12 +285,12 @@ def test_after_any_rubbish_and_a_pause_the_next_request_is_answered(rubbish: byt
     for cut in [*cuts, len(rubbish)]:
         session.receive(rubbish[:cut])
         rubbish = rubbish[cut:]
-        session.answers(99)
+        session.process_requests(99)
     emulator.simulation.step(EXPIRY_S + 0.1)
     session.tick()
-    session.answers(99)
+    session.process_requests(99)
     session.receive(GS_REQUEST)
-    frames = SerialFramer().receive(session.answers(99))
+    frames = SerialFramer().receive(session.process_requests(99))
     assert [frame.type for frame in frames] == [GS]
     assert session.unfinished == 0
 
@@ -298,40 +298,40 @@ def test_after_any_rubbish_and_a_pause_the_next_request_is_answered(rubbish: byt
 def test_a_frame_with_a_wrong_checksum_is_met_with_silence() -> None:
     _, session = meet_on_line(emulated())
     session.receive(GS_REQUEST[:4] + b"\x0b" + GS_REQUEST[5:])
-    assert session.answers(9) == b""
+    assert session.process_requests(9) == b""
     assert session.skipped_bytes == 6
     assert session.refused == 0
 
 
 def test_a_cut_frame_hides_those_behind_it_until_its_time_is_over_and_not_longer() -> None:
     now_s = [100.0]
-    session = LineSession(emulated().answer, 1, N150, lambda: now_s[0])
+    session = SerialSession(emulated().answer, 1, N150, lambda: now_s[0])
     session.receive(b"\x01\xf0\x00\x05")
     for _ in range(3):
         now_s[0] += EXPIRY_S / 4
         session.receive(GS_REQUEST)
-        assert session.answers(9) == session.tick() == b""
+        assert session.process_requests(9) == session.tick() == b""
     assert session.unfinished == 4 + 3 * 6
     now_s[0] += EXPIRY_S / 4 + 0.001
     assert session.tick() == b""
     assert session.unfinished == 0
-    assert [frame.type for frame in SerialFramer().receive(session.answers(9))] == [GS] * 3
+    assert [frame.type for frame in SerialFramer().receive(session.process_requests(9))] == [GS] * 3
     session.receive(GS_REQUEST[:3])
     now_s[0] += 2 * EXPIRY_S
     session.receive(GS_REQUEST)
-    assert [frame.type for frame in SerialFramer().receive(session.answers(9))] == [GS]
+    assert [frame.type for frame in SerialFramer().receive(session.process_requests(9))] == [GS]
 
 
 def test_a_frame_that_comes_slowly_is_not_given_up_before_its_time() -> None:
     now_s = [0.0]
-    session = LineSession(emulated().answer, 1, N150, lambda: now_s[0])
+    session = SerialSession(emulated().answer, 1, N150, lambda: now_s[0])
     session.receive(GS_REQUEST + GS_REQUEST[:2])
-    assert only_frame(session.answers(9)).type == GS
+    assert parse_single_frame(session.process_requests(9)).type == GS
     for place in range(2, 6):
         now_s[0] += EXPIRY_S / 5
         session.tick()
         session.receive(GS_REQUEST[place : place + 1])
-    assert only_frame(session.answers(9)).type == GS
+    assert parse_single_frame(session.process_requests(9)).type == GS
 
 
 # Who drives, and time
@@ -341,7 +341,7 @@ def test_one_that_asks_while_an_answer_is_outstanding_has_given_up_on_it() -> No
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("vm", 100, 0, 0)
-    assert host.raw(codec.line_request(Call("ws", (1, 1, 1, 200)), host.wire_state)) == []
+    assert host.raw(codec.encode_serial_request(Call("ws", (1, 1, 1, 200)), host.wire_state)) == []
     assert host.frame("st").type == ST
     assert not session.waiting
     emulator.simulation.step(1.0)
@@ -349,7 +349,7 @@ def test_one_that_asks_while_an_answer_is_outstanding_has_given_up_on_it() -> No
 
 
 def test_in_lockstep_time_moves_with_each_exchange_on_a_line_too() -> None:
-    host, _ = meet_on_line(emulated(pace=Pace(lockstep_s=0.1)))
+    host, _ = meet_on_line(emulated(pace=SimulationClock(lockstep_s=0.1)))
     assert [host.ask("gs").clock for _ in range(3)] == [100, 200, 300]
 
 
@@ -357,7 +357,7 @@ def test_the_robot_stops_when_the_host_on_its_line_leaves() -> None:
     emulator = emulated()
     host, session = meet_on_line(emulator)
     host.ask("vm", 100, 0, 0)
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert not any(emulator.simulation.robots[1].moving)
 
 
@@ -366,7 +366,7 @@ def test_a_closing_line_says_and_hears_nothing_more() -> None:
     session.closing = True
     session.receive(GS_REQUEST)
     assert not session.ready
-    assert session.answers(9) == b""
+    assert session.process_requests(9) == b""
 
 
 def test_over_tcp_an_n200_says_first_which_mask_and_laser_mode_are_in_force() -> None:
@@ -374,7 +374,7 @@ def test_over_tcp_an_n200_says_first_which_mask_and_laser_mode_are_in_force() ->
     assert session.greeting.hex() == "ffffffffff0101" + "33" + "000000"
     assert read_handshake(session.greeting) == (EVERYTHING, 51)
     assert meet_on_line(emulated())[1].greeting == b""
-    assert session.met is None
+    assert session.identity is None
 
 
 def test_mask_and_laser_mode_are_the_robots_and_outlive_a_host() -> None:
@@ -383,7 +383,7 @@ def test_mask_and_laser_mode_are_the_robots_and_outlive_a_host() -> None:
     few = pose_only()
     host.ask("ct", *few.smask)
     host.ask("conf_ls", 1, 20, 20, 20, 4)
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     again, session = meet_on_line(emulator)
     hello = read_handshake(session.greeting)
     assert hello == (Mask((*few.smask[:41], 1, *few.smask[42:])), 1)
@@ -411,19 +411,19 @@ def test_replies_of_the_recorded_robot_go_out_byte_by_byte_as_it_sent_them(sessi
     """A robot in the recorded state, so to speak; its bumpers' high half reads 1111 where the model has it."""
     model = model_of(session_name)
     said: list[Reply] = []
-    session = LineSession(lambda _call, _visit: said.pop(), 1, model, lambda: 0.0)
+    session = SerialSession(lambda _call, _visit: said.pop(), 1, model, lambda: 0.0)
     wire_state = serial_wire_state(model)
     count = 0
     for exchange in exchanges(SERIAL[session_name], model):
         codec.update_from_request(exchange.call, wire_state)
-        reply = codec.read_line_reply(only_frame(exchange.reply), wire_state)
+        reply = codec.decode_serial_reply(parse_single_frame(exchange.reply), wire_state)
         said.append(reply)
         session.receive(exchange.request)
         expected = exchange.reply
         if 33 in reply.slots:
             rested = replace(reply, slots={**reply.slots, 33: reply.slots[33] | model.bumper_rest})
-            expected = codec.line_reply(BY_NAME[exchange.call.name], rested, wire_state)
-        assert session.answers(1) == expected, exchange.call
+            expected = codec.encode_serial_reply(BY_NAME[exchange.call.name], rested, wire_state)
+        assert session.process_requests(1) == expected, exchange.call
         count += expected == exchange.reply
     assert count >= (20 if session_name == "scout" else 0)
 
@@ -435,7 +435,7 @@ def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_sh
     emulator = emulated(model.name, StartPose(50.0, 50.0, 0.0, 0.0))
     host, session = meet_on_line(emulator)
     for exchange in exchanges(SERIAL[session_name], model):
-        recorded = only_frame(exchange.reply)
+        recorded = parse_single_frame(exchange.reply)
         codec.update_from_request(exchange.call, host.wire_state)
         frames = host.raw(exchange.request)
         while not frames:
@@ -446,7 +446,7 @@ def test_the_emulator_answers_the_recorded_requests_in_frames_of_the_recorded_sh
         if lacking or recorded.type == 8:
             assert lacking == (frame.type == 8)
             continue
-        ours, theirs = (codec.read_line_reply(each, host.wire_state) for each in (frame, recorded))
+        ours, theirs = (codec.decode_serial_reply(each, host.wire_state) for each in (frame, recorded))
         assert (frame.type, ours.slots.keys(), ours.stamps.keys()) == (
             recorded.type, theirs.slots.keys(), theirs.stamps.keys())  # fmt: skip
         without_laser = [len(each.data) - _laser_octets(reply) for each, reply in ((frame, ours), (recorded, theirs))]
@@ -466,14 +466,14 @@ def test_the_host_of_these_tests_reads_only_whole_answers() -> None:
 
 
 def test_a_line_drives_its_own_robot_only() -> None:
-    seen: list[Visit] = []
+    seen: list[ConnectionContext] = []
 
-    def answer(_call: Call, visit: Visit) -> Reply:
-        seen.append(visit)
+    def answer(_call: Call, scenario: ConnectionContext) -> Reply:
+        seen.append(scenario)
         return Reply("state")
 
-    session = LineSession(answer, 7, N150, lambda: 0.0)
+    session = SerialSession(answer, 7, N150, lambda: 0.0)
     session.receive(GS_REQUEST)
-    session.answers(1)
-    assert [visit.robot_id for visit in seen] == [7]
+    session.process_requests(1)
+    assert [scenario.robot_id for scenario in seen] == [7]
     assert seen[0].wire_state.line

@@ -6,11 +6,11 @@ import pytest
 
 from nclient.protocol import codec
 from nclient.protocol.commands import Call
-from nserver_emu.server.context import Allowed, Pace, Promises
+from nserver_emu.server.context import Allowed, DeferredReplies, SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from nserver_emu.server.inprocess import InProcess
-from nserver_emu.server.session import Session, Visit
+from nserver_emu.server.session import ConnectionContext, Session
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 
 STEP = 4
@@ -22,14 +22,14 @@ def waiting(emulator: Emulator, seconds: int) -> tuple[WireClient, Session]:
     """A client that waits for its steering to stand still, so long at most."""
     client, session = meet(emulator)
     client.ask(*(("pr", *TURN) if seconds > 10 else ("vm", *TURN)))
-    session.receive(codec.tcp_request(Call("ws", (1, 1, 1, seconds))))
-    assert session.answers(most=1) == b""
+    session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, seconds))))
+    assert session.process_requests(most=1) == b""
     return client, session
 
 
 @pytest.mark.parametrize("seconds", [1, 60])
 def test_who_waits_is_answered_as_of_a_second_though_another_steps_a_minute(seconds: int) -> None:
-    emulator = Emulator(simulation(), pace=Pace(paused=True), allowed=Allowed(control=True))
+    emulator = Emulator(simulation(), clock=SimulationClock(paused=True), allowed=Allowed(control=True))
     client, session = waiting(emulator, seconds)
     other, _ = meet(emulator)
     assert other.ask("sim_control", STEP, 60_000).values[1] == 60_000
@@ -52,7 +52,7 @@ def test_who_waits_is_answered_in_time_at_a_hundred_times_the_speed() -> None:
 def test_who_waits_is_answered_in_time_though_anothers_question_takes_long() -> None:
     emulator = Emulator(simulation())
     client, session = waiting(emulator, 1)
-    emulator.pace.lockstep_s = 10.0
+    emulator.clock.lockstep_s = 10.0
     meet(emulator)[0].ask("gs")
     (reply,) = client.read("ws", session.tick())
     assert reply.clock == 1000
@@ -81,10 +81,10 @@ def test_steps_of_any_size_add_up_exactly() -> None:
 
 
 def test_whoever_has_gone_is_asked_no_more() -> None:
-    promises, one, other = Promises(), Visit(), Visit()
-    asked: list[Visit] = []
-    for visit in (one, other):
-        promises.make(visit, lambda visit=visit: asked.append(visit))  # type: ignore[misc]
+    promises, one, other = DeferredReplies(), ConnectionContext(), ConnectionContext()
+    asked: list[ConnectionContext] = []
+    for context in (one, other):
+        promises.make(context, lambda context=context: asked.append(context))  # type: ignore[misc]
     promises.drop(one)
     promises.ask()
     assert asked == [other]
@@ -95,7 +95,7 @@ def test_a_connection_that_leaves_while_it_waits_is_forgotten() -> None:
     emulator = Emulator(simulation())
     _, session = waiting(emulator, 60)
     assert len(emulator._promises) == 1
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert len(emulator._promises) == 0
 
 
@@ -107,11 +107,11 @@ def test_whoever_waits_feeds_the_time_out_until_it_is_answered(call: str) -> Non
     client.ask("sp", 50, 30, 30)
     if call == "zr":
         client.ask("place_robot", 0, 0, 900, 900)
-        session.receive(codec.tcp_request(Call("zr")))
+        session.receive(codec.encode_tcp_request(Call("zr")))
     else:
         client.ask("pr", 0, 900, 900)
-        session.receive(codec.tcp_request(Call("ws", (1, 1, 1, 25))))
-    assert session.answers(most=1) == b""
+        session.receive(codec.encode_tcp_request(Call("ws", (1, 1, 1, 25))))
+    assert session.process_requests(most=1) == b""
     emulator.pass_time(24.0)
     assert emulator.simulation.robots[1].moving[1:] == (True, True)
     emulator.pass_time(6.5)

@@ -10,18 +10,18 @@ from nclient import connect
 from nclient.errors import SnapshotError
 from nserver_emu import cli
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.context import Pace
+from nserver_emu.server.context import SimulationClock
 from nserver_emu.server.daemon import Daemon
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import meet, simulation
 
-SAVED_PACE = Pace(factor=3.0, lockstep_s=0.25)
+SAVED_PACE = SimulationClock(factor=3.0, lockstep_s=0.25)
 
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
     path = tmp_path / "saved.json"
-    snapshot.save(Emulator(simulation(seed=4), pace=SAVED_PACE), path)
+    snapshot.save(Emulator(simulation(seed=4), clock=SAVED_PACE), path)
     return path
 
 
@@ -128,39 +128,39 @@ def test_a_robot_of_a_setup_file_is_refused_and_its_port_is_not(
     ("words", "pace"),
     [
         ([], SAVED_PACE),
-        (["--speed", "7"], Pace(7.0)),
-        (["--speed", "max"], Pace(None)),
-        (["--paused"], Pace(paused=True)),
-        (["--lockstep", "0.5"], Pace(lockstep_s=0.5)),
+        (["--speed", "7"], SimulationClock(7.0)),
+        (["--speed", "max"], SimulationClock(None)),
+        (["--paused"], SimulationClock(paused=True)),
+        (["--lockstep", "0.5"], SimulationClock(lockstep_s=0.5)),
         (["--port", "0", "--allow-control"], SAVED_PACE),
     ],
 )
 def test_it_goes_on_at_its_own_pace_unless_told_another(
-    words: list[str], pace: Pace, saved: Path, started: list[Emulator]
+    words: list[str], pace: SimulationClock, saved: Path, started: list[Emulator]
 ) -> None:
     assert cli.main([*words, "--restore", str(saved)]) == 0
-    assert started[0].pace == pace
+    assert started[0].clock == pace
     assert started[0].simulation.seed == 4
 
 
 @pytest.mark.parametrize(
     "pace",
     [
-        Pace(factor=-1.0),
-        Pace(factor=1e9),
-        Pace(factor=True),
-        Pace(factor="1"),  # type: ignore[arg-type]
-        Pace(lockstep_s=0.0),
-        Pace(lockstep_s=11.0),
-        Pace(paused=1),  # type: ignore[arg-type]
+        SimulationClock(factor=-1.0),
+        SimulationClock(factor=1e9),
+        SimulationClock(factor=True),
+        SimulationClock(factor="1"),  # type: ignore[arg-type]
+        SimulationClock(lockstep_s=0.0),
+        SimulationClock(lockstep_s=11.0),
+        SimulationClock(paused=1),  # type: ignore[arg-type]
     ],
 )
-def test_a_strangers_pace_is_refused(pace: Pace) -> None:
-    text = snapshot.dumps(Emulator(simulation(), pace=pace))
+def test_a_strangers_pace_is_refused(pace: SimulationClock) -> None:
+    text = snapshot.dumps(Emulator(simulation(), clock=pace))
     emulator = Emulator(simulation())
     with pytest.raises(SnapshotError, match="is damaged"):
         snapshot.loads(emulator, text)
-    assert emulator.pace == Pace()
+    assert emulator.clock == SimulationClock()
 
 
 def test_the_first_to_connect_to_a_restored_robot_in_motion_answers_for_it() -> None:
@@ -173,12 +173,12 @@ def test_the_first_to_connect_to_a_restored_robot_in_motion_answers_for_it() -> 
     first, first_session = meet(restored)
     second, second_session = meet(restored)
     second.ask("mv", 0, 0, 0, 0, 1, 70)
-    restored.leave(first_session.visit)
+    restored.on_disconnect(first_session.context)
     assert robot.moving == (False, False, True)
     _, third_session = meet(restored)
-    restored.leave(third_session.visit)
+    restored.on_disconnect(third_session.context)
     assert robot.moving == (False, False, True)
-    restored.leave(second_session.visit)
+    restored.on_disconnect(second_session.context)
     assert robot.moving == (False, False, False)
     del first
 
@@ -191,7 +191,7 @@ def test_what_another_robots_client_already_drives_is_not_adopted() -> None:
     restored = Emulator(simulation())
     snapshot.loads(restored, snapshot.dumps(emulator))
     _, session = meet(restored)
-    restored.leave(session.visit)
+    restored.on_disconnect(session.context)
     assert restored.simulation.robots[2].moving[2]
 
 
@@ -216,10 +216,10 @@ def test_a_run_that_is_kept_goes_on_with_what_is_in_the_file_whatever_the_option
     caplog.set_level("INFO", "nserver_emu.persistence.options")
     assert cli.main([*gone, "--save", saved.name, "--autosave", "60", "--restore", str(saved)]) == 0
     assert (started[0].simulation.world.name, started[0].simulation.seed) == ("thesis_room", 4)
-    assert started[0].pace == SAVED_PACE
+    assert started[0].clock == SAVED_PACE
     assert "goes on from" in caplog.text
     assert cli.main([*gone, "--save", saved.name, "--restore", str(saved), "--speed", "7"]) == 0
-    assert started[1].pace == Pace(7.0)
+    assert started[1].clock == SimulationClock(7.0)
 
 
 @pytest.mark.parametrize("save", [(), ("--save", "other.json"), ("--save", "other.json", "--autosave", "60")])

@@ -8,18 +8,18 @@ from pathlib import Path
 import pytest
 
 from nclient.errors import AddressError, StartError
-from nserver_emu.server.config import Setting, pose_from_text
+from nserver_emu.server.config import SimulationConfig, pose_from_text
 from worlds.world import StartPose
 
 
 def test_one_n150_in_the_room_of_the_thesis_is_the_rule() -> None:
-    robots = Setting().simulation().robots
+    robots = SimulationConfig().simulation().robots
     assert {number: robot.model.name for number, robot in robots.items()} == {1: "n150"}
 
 
 def test_robots_with_and_without_a_start() -> None:
     others = (("scout", StartPose(60.0, 60.0)), ("n200", None), ("n200", None))
-    robots = Setting(others=others).simulation().robots
+    robots = SimulationConfig(others=others).simulation().robots
     assert [robot.model.name for robot in robots.values()] == ["n150", "scout", "n200", "n200"]
     assert robots[2].actual[:2] == (60.0, 60.0)
     discs = [robot.disc for robot in robots.values()]
@@ -29,24 +29,25 @@ def test_robots_with_and_without_a_start() -> None:
 
 def test_who_finds_no_room_is_told_so() -> None:
     with pytest.raises(StartError, match="robot"):
-        Setting(others=(("n150", None),) * 60).simulation()
+        SimulationConfig(others=(("n150", None),) * 60).simulation()
     with pytest.raises(StartError, match="touches robot 1"):
-        Setting(others=(("n150", StartPose(10.0, 0.0)),)).simulation()
+        SimulationConfig(others=(("n150", StartPose(10.0, 0.0)),)).simulation()
 
 
 def test_models_of_a_file(tmp_path: Path) -> None:
     path = tmp_path / "models.toml"
     path.write_text('[[model]]\nname = "small"\nlike = "n200"\nradius_in = 6\n', encoding="utf-8")
-    robot = Setting(robot="Small", model_file=path).simulation().robots[1]
+    robot = SimulationConfig(robot="Small", model_file=path).simulation().robots[1]
     assert (robot.model.name, robot.model.family, robot.model.body.radius_in) == ("small", "n200", 6.0)
     with pytest.raises(AddressError, match="'small'; there are n150, n200, scout"):
-        Setting(robot="small").simulation()
+        SimulationConfig(robot="small").simulation()
 
 
 def test_sonars_see_at_power_on_robots_with_higher_numbers_too() -> None:
     places = (StartPose(0.0, 0.0), StartPose(40.0, 0.0))
     one, other = (
-        Setting(start=places[first], others=(("n150", places[1 - first]),)).simulation().robots for first in (0, 1)
+        SimulationConfig(start=places[first], others=(("n150", places[1 - first]),)).simulation().robots
+        for first in (0, 1)
     )
     assert one[1].sonar.readings_in == other[2].sonar.readings_in
     assert one[2].sonar.readings_in == other[1].sonar.readings_in

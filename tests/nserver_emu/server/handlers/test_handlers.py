@@ -69,7 +69,7 @@ def test_connect_answers_the_port_and_0_for_a_robot_that_is_not_there(emulator: 
 
     def exchange(data: bytes) -> bytes:
         session.receive(data)
-        return session.answers(9)
+        return session.process_requests(9)
 
     client = WireClient(exchange)
     assert client.ask("connect_robot", 9, 1).values == (0,)
@@ -172,7 +172,7 @@ def test_ws_answers_when_the_named_axes_are_still(emulator: Emulator) -> None:
     client, session = meet(emulator)
     client.ask("sp", 100, 450, 450)
     client.ask("pr", 100, 0, 0)
-    assert client.send("ws", codec.tcp_request(Call("ws", (1, 1, 1, 20)))) == []
+    assert client.send("ws", codec.encode_tcp_request(Call("ws", (1, 1, 1, 20)))) == []
     emulator.simulation.step(0.9)
     assert session.tick() == b""
     emulator.simulation.step(0.2)
@@ -184,7 +184,7 @@ def test_ws_answers_after_its_timeout_without_stopping_anything(emulator: Emulat
     client, session = meet(emulator)
     client.ask("vm", 20, 0, 0)
     assert client.ask("ws", 0, 1, 1, 9).slots[38] == 20
-    client.send("ws", codec.tcp_request(Call("ws", (1, 0, 0, 2))))
+    client.send("ws", codec.encode_tcp_request(Call("ws", (1, 0, 0, 2))))
     emulator.simulation.step(1.9)
     assert session.tick() == b""
     emulator.simulation.step(0.2)
@@ -196,7 +196,7 @@ def test_zr_is_answered_at_the_bumpers_zero_with_all_read_as_zero(emulator: Emul
     client, session = meet(emulator)
     client.ask("pr", 100, 900, 450)
     emulator.simulation.step(5.0)
-    assert client.send("zr", codec.tcp_request(Call("zr"))) == []
+    assert client.send("zr", codec.encode_tcp_request(Call("zr"))) == []
     for _ in range(100):
         emulator.simulation.step(0.1)
         if session.tick():
@@ -329,9 +329,9 @@ def test_the_robot_of_a_client_that_is_gone_stops_but_not_another_ones(emulator:
     second, second_session = meet(emulator)
     first.ask("vm", 100, 0, 0)
     second.ask("vm", 50, 0, 0)
-    emulator.leave(first_session.visit)
+    emulator.on_disconnect(first_session.context)
     assert second.ask("get_rv").slots[38] == 50
-    second.send("disconnect_robot", codec.tcp_request(Call("disconnect_robot", (1, 1))))
+    second.send("disconnect_robot", codec.encode_tcp_request(Call("disconnect_robot", (1, 1))))
     assert second_session.closing
     assert first.ask("get_rv").slots[38] == 0
 
@@ -376,11 +376,11 @@ def test_only_the_axes_of_a_client_that_is_gone_stop_and_limits_are_no_motion(em
     helper, helper_session = meet(emulator)
     driver.ask("vm", 50, 0, 20)
     helper.ask("mv", 5, 100, 4, 300, 0, 0)
-    emulator.leave(helper_session.visit)
+    emulator.on_disconnect(helper_session.context)
     assert driver.ask("get_rv").slots == {38: 50, 39: 0, 40: 20}
     steerer, _ = meet(emulator)
     steerer.ask("mv", 0, 0, 1, 30, 0, 0)
-    emulator.leave(driver_session.visit)
+    emulator.on_disconnect(driver_session.context)
     assert steerer.ask("get_rv").slots == {38: 0, 39: 30, 40: 0}
 
 

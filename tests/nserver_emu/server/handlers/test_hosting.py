@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from nserver_emu.server.context import Allowed, Pace
+from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.handlers import server
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
@@ -15,8 +15,8 @@ from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 PAUSE, RESUME, SPEED, STEP = 1, 2, 3, 4
 
 
-def allowed(pace: Pace | None = None) -> tuple[WireClient, Emulator]:
-    emulator = Emulator(simulation(), port=7019, pace=pace, allowed=Allowed(quit=True, control=True))
+def allowed(pace: SimulationClock | None = None) -> tuple[WireClient, Emulator]:
+    emulator = Emulator(simulation(), port=7019, clock=pace, allowed=Allowed(quit=True, control=True))
     return meet(emulator)[0], emulator
 
 
@@ -58,7 +58,7 @@ def test_robots_are_made_while_there_is_room_and_no_more_than_allowed(
     assert caplog.messages[-1] == (
         f"robot 39 is not made: no room around the starts of thesis_room, beside {len(robots)} robots"
     )
-    monkeypatch.setattr(server, "MOST_ROBOTS", 2)
+    monkeypatch.setattr(server, "MAX_ROBOTS", 2)
     client, _ = allowed()
     assert [client.ask("create_robot", number, 1).values[0] for number in (2, 3)] == [7019, 0]
     assert caplog.messages[-1] == "robot 3 is not made: there are 2 robots already, the most there can be"
@@ -82,7 +82,7 @@ def test_quit_ends_the_server_only_where_it_is_allowed() -> None:
 def test_time_is_controlled_only_where_it_is_allowed() -> None:
     emulator = Emulator(simulation())
     assert meet(emulator)[0].ask("sim_control", PAUSE, 0).values == (5,)
-    assert not emulator.pace.paused
+    assert not emulator.clock.paused
 
 
 def test_pause_step_resume_and_speed_show_in_state_0() -> None:
@@ -106,7 +106,7 @@ def test_no_verb_and_no_value_out_of_range_is_taken(args: tuple[int, int]) -> No
 
 
 def test_in_lockstep_time_moves_when_a_client_asks() -> None:
-    client, emulator = allowed(Pace(lockstep_s=0.25))
+    client, emulator = allowed(SimulationClock(lockstep_s=0.25))
     assert emulator.simulation.time_s == 0.0
     assert [client.ask("gs").clock for _ in range(3)] == [250, 500, 750]
     assert client.ask("gs").slots[0] == 0

@@ -28,7 +28,7 @@ def emulator() -> Emulator:
 
 
 @pytest.fixture
-def met(emulator: Emulator) -> tuple[WireClient, Session]:
+def connected(emulator: Emulator) -> tuple[WireClient, Session]:
     client, session = meet(emulator)
     return client, session
 
@@ -43,7 +43,7 @@ def answer(reply: Reply) -> tuple[int, ...]:
 def later(emulator: Emulator, session: Session, client: WireClient, name: str, *args: int) -> tuple[float, Reply]:
     """A question that is answered later: after how many seconds, and what."""
     began_s = emulator.simulation.time_s
-    assert client.send(name, codec.tcp_request(Call(name, args))) == []
+    assert client.send(name, codec.encode_tcp_request(Call(name, args))) == []
     for _ in range(2000):
         emulator.simulation.step(0.01)
         if data := session.tick():
@@ -52,9 +52,9 @@ def later(emulator: Emulator, session: Session, client: WireClient, name: str, *
     raise AssertionError("never answered")
 
 
-def test_what_is_said_is_kept_with_who_and_when(emulator: Emulator, met: tuple[WireClient, Session]) -> None:
+def test_what_is_said_is_kept_with_who_and_when(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
     emulator.simulation.step(1.5)
-    met[0].send("tk", codec.tcp_request(Call("tk", ("hello",))))
+    connected[0].send("tk", codec.encode_tcp_request(Call("tk", ("hello",))))
     assert emulator.transcript.said == (Utterance(1.5, 1, "hello"),)
 
 
@@ -66,9 +66,9 @@ def test_a_transcript_forgets_its_oldest() -> None:
 
 
 def test_the_arm_moves_and_wait_answers_when_it_is_there(
-    emulator: Emulator, met: tuple[WireClient, Session]
+    emulator: Emulator, connected: tuple[WireClient, Session]
 ) -> None:
-    client, session = met
+    client, session = connected
     assert answer(client.ask("arm_mv", RELATIVE, 1000, RELATIVE, 200)) == (42, 1)
     seconds, reply = later(emulator, session, client, "arm_ws", 1, 1, 30_000)
     assert seconds == pytest.approx(10 / 5 + 5 / 10, abs=0.02)
@@ -80,9 +80,9 @@ def test_the_arm_moves_and_wait_answers_when_it_is_there(
 
 
 def test_wait_answers_0_after_its_time_out_and_only_for_what_it_names(
-    emulator: Emulator, met: tuple[WireClient, Session]
+    emulator: Emulator, connected: tuple[WireClient, Session]
 ) -> None:
-    client, session = met
+    client, session = connected
     client.ask("arm_mv", RELATIVE, 4000, 0, 0)
     assert answer(client.ask("arm_ws", 0, 1, 1000)) == (41, 1, 1000)
     assert answer(client.ask("arm_ws", 1, 0, 0)) == (41, 0, 0)
@@ -91,8 +91,8 @@ def test_wait_answers_0_after_its_time_out_and_only_for_what_it_names(
     assert answer(reply) == (41, 0, 0)
 
 
-def test_zero_answers_when_the_arm_is_home(emulator: Emulator, met: tuple[WireClient, Session]) -> None:
-    client, session = met
+def test_zero_answers_when_the_arm_is_home(emulator: Emulator, connected: tuple[WireClient, Session]) -> None:
+    client, session = connected
     client.ask("arm_mv", RELATIVE, 500, RELATIVE, 100)
     emulator.simulation.step(10.0)
     seconds, reply = later(emulator, session, client, "arm_zr", 0)
@@ -102,8 +102,8 @@ def test_zero_answers_when_the_arm_is_home(emulator: Emulator, met: tuple[WireCl
 
 
 @pytest.mark.parametrize("mode", [-1, 6, 99])
-def test_a_mode_the_arm_does_not_have_is_refused(met: tuple[WireClient, Session], mode: int) -> None:
-    assert met[0].ask("arm_mv", mode, 0, 0, 0).values == (2,)
+def test_a_mode_the_arm_does_not_have_is_refused(connected: tuple[WireClient, Session], mode: int) -> None:
+    assert connected[0].ask("arm_mv", mode, 0, 0, 0).values == (2,)
 
 
 @pytest.mark.parametrize(
@@ -114,8 +114,8 @@ def test_a_robot_without_an_arm_refuses(name: str, args: tuple[int, ...]) -> Non
     assert client.ask(name, *args).values == (4,)
 
 
-def test_a_user_packet_nobody_wrote_a_program_for_is_refused(met: tuple[WireClient, Session]) -> None:
-    assert met[0].ask("special_request", 99, 1, 2, 3).values == (4,)
+def test_a_user_packet_nobody_wrote_a_program_for_is_refused(connected: tuple[WireClient, Session]) -> None:
+    assert connected[0].ask("special_request", 99, 1, 2, 3).values == (4,)
 
 
 def running(emulator: Emulator) -> tuple[WireClient, Session]:
@@ -130,7 +130,7 @@ def running(emulator: Emulator) -> tuple[WireClient, Session]:
 def settled_in(emulator: Emulator) -> float:
     """How high the lift is when it stands; it has a minute for that."""
     emulator.pass_time(60.0)
-    assert emulator.arms[1].still()
+    assert emulator.arms[1].is_still()
     return emulator.arms[1].lift.position_in
 
 
@@ -144,9 +144,9 @@ def test_only_its_clients_leaving_stops_an_arm(emulator: Emulator) -> None:
     _, session = running(emulator)
     other, other_session = meet(emulator)
     other.ask("arm_mv", 5, 100, 4, 100)
-    emulator.leave(other_session.visit)
+    emulator.on_disconnect(other_session.context)
     assert emulator.arms[1].lift.moving
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert 0.9 < settled_in(emulator) < 1.1
 
 
@@ -154,7 +154,7 @@ def test_a_client_that_takes_the_arm_over_goes_on_when_the_first_leaves(emulator
     _, session = running(emulator)
     other, _ = meet(emulator)
     other.ask("arm_mv", 2, 1000, 2, 100)
-    emulator.leave(session.visit)
+    emulator.on_disconnect(session.context)
     assert settled_in(emulator) == pytest.approx(11.0, abs=0.1)
 
 
@@ -173,8 +173,8 @@ def test_who_waits_for_the_arm_feeds_the_time_out(emulator: Emulator) -> None:
     client.ask("conf_tm", 1)
     client.ask("arm_mv", 5, 100, 0, 0)
     client.ask("arm_mv", 2, 500, 0, 0)
-    session.receive(codec.tcp_request(Call("arm_ws", (1, 1, 30_000))))
-    assert session.answers(most=1) == b""
+    session.receive(codec.encode_tcp_request(Call("arm_ws", (1, 1, 30_000))))
+    assert session.process_requests(most=1) == b""
     assert settled_in(emulator) == pytest.approx(5.0)
     (reply,) = client.read("arm_ws", session.tick())
     assert answer(reply)[:2] == (41, 1)
@@ -185,5 +185,5 @@ def test_the_arm_of_a_restored_robot_stops_with_who_finds_it(emulator: Emulator)
     restored = Emulator(simulation())
     loads(restored, dumps(emulator))
     _, session = meet(restored)
-    restored.leave(session.visit)
+    restored.on_disconnect(session.context)
     assert 0.9 < settled_in(restored) < 1.1

@@ -10,7 +10,7 @@ import pytest
 
 from nclient.errors import ControlError, WorldFileError
 from nserver_emu.persistence import snapshot
-from nserver_emu.server.config import Setting
+from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.handlers.runtime_settings import (
     MOST_SHOWN,
     noise_of,
@@ -54,7 +54,9 @@ def test_a_client_hears_the_noise_switched_on_and_off() -> None:
 
 
 def test_odometry_strays_robot_by_robot() -> None:
-    emulator = Emulator(Setting(others=(("n150", StartPose(70.0, 70.0)),), start=StartPose(20.0, 20.0)).simulation())
+    emulator = Emulator(
+        SimulationConfig(others=(("n150", StartPose(70.0, 70.0)),), start=StartPose(20.0, 20.0)).simulation()
+    )
     switch_noise(emulator, {"motion": "noisy", "robot": 2})
     for number in (1, 2):
         client, _ = meet(emulator)
@@ -70,7 +72,7 @@ def test_odometry_strays_robot_by_robot() -> None:
 
 def a_run(switches: dict[int, dict[str, Any]], saved: Path | None = None) -> list[object]:
     """What a client is told over twenty seconds, noise switched meanwhile; at half of it saved and restored."""
-    setting = Setting(robot="n200", seed=8, start=StartPose(40.0, 40.0))
+    setting = SimulationConfig(robot="n200", seed=8, start=StartPose(40.0, 40.0))
     emulator = Emulator(setting.simulation())
     client, _ = meet(emulator)
     client.ask("pr", 200, 900, 300)
@@ -80,7 +82,7 @@ def a_run(switches: dict[int, dict[str, Any]], saved: Path | None = None) -> lis
             switch_noise(emulator, switches[second])
         if second == 10 and saved is not None:
             snapshot.save(emulator, saved)
-            emulator = Emulator(Setting().simulation())
+            emulator = Emulator(SimulationConfig().simulation())
             snapshot.restore(emulator, saved)
             client, _ = meet(emulator)
         emulator.pass_time(1.0)
@@ -144,7 +146,7 @@ def test_a_world_where_a_robot_has_no_room_or_that_is_none_changes_nothing() -> 
     emulator = Emulator(simulation())
     world = emulator.simulation.world
     with pytest.raises(ControlError, match=r"far\.toml: robot 1 stands where there is no room for it"):
-        put_world(emulator, '[[room]]\ncorners_in = [[500, 0], [600, 0], [600, 100]]\n', "far.toml")
+        put_world(emulator, "[[room]]\ncorners_in = [[500, 0], [600, 0], [600, 100]]\n", "far.toml")
     with pytest.raises(WorldFileError, match=r"bad\.toml: is no TOML"):
         put_world(emulator, "[[room", "bad.toml")
     assert emulator.simulation.world is world

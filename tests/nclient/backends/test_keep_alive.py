@@ -1,0 +1,242 @@
+"""KeepAlive sets the motion timeout, sends gs in time, and passes errors of its thread to the next call."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from nclient.backends.keep_alive import KeepAlive
+from nclient.backends.nserver import NserverBackend
+from nclient.backends.wrappers import BumperStop, RetryingBackend
+from nclient.errors import BumperHit, ConnectionLost, ReplyTimeout
+from nclient.protocol.commands import Call
+from nclient.protocol.types import N200
+from nclient.transports.memory import MemoryStream
+from tests.nclient.scripted_line import ScriptedLine, direct_on, spoiled
+from tests.nclient.scripted_server import ScriptedServer, error
+
+GS, VM = Call("gs"), Call("vm", (100, 0, 0))
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def keep_alive_on(robot: ScriptedLine, clock: Clock, **options: Any) -> KeepAlive:
+    """Return a keep-alive without its thread: tests call `poll`."""
+    return KeepAlive(direct_on(robot), feeds=False, clock=clock, **options)
+
+
+def test_the_timeout_is_set_on_connecting() -> None:
+    robot = ScriptedLine()
+    backend = keep_alive_on(robot, Clock())
+    assert robot.calls == [Call("conf_tm", (5,))]
+    assert backend.greeting is not None
+    assert backend.greeting.slots[17] == 57
+    robot = ScriptedLine(model=N200)
+    inner = direct_on(robot)
+    assert KeepAlive(inner, 9, feeds=False).greeting is inner.greeting
+    assert robot.calls[-1] == Call("conf_tm", (9,))
+
+
+def test_gs_is_sent_after_a_third_of_the_timeout() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = keep_alive_on(robot, clock, timeout_s=6)
+    robot.calls.clear()
+    clock.now_s = 1.9
+    assert backend.poll() == pytest.approx(0.1)
+    assert robot.calls == []
+    clock.now_s = 2.0
+    assert backend.poll() == 2.0
+    assert robot.names() == ["gs"]
+    clock.now_s = 3.0
+    backend.execute(VM)
+    assert backend.poll() == 2.0
+    assert robot.names() == ["gs", "vm"]
+
+
+def test_the_interval_can_be_shortened() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = keep_alive_on(robot, clock, at_least_every_s=0.2)
+    clock.now_s = 0.2
+    assert backend.poll() == 0.2
+    assert robot.names() == ["conf_tm", "gs"]
+
+
+@pytest.mark.parametrize(("speed", "interval_s"), [(10, 2.0), (5, 2.0), (100, 0.2), (9999, 0.005)])
+def test_a_faster_simulation_shortens_the_interval(speed: int, interval_s: float) -> None:
+    server, clock = ScriptedServer(), Clock()
+    server.slots = {0: speed}
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), 6, feeds=False, clock=clock)
+    clock.now_s = 2.0
+    assert backend.poll() == pytest.approx(interval_s)
+    assert server.names() == ["conf_tm", "gs"]
+
+
+def test_nothing_is_sent_while_time_stands_still() -> None:
+    server, clock = ScriptedServer(), Clock()
+    server.slots = {0: 0}
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    clock.now_s = 100.0
+    backend.poll()
+    assert server.names() == ["conf_tm"]
+    server.slots = {0: 10}
+    backend.execute(GS)
+    clock.now_s = 200.0
+    backend.poll()
+    assert server.names() == ["conf_tm", "gs", "gs"]
+
+
+def test_a_program_that_sends_conf_tm_takes_over() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = keep_alive_on(robot, clock)
+    backend.execute(Call("conf_tm", (1,)))
+    clock.now_s = 100.0
+    backend.poll()
+    backend.execute(Call("ws", (1, 1, 1, 20)))
+    assert robot.names() == ["conf_tm", "conf_tm", "ws"]
+    assert robot.calls[-1].args == (1, 1, 1, 20)
+
+
+def test_no_thread_without_motion_timeout() -> None:
+    server, clock = ScriptedServer({"conf_tm": error(1)}), Clock()
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), clock=clock)
+    assert not backend._thread.is_alive()
+    assert backend.execute(GS).kind == "state"
+
+
+def test_nothing_is_sent_during_a_call() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = keep_alive_on(robot, clock)
+    clock.now_s = 100.0
+    with backend._lock:
+        backend.poll()
+    assert robot.names() == ["conf_tm"]
+
+
+def test_a_restarted_robot_gets_its_timeout_again() -> None:
+    robot = ScriptedLine()
+    robot.clock = 500_000
+    inner = direct_on(robot)
+    backend = KeepAlive(RetryingBackend(inner, 2), feeds=False, clock=Clock())
+    backend.execute(GS)
+    robot.clock = 100
+    robot.answers["conf_tm"] = [None, None, None]
+    robot.calls.clear()
+    backend.execute(GS)
+    backend.execute(VM)
+    backend.execute(GS)
+    names = [name for name in robot.names() if name not in ("get_ra", "get_rv", "get_rc")]
+    assert names == [*["gs"] * 3, *["conf_tm"] * 3, "vm", "conf_tm", "gs"]
+    backend.execute(Call("conf_tm", (0,)))
+    robot.clock = 0
+    robot.calls.clear()
+    backend.execute(GS)
+    assert set(robot.names()) == {"gs"}
+
+
+# errors in the thread
+
+
+def test_the_next_call_raises_a_loss() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    stream = MemoryStream(robot)
+    inner = direct_on(robot)
+    inner._line._stream = stream
+    backend = KeepAlive(inner, feeds=False, clock=clock)
+    stream.close()
+    for now_s in (10.0, 20.0):
+        clock.now_s = now_s
+        backend.poll()
+    with pytest.raises(ConnectionLost, match="gs: this end has closed"):
+        backend.execute(VM)
+    with pytest.raises(ConnectionLost, match="vm: "):
+        backend.execute(VM)
+
+
+def test_a_lost_reply_is_raised_only_if_it_closes() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = keep_alive_on(robot, clock)
+    robot.answers["gs"] = [spoiled(robot.frame("gs"))]
+    clock.now_s = 10.0
+    backend.poll()
+    assert backend.execute(VM).kind == "state"
+    server = ScriptedServer()
+    backend = KeepAlive(NserverBackend(MemoryStream(server)), feeds=False, clock=clock)
+    server.answers["gs"] = None
+    clock.now_s = 20.0
+    backend.poll()
+    with pytest.raises(ReplyTimeout, match="gs"):
+        backend.execute(VM)
+
+
+def test_the_next_call_raises_a_bumper_hit() -> None:
+    robot, clock = ScriptedLine(), Clock()
+    backend = KeepAlive(BumperStop(direct_on(robot)), feeds=False, clock=clock)
+    robot.slots[41] = 1
+    backend.execute(VM)
+    robot.slots[33] |= 1
+    clock.now_s = 10.0
+    backend.poll()
+    assert robot.names() == ["conf_tm", "vm", "gs", "st"]
+    with pytest.raises(BumperHit, match="gs: bumper 0"):
+        backend.execute(GS)
+    assert backend.execute(GS).slots[33] & 1
+
+
+# ws
+
+
+def moving(robot: ScriptedLine, motors: int) -> Any:
+    return replace(robot.state(), slots={**robot.slots, 41: motors})
+
+
+def test_ws_is_split_until_the_axes_are_still() -> None:
+    robot = ScriptedLine()
+    backend = keep_alive_on(robot, Clock())
+    robot.answers["ws"] = [moving(robot, 5), moving(robot, 6), moving(robot, 2)]
+    assert backend.execute(Call("ws", (1, 0, 1, 20))).slots[41] == 2
+    assert [call.args for call in robot.calls[1:]] == [(1, 0, 1, 2)] * 3
+
+
+def test_ws_ends_when_its_time_is_over() -> None:
+    robot = ScriptedLine()
+    backend = keep_alive_on(robot, Clock())
+    robot.answers["ws"] = moving(robot, 7)
+    for timeout_s, pieces in ((5, [2, 2, 1]), (2, [2]), (0, [0]), (-1, [0])):
+        robot.calls.clear()
+        backend.execute(Call("ws", (1, 1, 1, timeout_s)))
+        assert [call.args[3] for call in robot.calls] == pieces
+
+
+def test_a_malformed_ws_is_left_to_the_inner_backend() -> None:
+    with pytest.raises(ValueError, match="ws takes 4 numbers"):
+        keep_alive_on(ScriptedLine(), Clock()).execute(Call("ws", (1,)))
+
+
+# the thread
+
+
+def test_the_thread_sends_gs_and_ends_on_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    fed, robot = threading.Event(), ScriptedLine()
+    answer = robot.send
+
+    def send(data: bytes) -> None:
+        answer(data)
+        if robot.names().count("gs") > 1:
+            fed.set()
+
+    monkeypatch.setattr(robot, "send", send)
+    backend = KeepAlive(direct_on(robot), at_least_every_s=0.01)
+    assert fed.wait(10)
+    backend.close()
+    assert not backend._thread.is_alive()
+    assert backend.closed
+    assert robot.closed == 1
+    backend.close()
