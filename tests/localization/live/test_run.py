@@ -69,7 +69,7 @@ def test_the_line_tells_estimate_spread_truth_and_error() -> None:
 def test_the_verdict_tells_goals_echoes_and_errors() -> None:
     verdict = run(with_truth=True).verdict()
     assert "2 of 2 waypoints reached in 1.0 s; 2 echoes used, 6 refused" in verdict
-    assert "the estimate is 0.50 in position error at the end (RMSE 0.50 in); odometry alone is 1.00 in off" in verdict
+    assert "the estimate is 0.50 in off at the end (RMSE 0.50 in); odometry alone is 1.00 in off" in verdict
 
 
 def test_a_run_that_has_not_begun_has_reached_nothing() -> None:
