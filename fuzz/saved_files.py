@@ -24,7 +24,7 @@ from nclient.recording.format import FORMAT, IN, OUT, VERSION, Entry, as_object,
 from nclient.recording.recorder import TCP, FrameDecoder
 from nclient.recording.replayer import LOOSE, Player, find_state_reply, load_exchanges
 from nserver_emu.persistence import snapshot
-from nserver_emu.persistence.recording import Beginning, header
+from nserver_emu.persistence.recording import RunHeader
 from nserver_emu.persistence.replay import replay
 from nserver_emu.server.config import SimulationConfig
 from nserver_emu.server.context import Allowed, SimulationClock
@@ -68,7 +68,7 @@ def _steps(entries: object) -> Iterator[float]:
 def _snapshot(data: bytes) -> None:
     emulator = _emulator()
     # Reset the emulator afterwards, also after a partial restore that failed.
-    before = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    before = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
     try:
         snapshot.restore(emulator, input_file(data, ".snapshot"))
     finally:
@@ -81,7 +81,7 @@ def _emulator() -> Any:
     """Return the parts of an emulator that a snapshot changes."""
     emulator = open_address("sim:thesis_room?robot=scout").emulator
     axis_ownership = SimpleNamespace(release_all=lambda _: None)
-    parts = {part: getattr(emulator, part) for part in snapshot.KEPT}
+    parts = {part: getattr(emulator, part) for part in snapshot.SAVED_PARTS}
     return SimpleNamespace(**parts, axis_ownership=axis_ownership, invalidate_state_cache=lambda: None)
 
 
@@ -118,8 +118,8 @@ def _server_seeds() -> list[bytes]:
 
 
 def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
-    beginning = Beginning(SimulationConfig(noisy=True), pace, Allowed(control=True))
-    emulator = beginning.emulator()
+    run_header = RunHeader(SimulationConfig(noisy=True), pace, Allowed(control=True))
+    emulator = run_header.create_emulator()
     emulator.port = 7019
     session = Session(emulator.answer, "127.0.0.1:1")
     entries = [Entry(0.0, "open", session.name, more={"wire": TCP, "model": "n150"})]
@@ -132,7 +132,7 @@ def _server_recording(pace: SimulationClock, steps: list[list[float]]) -> bytes:
         session.receive(request)
         entries.append(Entry(float(number), IN, session.name, session.process_requests(MAX_STEPS)))
     entries.append(Entry(4.0, "close", session.name))
-    top = {"format": FORMAT, "version": VERSION} | header(beginning, "", port=7019, requests_a_turn=5, real_robots=0)
+    top = {"format": FORMAT, "version": VERSION} | run_header.to_json("", port=7019, requests_a_turn=5, real_robots=0)
     return "\n".join(json.dumps(value) for value in (top, *map(as_object, entries))).encode() + b"\n"
 
 

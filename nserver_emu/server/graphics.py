@@ -17,6 +17,7 @@ Robots that drive for days fill their tracks: a coordinate is kept in eight byte
 from __future__ import annotations
 
 from array import array
+from base64 import b64decode, b64encode
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable
@@ -24,6 +25,8 @@ from enum import StrEnum
 from itertools import takewhile
 from math import floor, hypot
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from nserver_emu.server.limits import Limits
 from nserver_emu.simulation.simulation import Simulation
@@ -68,6 +71,15 @@ class Shape(NamedTuple):
     numbers: tuple[int, ...]
     colour: str
     xor: bool
+
+
+class GraphicsState(NamedTuple):
+    """The client graphics in a snapshot: shapes and removals with the numbers of their drawings."""
+
+    drawn: int
+    redrawn: dict[Layer, int]
+    shapes: tuple[tuple[int, Shape], ...]
+    removed: tuple[tuple[int, int], ...]
 
 
 class Graphics:
@@ -132,6 +144,20 @@ class Graphics:
     def _take(self, shape: Shape) -> None:
         self._gone.append((self.drawn, self._shapes.pop(shape)))
 
+    def to_state(self) -> GraphicsState:
+        """Return all that changes."""
+        return GraphicsState(self.drawn, self.redrawn, tuple(self.numbered), tuple(self._gone))
+
+    @classmethod
+    def from_state(cls, state: GraphicsState) -> Graphics:
+        """Return the graphics of a state."""
+        graphics = cls()
+        graphics.drawn = state.drawn
+        graphics.redrawn |= state.redrawn
+        graphics._shapes = {shape: number for number, shape in state.shapes}
+        graphics._gone.extend(state.removed)
+        return graphics
+
 
 def _line_mode(mode: int) -> tuple[str, bool]:
     return (_colour(mode - 2), True) if mode > 2 else (BLACK, mode == 2)
@@ -159,6 +185,22 @@ FORGOTTEN_AT_ONCE: Final = 400
 
 JUMP_IN: Final = 6.0
 """Points farther apart were not driven: half again what the fastest wheels make in a tenth of a second."""
+
+
+class TraceState(NamedTuple):
+    """A track in a snapshot: the coordinates x y as base64 of little-endian doubles, because there are thousands."""
+
+    points: str
+    total: int
+    jumps: tuple[int, ...]
+
+
+class TracesState(NamedTuple):
+    """All tracks in a snapshot."""
+
+    actual: dict[int, TraceState]
+    encoder: dict[int, TraceState]
+    interval: int
 
 
 class Trace:
@@ -200,6 +242,22 @@ class Trace:
             if way_in > JUMP_IN:
                 self.jumps = (*self.jumps[bisect_left(self.jumps, self.first) :], self.gone)
 
+    def to_state(self) -> TraceState:
+        """Return all that changes."""
+        points = b64encode(np.array(self._flat, dtype="<f8").tobytes()).decode()
+        return TraceState(points, self.gone, self.jumps)
+
+    @classmethod
+    def from_state(cls, state: TraceState) -> Trace:
+        """Return the track of a state; raise ValueError if it is not one."""
+        flat = np.frombuffer(b64decode(state.points, validate=True), dtype="<f8")
+        if len(flat) % 2 or not np.isfinite(flat).all() or state.total < len(flat) // 2:
+            raise ValueError("a track without points")
+        trace = cls()
+        trace._flat = array("d", flat.tolist())
+        trace.gone, trace.jumps = state.total, state.jumps
+        return trace
+
 
 class Traces:
     """The two tracks of each robot by its number: `actual` and `encoder`."""
@@ -220,3 +278,18 @@ class Traces:
             believed = robot.encoder
             self.actual.setdefault(robot_id, Trace()).go(x, y)
             self.encoder.setdefault(robot_id, Trace()).go(believed.x_in, believed.y_in)
+
+    def to_state(self) -> TracesState:
+        """Return all that changes."""
+        actual = {robot_id: trace.to_state() for robot_id, trace in self.actual.items()}
+        encoder = {robot_id: trace.to_state() for robot_id, trace in self.encoder.items()}
+        return TracesState(actual, encoder, self._noted)
+
+    @classmethod
+    def from_state(cls, state: TracesState) -> Traces:
+        """Return the tracks of a state; raise ValueError if they are none."""
+        traces = cls()
+        traces.actual = {robot_id: Trace.from_state(trace) for robot_id, trace in state.actual.items()}
+        traces.encoder = {robot_id: Trace.from_state(trace) for robot_id, trace in state.encoder.items()}
+        traces._noted = state.interval
+        return traces

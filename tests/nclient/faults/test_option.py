@@ -15,7 +15,7 @@ from nclient.protocol.serial_framing import build_frame
 from nclient.transports.memory import MemoryStream
 from nclient.transports.stream import Deadline
 from nclient.url import parse_address
-from tests.nclient.answering import ScriptedServer
+from tests.nclient.scripted_server import ScriptedServer
 
 PLAN = """
 [[rule]]
