@@ -77,7 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     encode.add_argument("--mask", type=_mask, default=EVERYTHING, help="44 numbers that ct sends (default: all on)")
     decode = _add_verb(verbs, "decode", _DECODE)
     decode.add_argument("hex", nargs="+", action=_Hex, help="bytes of one frame")
-    decode.add_argument("--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)")
+    decode.add_argument(
+        "--to", choices=("robot", "host"), default="robot", help="direction of the frame (default: robot)"
+    )
     decode.add_argument("--call", help="decode as the reply to this call")
     decode.add_argument("--mask", type=_mask, help="44 numbers of the mask in force (default: all on)")
     decode.add_argument("--laser-mode", type=int, help="laser mode in force (default: 51)")
