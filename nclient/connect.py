@@ -301,7 +301,7 @@ def _agreed_robot_id(address: Address, options: ConnectOptions) -> int:
 def connect(address: str | None = None, *, timeout_s: float | None = None) -> Robot:
     """Connect to a robot.
 
-    Where time runs by itself, the robot's motion timeout is set and kept alive, so that the robot stops when the
+    Where time runs by itself, the robot's motion timeout is set and refreshed, so that the robot stops when the
     program dies (`tm_s=` and `feed=` in the address).
 
     Parameters
