@@ -56,9 +56,9 @@ class Hand(ConnectionHandler):
 
     def __init__(self, daemon: Daemon, name: str) -> None:
         super().__init__(daemon)
-        self._behind = daemon.host
-        self.session = Session(daemon.host.answer, name)
-        self._tape = daemon.recorder.open(name, TCP, N150)
+        self._handler = daemon.handler
+        self.session = Session(daemon.handler.answer, name)
+        self._recorder = daemon.recorder.open(name, TCP, N150)
         self._wire_state = tcp_wire_state(N150)
         self._framer = TcpFramer(reply_bounds, wide=False)
         self._waiting: deque[tuple[str, Then]] = deque()
@@ -83,18 +83,18 @@ class Hand(ConnectionHandler):
     def close(self) -> None:
         """The page is gone, or the daemon ends: what moves by this hand stops, what was asked is not answered any
         more. Twice is fine."""
-        if self not in self._daemon.connections:
+        if self not in self._server.connections:
             return
-        self._silence()
-        self._daemon.connections.discard(self)
-        self._behind.on_disconnect(self.session.context)
-        self._tape.close()
+        self._cancel_timers()
+        self._server.connections.discard(self)
+        self._handler.on_disconnect(self.session.context)
+        self._recorder.close()
         self.session.closing = True
         while self._waiting:
             name, then = self._waiting.popleft()
             then({"ok": False, "error": f"{name}: the connection to the robot broke off"})
 
-    def _send(self, data: bytes) -> None:
+    def _write(self, data: bytes) -> None:
         for frame in self._framer.receive(data):
             if not isinstance(frame, TcpFrame) or not self._waiting:
                 log.error("%s: hung up: %r answers nothing that was asked", self.session.name, frame)
@@ -109,10 +109,10 @@ class Hand(ConnectionHandler):
     def _language(self) -> Language:
         return TcpLanguage(False)
 
-    def _listen(self, on: bool) -> None:
+    def _set_reading(self, on: bool) -> None:
         """Nothing is read from anywhere: who calls is heard."""
 
-    def _hang_up(self) -> None:
+    def _close_port(self) -> None:
         self.close()
 
     def _abort(self) -> None:
@@ -146,7 +146,7 @@ class Hands:
                 return
             self._hands[robot_id] = hand
         self._driven.pop(robot_id, None)
-        hold = self._daemon.emulator.estop.of(robot_id)
+        hold = self._daemon.emulator.estop.get(robot_id)
         if hold is not None and (name in ALWAYS_MOVE or (name in MOTIONS and any(args))):
             error = f"robot {robot_id} is held by {hold.by}: release it first"
             then({"ok": False, "held": hold.by, "error": error})
@@ -156,7 +156,7 @@ class Hands:
     def drive(self, robot_id: int, args: list[int], now: float, then: Then) -> None:
         """Drive at these velocities, for as long as it is said again in time."""
         self.call(robot_id, "vm", args, then)
-        if any(args) and self._daemon.emulator.estop.of(robot_id) is None:
+        if any(args) and self._daemon.emulator.estop.get(robot_id) is None:
             self._driven[robot_id] = now + DEAD_MAN_S
 
     def drives(self, robot_id: int) -> bool:
@@ -303,7 +303,7 @@ class Desk:
         viewer.tell(to_page("answer", id=number, ok=False, error=error))
 
     def _tell_asked(self) -> None:
-        asked = self.daemon.emulator.pose_requests.asked()
+        asked = self.daemon.emulator.pose_requests.counts()
         if asked != self._asked:
             self._asked = asked
             self.hub.tell(to_page("asked", robots=asked))
@@ -355,7 +355,7 @@ def _release(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:
 
 
 def _tell_held(desk: Desk, viewer: Viewer, message: Message) -> None:
-    _teller(viewer, message["id"])({"ok": True, "held": desk.daemon.emulator.estop.told()})
+    _teller(viewer, message["id"])({"ok": True, "held": desk.daemon.emulator.estop.as_dict()})
 
 
 def _control(desk: Desk, viewer: Viewer, message: Message, _now: float) -> None:

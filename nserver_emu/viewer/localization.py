@@ -21,7 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nserver_emu.viewer.messages import FARTHEST, MOST_POINTS, BadMessage, Message
+from nserver_emu.viewer.messages import FARTHEST, MAX_POINTS, BadMessage, Message
 from worlds.robots import SONARS
 
 REFUSALS: Final = ("none", "limit", "no_wall", "ambiguous_wall", "grazing", "gate")
@@ -46,7 +46,7 @@ def published(text: str) -> Message:
             "odometry": _numbers(said["odometry"], _POSE),
             "truth": None if said["truth"] is None else _numbers(said["truth"], _POSE),
             "echoes": [_echo(echo) for echo in said["echoes"][:MOST_ECHOES]],
-            "waypoints": [_numbers(point, 2) for point in said["waypoints"][:MOST_POINTS]],
+            "waypoints": [_numbers(point, 2) for point in said["waypoints"][:MAX_POINTS]],
             "trust": _one_of(TRUSTS, said["trust"]), "reason": _text(said["reason"]),
             "places": _places(said["places"][:MOST_PLACES]), "passed": _whole(said["passed"]),
             "began": said.get("began") is True,

@@ -38,8 +38,8 @@ VERSION: Final = 4
 MOST_TEXT: Final = 2_000_000
 """Characters of a message from the page; a plan of faults is the longest."""
 MOST_ARGS: Final = 64
-MOST_POINTS: Final = 200
-MOST_SHOWN: Final = 60
+MAX_POINTS: Final = 200
+MAX_EXPORTED_WORLDS: Final = 60
 """Characters that a complaint repeats."""
 FARTHEST: Final = 1e9
 """No number is farther from 0: inches, radians, seconds, and what is made of them."""
@@ -95,7 +95,7 @@ def to_page(kind: str, **fields: Any) -> str:
 
 def _short(value: object) -> str:
     shown = json.dumps(value)
-    return shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
+    return shown if len(shown) <= MAX_EXPORTED_WORLDS else f"{shown[:MAX_EXPORTED_WORLDS]}..."
 
 
 def _is_int(value: object) -> bool:
@@ -114,7 +114,7 @@ def _are_ints(value: object, count: int | None = None) -> bool:
 
 
 def _are_points(value: object) -> bool:
-    return isinstance(value, list) and len(value) <= MOST_POINTS and all(map(_is_point, value))
+    return isinstance(value, list) and len(value) <= MAX_POINTS and all(map(_is_point, value))
 
 
 def _is_point(value: object) -> bool:
@@ -161,6 +161,6 @@ FIELDS: Final[dict[str, dict[str, Field]]] = {
         ),
     },
     "click": {"robot": _ID, "pose": (lambda value: _are_ints(value, 4), "x, y, steer and turret in whole tenths")},
-    "waypoints": {"robot": _ID, "points": (_are_points, f"a list of at most {MOST_POINTS} points [x, y] in inches")},
+    "waypoints": {"robot": _ID, "points": (_are_points, f"a list of at most {MAX_POINTS} points [x, y] in inches")},
 }  # fmt: skip
 """Every message from the page: its fields, whether a value is right, and what would be."""

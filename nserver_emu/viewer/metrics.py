@@ -30,9 +30,9 @@ class Number(NamedTuple):
 
 def numbers(daemon: Daemon, viewers: int, tasks: int) -> Iterator[Number]:
     """Everything that is counted; `viewers`: pages that are open, `tasks`: what the loop has under way."""
-    emulator, here = daemon.emulator, [one for one in daemon.connections if one.here]
-    answered = daemon.gone_answered + sum(one.session.answered for one in here)
-    refused = daemon.gone_refused + sum(one.session.refused for one in here)
+    emulator, here = daemon.emulator, [one for one in daemon.connections if one.is_connected]
+    answered = daemon.closed_answered + sum(one.session.answered for one in here)
+    refused = daemon.closed_refused + sum(one.session.refused for one in here)
     yield Number("connections", GAUGE, "Clients and hosts that are connected.", len(here))
     yield Number("turned_away_total", COUNTER, "Newcomers that were not let in.", daemon.admission.rejected)
     yield Number("answers_total", COUNTER, "Requests that were answered.", answered)

@@ -68,7 +68,7 @@ def laser_modes(talkers: Iterable[ConnectionHandler], robots: Collection[int]) -
     found: dict[int, list[tuple[str, int]]] = {number: [] for number in robots}
     for talker in talkers:
         context = talker.session.context
-        if talker.here and talker.line != VIEWER and context.robot_id in found:
+        if talker.is_connected and talker.line != VIEWER and context.robot_id in found:
             found[context.robot_id].append((talker.session.name, context.wire_state.laser_mode))
     return {number: sorted(clients, key=_on_first)[:MOST_NAMED] for number, clients in found.items()}
 
@@ -156,7 +156,7 @@ class Album:
         if new.laser_modes != old.laser_modes:
             told["laser_modes"] = {str(n): clients for n, clients in self._modes.items()}
         if new.said is not old.said:
-            told["said"] = [list(utterance) for utterance in self._server.transcript.said]
+            told["said"] = [list(utterance) for utterance in self._server.transcript.utterances]
         grown = {"traces": self._grown(old.traces, new.traces), "beams": _cried(old.cries, new.cries)}
         return told | {name: more for name, more in grown.items() if more}
 
@@ -177,9 +177,9 @@ class Album:
 
     def _mark(self) -> Mark:
         server = self._server
-        said = server.transcript.said
+        said = server.transcript.utterances
         ways = server.traces
-        counts = {n: (trace.gone, ways.encoder[n].gone) for n, trace in ways.actual.items()}
+        counts = {n: (trace.count, ways.encoder[n].count) for n, trace in ways.actual.items()}
         simulation = server.simulation
         return Mark(
             self.number + 1, tuple((n, robot.setup) for n, robot in simulation.robots.items()),
@@ -240,7 +240,7 @@ def _now(server: ServerState) -> Plain:
             str(number): {
                 "state": list(StateSnapshot(robot, pace.speed_tenths).slots()), "actual": _pose(robot.actual),
                 "encoder": _pose(robot.encoder), "front": round(robot.front_rad, ANGLE_DIGITS),
-                "held": None if (hold := server.estop.of(number)) is None else hold.told(),
+                "held": None if (hold := server.estop.get(number)) is None else hold.as_dict(),
             }
             for number, robot in server.simulation.robots.items()
         },

@@ -18,7 +18,7 @@ from nclient.protocol import codec
 from nclient.protocol.commands import Call
 from nclient.protocol.replies import Reply
 from nclient.protocol.tcp_framing import InvalidFrame, TcpFrame
-from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, Connection
+from nserver_emu.server.connection import MAX_BYTES_PER_TURN, MAX_REQUESTS_PER_TURN, TcpConnection
 from nserver_emu.server.context import Allowed, SimulationClock
 from nserver_emu.server.daemon import Daemon, stop_on_signals
 from nserver_emu.server.handlers.table import Emulator
@@ -115,7 +115,7 @@ def test_a_flood_is_looked_at_and_answered_little_by_little_between_the_others_t
     heard: Counter[int] = Counter()
     answered: Counter[int] = Counter()
     turn = 0
-    receive, answer = Session.receive, Session._answer_one
+    receive, answer = Session.receive, Session._process_one
 
     def receiving(session: Session, data: bytes) -> None:
         heard[turn] += len(data)
@@ -134,7 +134,7 @@ def test_a_flood_is_looked_at_and_answered_little_by_little_between_the_others_t
     async def scenario(house: House) -> None:
         flood = await house.call()
         monkeypatch.setattr(Session, "receive", receiving)
-        monkeypatch.setattr(Session, "_answer_one", answering)
+        monkeypatch.setattr(Session, "_process_one", answering)
         counting = asyncio.create_task(turns())
         flood.writer.write(GS * 3000)
         for _ in range(3000):
@@ -151,14 +151,14 @@ def test_what_comes_while_an_answer_takes_its_time_is_looked_at_up_to_a_crowd_an
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     turns = 0
-    honest = Connection._next_turn
+    honest = TcpConnection._next_turn
 
-    def next_turn(connection: Connection) -> None:
+    def next_turn(connection: TcpConnection) -> None:
         nonlocal turns
         turns += 1
         honest(connection)
 
-    monkeypatch.setattr(Connection, "_next_turn", next_turn)
+    monkeypatch.setattr(TcpConnection, "_next_turn", next_turn)
 
     async def scenario(house: House) -> None:
         waiting, other = await house.call(), await house.call()
@@ -183,14 +183,14 @@ def test_a_client_that_does_not_read_is_not_waited_for_and_loses_nothing() -> No
         deaf.transport.pause_reading()  # a reader that has better things to do
         count = 60_000
         deaf.writer.write(GS * count)
-        while not any(connection.blocked for connection in house.daemon.connections):
+        while not any(connection.is_write_paused for connection in house.daemon.connections):
             assert (await polite.ask("gs")).kind == "state"
         for _ in range(20):
             assert (await polite.ask("gs")).kind == "state"
         deaf.transport.resume_reading()
         for _ in range(count):
             assert (await deaf.reply("gs")).kind == "state"
-        assert not any(connection.blocked for connection in house.daemon.connections)
+        assert not any(connection.is_write_paused for connection in house.daemon.connections)
 
     with_daemon(scenario)
 
@@ -245,8 +245,8 @@ def test_half_a_request_and_an_abrupt_end_leave_one_line_each(caplog: pytest.Log
     with caplog.at_level(logging.WARNING):
         with_daemon(scenario)
     messages = [record.getMessage() for record in caplog.records]
-    assert len([message for message in messages if "vanished in mid-request" in message]) == 1
-    assert len([message for message in messages if "vanished:" in message]) == 1
+    assert len([message for message in messages if "connection lost in mid-request" in message]) == 1
+    assert len([message for message in messages if "connection lost:" in message]) == 1
 
 
 def test_a_fault_of_ours_costs_one_connection_only(caplog: pytest.LogCaptureFixture) -> None:
@@ -265,7 +265,7 @@ def test_a_fault_of_ours_costs_one_connection_only(caplog: pytest.LogCaptureFixt
         assert sorted(heard) == [False, True]
 
     with_daemon(scenario)
-    assert "because of a fault of ours" in caplog.text
+    assert "internal error; connection closed" in caplog.text
 
 
 def test_a_port_that_is_taken_says_so_and_names_the_remedy() -> None:
@@ -310,7 +310,7 @@ def test_under_nohup_a_closed_terminal_ends_nothing() -> None:
 def test_a_machine_that_slept_loses_the_time_and_says_so(caplog: pytest.LogCaptureFixture) -> None:
     daemon = Daemon(Emulator(simulation()), speed=2.0)
     with caplog.at_level(logging.INFO):
-        daemon._pass_time(10.25)
+        daemon._advance(10.25)
     assert "10.00 s of real time lost" in caplog.text
     assert daemon.emulator.simulation.time_s == pytest.approx(0.5)
 
@@ -331,7 +331,7 @@ def test_a_paused_simulation_stands_until_it_is_stepped_or_resumed() -> None:
         client = await house.call()
         await client.ask("vm", 100, 0, 0)
         assert (await client.ask("gs")).slots[0] == 0
-        house.daemon._pass_time(5.0)
+        house.daemon._advance(5.0)
         assert (await client.ask("gs")).clock == 0
         assert (await client.ask("sim_control", 4, 1000)).values == (1, 1000, 10, 1)
         assert (await client.ask("get_rc")).slots[34] == 100
@@ -348,7 +348,7 @@ def test_in_lockstep_time_waits_for_clients_and_passes_for_one_that_waits() -> N
     async def scenario(house: House) -> None:
         client = await house.call()
         await client.ask("sp", 100, 450, 450)
-        house.daemon._pass_time(5.0)
+        house.daemon._advance(5.0)
         assert (await client.ask("gs")).clock == 200
         await client.ask("pr", 200, 0, 0)
         reply = await client.ask("ws", 1, 1, 1, 100)

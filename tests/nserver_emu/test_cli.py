@@ -83,7 +83,7 @@ def test_an_address_that_is_not_of_this_machine_is_not_blamed_on_the_port(capsys
     assert cli.main(["--port", "0", "--bind", "192.0.2.1"]) == 1
     told = capsys.readouterr().err
     assert "cannot listen on 192.0.2.1:0" in told
-    assert told.endswith("--bind wants an address of this machine, and ports below 1024 are the system's\n")
+    assert told.endswith("--bind needs an address of this machine, and ports below 1024 are the system's\n")
 
 
 def test_a_folder_to_save_to_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,7 @@ from nclient.protocol.commands import Call
 from nclient.protocol.types import EVERYTHING
 from nserver_emu.persistence import snapshot
 from nserver_emu.server.config import SimulationConfig
-from nserver_emu.server.graphics import MOST_POINTS, Figure
+from nserver_emu.server.graphics import MAX_POINTS, Figure
 from nserver_emu.server.handlers.table import Emulator
 from tests.nserver_emu.server.wire_client import WireClient, meet, simulation
 from worlds.world import StartPose
@@ -71,7 +71,7 @@ def test_a_restored_simulation_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert restored.simulation.robots[1].sonar.cries == cries
     assert len({cry.x_in for cry in cries if cry}) >= 3
     assert restored.graphics.redrawn == emulator.graphics.redrawn
-    assert restored.transcript.said == emulator.transcript.said
+    assert restored.transcript.utterances == emulator.transcript.utterances
     assert snapshot.dumps(restored) == snapshot.dumps(emulator)
     again, _ = meet(restored)
     assert future(restored, again) == future(emulator, client)
@@ -84,8 +84,8 @@ def test_days_of_driving_and_drawing_are_saved_in_little_memory() -> None:
     emulator = Emulator(simulation())
     emulator.pass_time(0.1)
     for trace in (emulator.traces.actual[1], emulator.traces.encoder[1]):
-        for number in range(MOST_POINTS):
-            trace.go(number + 1 / 3, 0.1 * number)
+        for number in range(MAX_POINTS):
+            trace.add(number + 1 / 3, 0.1 * number)
     for number in range(2000):
         emulator.graphics.draw(Figure.LINE, (number, 1000, 2000, 3000), 1)
     tracemalloc.start()

@@ -15,7 +15,7 @@ def test_that_a_program_waits_for_a_pose_is_told_once_and_that_it_waits_no_more(
         async with served(Emulator(simulation())) as here, here.page() as page:
             assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {}
             visit = ConnectionContext(robot_id=1)
-            clicked = here.daemon.emulator.pose_requests.ask(1, visit, lambda: (0, 0, 0, 0))
+            clicked = here.daemon.emulator.pose_requests.add(1, visit, lambda: (0, 0, 0, 0))
             assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {"1": 1}
             await page.say(do="click", robot=1, pose=[1, 2, 3, 4])
             assert (await page.until(lambda message: message["type"] == "asked"))["robots"] == {}

@@ -84,7 +84,7 @@ def test_of_a_crowd_those_who_have_it_on_are_named_first() -> None:
     class Visitor:
         """As much of a connection as counts."""
 
-        here, line = True, "nserver"
+        is_connected, line = True, "nserver"
 
         def __init__(self, name: str, mode: int) -> None:
             wire_state = type("WireState", (), {"laser_mode": mode})()

@@ -9,8 +9,8 @@ import pytest
 
 from nserver_emu.viewer.messages import (
     FIELDS,
+    MAX_POINTS,
     MOST_ARGS,
-    MOST_POINTS,
     MOST_TEXT,
     BadMessage,
     from_page,
@@ -51,7 +51,7 @@ BAD: list[tuple[Any, str]] = [
     ({"do": "control", "id": 1, "command": "speed", "argument": [1]}, "argument is nothing"),
     ({"do": "click", "robot": 1, "pose": [1, 2, 3]}, "pose is x, y"),
     ({"do": "waypoints", "robot": 1, "points": [[1, 2, 3]]}, "points is a list"),
-    ({"do": "waypoints", "robot": 1, "points": [[0, 0]] * (MOST_POINTS + 1)}, "points is a list"),
+    ({"do": "waypoints", "robot": 1, "points": [[0, 0]] * (MAX_POINTS + 1)}, "points is a list"),
     ({"do": "waypoints", "robot": 1, "points": [[0, float("inf")]]}, "points is a list"),
     ({"do": "waypoints", "robot": 1, "points": [[10**400, 0]]}, "points is a list"),
     ({"do": "control", "id": 1, "command": "speed", "argument": 10**400}, "argument is nothing, a number"),

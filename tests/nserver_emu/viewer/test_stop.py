@@ -135,7 +135,7 @@ def test_who_stops_and_who_releases_is_in_the_log(caplog: pytest.LogCaptureFixtu
 
     asyncio.run(scenario())
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
-        "stopped and held by nserver ctl: robot 1, until somebody lets go, at the page or by nserver ctl release",
+        "emergency stop by nserver ctl: robot 1; release in the viewer or with nserver ctl release",
         "released: robot 1",
     ]
 
@@ -147,7 +147,7 @@ def test_who_only_looks_neither_stops_nor_releases() -> None:
             for number, word in enumerate(("stop", "release")):
                 await page.say(do=word, id=number)
                 assert (await page.answer(number))["error"] == "this link only looks"
-            assert here.daemon.emulator.estop.told() == {"1": {"by": "viewer 9", "ignored": 0}}
+            assert here.daemon.emulator.estop.as_dict() == {"1": {"by": "viewer 9", "ignored": 0}}
 
     asyncio.run(scenario())
 

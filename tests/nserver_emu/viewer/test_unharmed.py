@@ -58,7 +58,7 @@ def test_what_answers_nothing_that_was_asked_costs_the_hand_alone(caplog: pytest
             assert (await page.answer(1))["ok"]
             (viewer,) = here.viewing.hub.viewers
             hand = here.viewing.desk.hands(viewer)._hands[1]
-            hand._send(bytes([0, 2, 0, 0, 0]))
+            hand._write(bytes([0, 2, 0, 0, 0]))
             assert "answers nothing that was asked" in caplog.text
             assert hand.session.closing
             await page.say(do="call", id=2, robot=1, call="st", args=[])
